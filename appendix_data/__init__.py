@@ -1,0 +1,1 @@
+"""What the sources print, the consistent form, and why. Data only: its one loader is kinematics.description."""

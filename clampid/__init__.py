@@ -1,0 +1,1 @@
+"""Why the real robot deviates: effects, the chain, fit, diagnosis, comparison, reports, command line."""

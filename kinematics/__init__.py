@@ -1,0 +1,1 @@
+"""The ideal robot: screws, transmission matrix, gravity loads, DH conversions, URDF."""
