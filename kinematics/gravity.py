@@ -1,0 +1,151 @@
+"""
+Torques that hold the arm against gravity, linear in its masses and first moments.
+
+τ_joint is what the drive exerts: at rest, the derivative of the potential energy, +dV/dq. With the motion G_k(q) of link k
+from the zero pose (rotation R_k, translation t_k) and the screw of joint i moved along, (ω_i, v_i), a point of link k moves by
+ω_i × p + v_i per unit of q_i, so
+
+    τ_i = −Σ_{k ≥ i} m_k·(g·v_i + (g × ω_i)·t_k) + (R_kᵀ (g × ω_i))·(m c)_k
+
+which holds for revolute, prismatic and helical joints alike. The centres of mass c_k are in the base frame at the zero pose, so
+that no frame of any link has to be chosen. Source: Lynch & Park, Modern Robotics, section 8.1 (potential energy), in the
+first-moment form that makes it linear.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from kinematics.poe import _space_jacobian, joint_transforms
+from kinematics.robot import DescriptionError, Link, RobotDescription
+from kinematics.typing_ import Array
+
+__all__ = ["STANDARD_GRAVITY", "add_tool", "gravity_parameters", "gravity_regressor", "gravity_torque"]
+
+STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s², base frame of an upright robot; the value of the campaign format
+
+
+def gravity_regressor(screws: npt.ArrayLike, q: npt.ArrayLike, gravity: npt.ArrayLike = STANDARD_GRAVITY) -> Array:
+    """
+    Give the matrix Y with τ_joint = Y·φ.
+
+    Parameters
+    ----------
+    screws
+        Screws (n, 6) in the base frame at the zero pose, (omega, v) [1, m].
+    q
+        Joint values of the chain (..., n) [rad, or m].
+    gravity
+        Acceleration of free fall (3,) in the base frame [m/s²]; a hung robot has +9.81 in z.
+
+    Returns
+    -------
+    Array
+        Matrices (..., n, 4n); φ stacks (m, m·cx, m·cy, m·cz) [kg, kg m] per link, with the centre of mass in the base frame
+        at the zero pose. Source: the module's docstring.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+    """
+    S = np.asarray(screws, dtype=np.float64)
+    g = np.asarray(gravity, dtype=np.float64)
+    if g.shape != (3,):
+        raise ValueError(f"gravity: expected shape (3,), found {g.shape}")
+    G = joint_transforms(S, q)
+    n = len(S)
+    J = np.swapaxes(_space_jacobian(S, G), -1, -2)  # (..., n, 6)
+    lever = np.cross(J[..., :3], g)  # −(g × ω_i)
+    # One product for all pairs: columns (t_k, R_k) of every link k side by side, (..., 3, 4n).
+    columns = np.concatenate([G[..., 1:, :3, 3:], G[..., 1:, :3, :3]], axis=-1)
+    columns = np.moveaxis(columns, -3, -2).reshape(*G.shape[:-3], 3, 4 * n)
+    Y = np.asarray(lever @ columns)
+    Y[..., 0::4] -= (J[..., 3:] @ g)[..., None]
+    Y *= np.kron(np.triu(np.ones((n, n))), np.ones(4))  # joint i carries the links k ≥ i only
+    return Y
+
+
+def gravity_parameters(links: Sequence[Link]) -> Array:
+    """
+    Stack the parameters φ of the gravity regressor.
+
+    Parameters
+    ----------
+    links
+        The n moving links, with centres of mass in the base frame at the zero pose.
+
+    Returns
+    -------
+    Array
+        φ (4n,), per link (m, m·cx, m·cy, m·cz) [kg, kg m]. Source: the module's docstring.
+    """
+    return np.concatenate([[link.mass, *(link.mass * link.com)] for link in links]) if links else np.zeros(0)
+
+
+def add_tool(phi: npt.ArrayLike, flange: npt.ArrayLike, mass: float, com_in_flange: npt.ArrayLike) -> Array:
+    """
+    Add a tool to the parameters of the last link.
+
+    Parameters
+    ----------
+    phi
+        Parameters φ (4n,) [kg, kg m].
+    flange
+        Pose of the flange at the zero pose in the base frame (4, 4) [m].
+    mass
+        Mass of the tool [kg].
+    com_in_flange
+        Its centre of mass in the flange frame (3,) [m].
+
+    Returns
+    -------
+    Array
+        New parameters φ (4n,). Source: masses and first moments add.
+    """
+    phi = np.array(phi, dtype=np.float64)
+    flange = np.asarray(flange, dtype=np.float64)
+    com = flange[:3, :3] @ np.asarray(com_in_flange, dtype=np.float64) + flange[:3, 3]
+    phi[-4] += mass
+    phi[-3:] += mass * com
+    return phi
+
+
+def gravity_torque(
+    robot: RobotDescription,
+    q: npt.ArrayLike,
+    gravity: npt.ArrayLike = STANDARD_GRAVITY,
+    tool_mass: float = 0.0,
+    tool_com: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> Array:
+    """
+    Give the joint torques that hold the robot, and a tool, at rest.
+
+    Parameters
+    ----------
+    robot
+        A description with masses.
+    q
+        Joint values of the chain (..., n) [rad, or m].
+    gravity
+        Acceleration of free fall (3,) in the base frame [m/s²].
+    tool_mass
+        Mass of the tool [kg].
+    tool_com
+        Its centre of mass in the flange frame (3,) [m].
+
+    Returns
+    -------
+    Array
+        Joint torques (..., n) [Nm, or N]. Source: the module's docstring.
+
+    Raises
+    ------
+    DescriptionError
+        If the description has no masses.
+    """
+    if not robot.has_masses:
+        raise DescriptionError(f"{robot.name}: gravity needs the masses of the links, and the description has none")
+    phi = add_tool(gravity_parameters(robot.links), robot.flange, tool_mass, tool_com)
+    return np.asarray(gravity_regressor(robot.screws, q, gravity) @ phi)
