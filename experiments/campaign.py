@@ -1,0 +1,241 @@
+"""Campaign folders: what was measured on one robot in one go, read, checked and written.
+
+The contract is ``CAMPAIGN_FORMAT.md``. A folder that follows it is read; one that does not raises `CampaignError`,
+which names the file, the row and column, what was expected and what was found. What is allowed but improbable
+(degrees for radians, a joint that never moves) is for `experiments.check`.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tomllib
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from experiments.columns import TABLES, table_format
+from experiments.errors import CampaignError, fault
+from experiments.fingerprint import fingerprint
+from experiments.header import FORMAT, HEADER_FILE, Instrument, Tool, read_header, toml_text
+from experiments.tables import TableFile, read_table
+from experiments.validate import validate_table
+from kinematics.description import RobotDescription
+
+__all__ = ["Campaign", "CampaignError", "Instrument", "Tool", "read_campaign", "target_points", "write_campaign"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """One campaign, read and checked; treat its tables as read-only.
+
+    Attributes
+    ----------
+    name
+        The folder's name.
+    path
+        The folder, or None if the campaign never was one.
+    robot
+        The nominal robot.
+    gravity
+        Gravity in the robot base frame [m/s²], shape (3,).
+    tool
+        What the controller was told of the tool; massless where the campaign does not say.
+    targets
+        Nominal tracked points in the flange frame [m], shape (3,) each; may be empty.
+    instrument
+        The measuring instrument as stated.
+    tables
+        The tables present, with the contract's column names, in SI units; extra columns are kept.
+    fingerprint
+        SHA-256 of header and tables; the same for CSV and Parquet with equal numbers.
+    header
+        ``campaign.toml`` as it was read, unknown keys included.
+    """
+
+    name: str
+    path: Path | None
+    robot: RobotDescription
+    gravity: FloatArray
+    tool: Tool
+    targets: Mapping[str, FloatArray]
+    instrument: Instrument
+    tables: Mapping[str, pd.DataFrame]
+    fingerprint: str
+    header: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+
+def read_campaign(folder: str | Path) -> Campaign:
+    """Read a campaign folder and hold it against the contract.
+
+    Parameters
+    ----------
+    folder
+        The folder with ``campaign.toml``.
+
+    Returns
+    -------
+    Campaign
+        With every table that ``[tables]`` names.
+
+    Raises
+    ------
+    CampaignError
+        If anything deviates from the contract; the message names file, row, column, what was expected and found.
+    """
+    path = Path(folder)
+    header = read_header(path)
+    tables = {}
+    for name in TABLES:
+        if name in header.tables:
+            source = TableFile(path / header.tables[name])
+            layout = table_format(name, header.robot.n)
+            tables[name] = validate_table(read_table(source.path), layout, source, header.targets)
+    return Campaign(
+        name=path.resolve().name,
+        path=path,
+        robot=header.robot,
+        gravity=header.gravity,
+        tool=header.tool,
+        targets=header.targets,
+        instrument=header.instrument,
+        tables=MappingProxyType(tables),
+        fingerprint=fingerprint(header.raw, tables),
+        header=header.raw,
+    )
+
+
+def target_points(campaign: Campaign, table: str) -> FloatArray:
+    """Nominal tracked point of each row of ``poses`` or ``verification``.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+    table
+        ``"poses"`` or ``"verification"``.
+
+    Returns
+    -------
+    ndarray, shape (rows, 3)
+        In the flange frame [m]; zero where the flange itself was measured.
+    """
+    known = {"flange": np.zeros(3), **campaign.targets}
+    return np.stack([known[str(name)] for name in campaign.tables[table]["target"]])
+
+
+def write_campaign(
+    folder: str | Path,
+    header: Mapping[str, Any],
+    tables: Mapping[str, pd.DataFrame],
+    file_format: Literal["csv", "parquet"] = "parquet",
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write a campaign folder, whole or not at all.
+
+    Everything goes to a hidden folder beside it, which is then renamed. CSV keeps every digit of a float64. The values
+    are not judged here, so that a long measurement can always be saved; `read_campaign` judges them.
+
+    Parameters
+    ----------
+    folder
+        Where to; its parents are created.
+    header
+        Content of ``campaign.toml``; ``format`` and ``[tables]`` are filled in.
+    tables
+        The tables by name, with the contract's columns; the index is not written.
+    file_format
+        How the tables are stored.
+    overwrite
+        Replace an existing campaign folder; files in it that are not part of the campaign are kept.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    CampaignError
+        If a table's name or the format is unknown, there is no table, or the folder exists, is not empty, and is not a
+        campaign folder that may be overwritten.
+    """
+    path = Path(folder)
+    if file_format not in ("csv", "parquet"):
+        raise CampaignError(f"{path}: expected the file format csv or parquet, found {file_format!r}")
+    unknown = [name for name in tables if name not in TABLES]
+    if unknown or not tables:
+        found = ", ".join(map(repr, unknown)) or "none"
+        raise CampaignError(f"{path}: expected tables among {', '.join(TABLES)}, found {found}")
+    _refuse_overwriting(path, overwrite)
+    files = {name: f"{name}.{file_format}" for name in TABLES if name in tables}
+    content = {"format": FORMAT, **{k: v for k, v in header.items() if k not in ("format", "tables")}, "tables": files}
+    text = toml_text(content)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
+    partial.mkdir()
+    try:
+        for name, file in files.items():
+            _write_table(tables[name], partial / file)
+        (partial / HEADER_FILE).write_text(text, encoding="utf-8")
+        _put_in_place(partial, path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return path
+
+
+def _write_table(frame: pd.DataFrame, file: Path) -> None:
+    if file.suffix == ".parquet":
+        frame.to_parquet(file, index=False)
+    else:
+        # pandas prints a float with as many digits as it takes to read the same float64 back.
+        frame.to_csv(file, index=False, lineterminator="\n", encoding="utf-8")
+
+
+def _refuse_overwriting(path: Path, overwrite: bool) -> None:
+    if path.exists() and not path.is_dir():
+        raise fault(path, expected="a folder to write to", found="a file")
+    if not path.exists() or not any(path.iterdir()):
+        return
+    if not (path / HEADER_FILE).is_file():
+        raise fault(path, expected="a new or empty folder", found="files that are not a campaign")
+    if not overwrite:
+        raise fault(path, expected="a new or empty folder", found="a campaign (overwrite=True replaces it)")
+
+
+def _put_in_place(partial: Path, path: Path) -> None:
+    """Rename, which is atomic; an older campaign steps aside first and returns if the rename fails."""
+    if not path.exists():
+        partial.rename(path)
+        return
+    for item in path.iterdir():
+        if item.name not in _campaign_files(path) and not (partial / item.name).exists():
+            copy = shutil.copytree if item.is_dir() else shutil.copy2
+            copy(item, partial / item.name)
+    old = path.parent / f"{partial.name}.old"
+    path.rename(old)
+    try:
+        os.replace(partial, path)
+    except OSError:
+        old.rename(path)
+        raise
+    shutil.rmtree(old)
+
+
+def _campaign_files(path: Path) -> set[str]:
+    try:
+        tables = tomllib.loads((path / HEADER_FILE).read_text(encoding="utf-8")).get("tables", {})
+        return {HEADER_FILE, *(str(file) for file in tables.values())}
+    except (OSError, ValueError, AttributeError):
+        # A damaged header does not say which tables are its own; those with the usual names are.
+        return {HEADER_FILE, *(f"{table}.{ending}" for table in TABLES for ending in ("csv", "parquet"))}

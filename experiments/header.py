@@ -1,0 +1,348 @@
+"""Reads and writes ``campaign.toml``: which robot, gravity, tool, targets, instrument and tables."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeGuard
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.columns import TABLES, lookalike
+from experiments.errors import CampaignError, fault
+from kinematics.description import DescriptionError, RobotDescription, load_robot, robot_names
+
+__all__ = ["FORMAT", "Header", "Instrument", "Tool", "parse_header", "read_header", "toml_text"]
+
+FORMAT = "clampid-campaign/1"
+HEADER_FILE = "campaign.toml"
+FloatArray = npt.NDArray[np.float64]
+
+# Gravity on the ground is 9.764 … 9.834 m/s²; a robot's tilt turns it but does not change its length.
+GRAVITY_RANGE = (9.7, 9.9)
+# The strongest serial robots carry 2.3 t, and no tool reaches 5 m from its flange: beyond, grams or millimetres.
+LARGEST_MASS_KG = 3000.0
+FARTHEST_POINT_M = 5.0
+# A robot's own errors are of the order of 1 mm and 1 mrad. An instrument five (a hundred) times worse sees none of
+# them, while a usual one stated in mm (0.02 … 0.1), or in degrees or mrad, is above these.
+WORST_POSITION_STD_M = 5e-3
+WORST_ORIENTATION_STD_RAD = 0.1
+
+_KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables")
+
+
+@dataclass(frozen=True)
+class Tool:
+    """What the controller was told of the tool, not necessarily the truth.
+
+    Attributes
+    ----------
+    mass
+        Mass [kg].
+    com
+        Centre of mass in the flange frame [m], shape (3,).
+    """
+
+    mass: float
+    com: FloatArray
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """The measuring instrument as its maker states it.
+
+    Attributes
+    ----------
+    name
+        Free text; ``"unknown"`` where the campaign does not say.
+    position_std
+        One sigma per axis [m], or None if not stated.
+    orientation_std
+        One sigma per axis [rad], or None if not stated.
+    """
+
+    name: str
+    position_std: float | None
+    orientation_std: float | None
+
+
+@dataclass(frozen=True)
+class Header:
+    """``campaign.toml``, checked.
+
+    Attributes
+    ----------
+    robot
+        The nominal robot.
+    gravity
+        In the robot base frame [m/s²], shape (3,).
+    tool, targets, instrument
+        As declared; targets are points in the flange frame [m], shape (3,) each.
+    tables
+        File name by table.
+    raw
+        Everything the file holds, keys unknown to the contract included.
+    """
+
+    robot: RobotDescription
+    gravity: FloatArray
+    tool: Tool
+    targets: Mapping[str, FloatArray]
+    instrument: Instrument
+    tables: Mapping[str, str]
+    raw: Mapping[str, Any]
+
+
+def read_header(folder: Path) -> Header:
+    """Read and check ``campaign.toml``.
+
+    Parameters
+    ----------
+    folder
+        The campaign folder.
+
+    Returns
+    -------
+    Header
+        With the robot loaded.
+
+    Raises
+    ------
+    CampaignError
+        If the folder or file is missing, not TOML, or a key is missing, misspelt, unknown or in a wrong unit.
+    """
+    if not folder.exists():
+        raise fault(folder, expected="a campaign folder", found="no such folder")
+    if not folder.is_dir():
+        raise fault(folder, expected="a campaign folder", found="a file")
+    path = folder / HEADER_FILE
+    if not path.is_file():
+        raise fault(path, expected=f"a campaign folder with {HEADER_FILE}", found="no such file")
+    try:
+        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise fault(path, expected="UTF-8 text", found=f"a byte that is not, at offset {error.start}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise fault(path, expected="TOML", found=str(error)) from error
+    return parse_header(raw, path)
+
+
+def parse_header(raw: Mapping[str, Any], path: Path) -> Header:
+    """Check the content of a ``campaign.toml``.
+
+    Parameters
+    ----------
+    raw
+        The file's content.
+    path
+        The file, for messages, and because a robot's path is relative to it.
+
+    Returns
+    -------
+    Header
+        With the robot loaded.
+
+    Raises
+    ------
+    CampaignError
+        As `read_header`.
+    """
+    if raw.get("format") != FORMAT:
+        found = repr(raw["format"]) if "format" in raw else _missing("format", raw)
+        raise fault(path, expected=f'"{FORMAT}"', found=found, column="format")
+    _refuse_misspelt(raw, _KEYS, path)
+    return Header(
+        robot=_robot(raw, path),
+        gravity=_gravity(raw, path),
+        tool=_tool(raw, path),
+        targets=_targets(raw, path),
+        instrument=_instrument(raw, path),
+        tables=_tables(raw, path),
+        raw=MappingProxyType(dict(raw)),
+    )
+
+
+def _robot(raw: Mapping[str, Any], path: Path) -> RobotDescription:
+    name = raw.get("robot")
+    known = ", ".join(robot_names())
+    expected = f"a bundled robot ({known}) or the path of a description"
+    if not isinstance(name, str):
+        found = _missing("robot", raw) if name is None else repr(name)
+        raise fault(path, expected=expected, found=found, column="robot")
+    try:
+        return load_robot(name, relative_to=path.parent)
+    except DescriptionError as error:
+        near = get_close_matches(name, robot_names(), n=1, cutoff=0.5)
+        reason = f" ({error})" if Path(name).suffix else f"; {near[0]} is probably meant" if near else ""
+        raise fault(path, expected=expected, found=f"{name!r}{reason}", column="robot") from error
+
+
+def _gravity(raw: Mapping[str, Any], path: Path) -> FloatArray:
+    gravity = _vector(raw, "gravity_m_s2", "gravity_m_s2", path)
+    size = float(np.linalg.norm(gravity))
+    low, high = GRAVITY_RANGE
+    if not low <= size <= high:
+        expected = f"gravity in the robot base frame in m/s², of length {low} to {high}"
+        raise fault(path, expected=expected, found=f"length {size:g}", column="gravity_m_s2")
+    return gravity
+
+
+def _tool(raw: Mapping[str, Any], path: Path) -> Tool:
+    section = _section(raw, "tool", path)
+    if not section:
+        return Tool(0.0, _frozen(np.zeros(3)))
+    _refuse_misspelt(section, ("mass_kg", "com_m"), path, "tool")
+    mass = _number(section, "mass_kg", "tool.mass_kg", path)
+    if not 0.0 <= mass <= LARGEST_MASS_KG:
+        expected = f"a mass in kg from 0 to {LARGEST_MASS_KG:g}"
+        raise fault(path, expected=expected, found=f"{mass:g}", column="tool.mass_kg")
+    return Tool(mass, _point(section, "com_m", "tool.com_m", path))
+
+
+def _targets(raw: Mapping[str, Any], path: Path) -> Mapping[str, FloatArray]:
+    section = _section(raw, "targets_m", path)
+    return MappingProxyType({name: _point(section, name, f"targets_m.{name}", path) for name in section})
+
+
+def _instrument(raw: Mapping[str, Any], path: Path) -> Instrument:
+    section = _section(raw, "instrument", path)
+    _refuse_misspelt(section, ("name", "position_std_m", "orientation_std_rad"), path, "instrument")
+    name = section.get("name", "unknown")
+    if not isinstance(name, str):
+        raise fault(path, expected="text", found=repr(name), column="instrument.name")
+    limits = {"position_std_m": WORST_POSITION_STD_M, "orientation_std_rad": WORST_ORIENTATION_STD_RAD}
+    sigmas: dict[str, float | None] = {}
+    for key, limit in limits.items():
+        sigmas[key] = _number(section, key, f"instrument.{key}", path) if key in section else None
+        sigma = sigmas[key]
+        if sigma is not None and not 0.0 < sigma <= limit:
+            unit = key.rsplit("_", 1)[-1]
+            expected = f"one sigma in {unit}, above 0 and not above {limit:g} {unit} (is it in another unit?)"
+            raise fault(path, expected=expected, found=f"{sigma:g}", column=f"instrument.{key}")
+    return Instrument(name, sigmas["position_std_m"], sigmas["orientation_std_rad"])
+
+
+def _tables(raw: Mapping[str, Any], path: Path) -> Mapping[str, str]:
+    section = _section(raw, "tables", path)
+    for name, file in section.items():
+        if name not in TABLES:
+            near = lookalike(name, TABLES)
+            hint = f"; {near} is probably meant" if near else ""
+            expected = f"one of {', '.join(TABLES)}"
+            raise fault(path, expected=expected, found=f"{name!r}{hint}", column=f"tables.{name}")
+        if not isinstance(file, str):
+            raise fault(path, expected="a file name", found=repr(file), column=f"tables.{name}")
+    if not section:
+        raise fault(path, expected=f"at least one of {', '.join(TABLES)}", found="no table", column="tables")
+    return MappingProxyType(dict(section))
+
+
+def _section(raw: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]:
+    section = raw.get(key, {})
+    if not isinstance(section, Mapping):
+        raise fault(path, expected=f"a section [{key}]", found=repr(section), column=key)
+    return section
+
+
+def _refuse_misspelt(section: Mapping[str, Any], known: Sequence[str], path: Path, prefix: str = "") -> None:
+    """Unknown keys are kept, but one that looks like a known key that is missing would be ignored in silence."""
+    unknown = [key for key in section if key not in known]
+    for key in known:
+        near = lookalike(key, unknown) if key not in section else None
+        if near is not None:
+            where = f"{prefix}.{near}" if prefix else near
+            raise fault(path, expected=f"the key {key}", found=repr(near), column=where)
+
+
+def _number(section: Mapping[str, Any], key: str, where: str, path: Path) -> float:
+    value = section.get(key)
+    if not _is_number(value):
+        found = _missing(key, section) if value is None else repr(value)
+        raise fault(path, expected="a finite number", found=found, column=where)
+    return float(value)
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _vector(section: Mapping[str, Any], key: str, where: str, path: Path) -> FloatArray:
+    value = section.get(key)
+    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
+        found = _missing(key, section) if value is None else repr(value)
+        raise fault(path, expected="three finite numbers", found=found, column=where)
+    return _frozen(np.array(value, dtype=np.float64))
+
+
+def _point(section: Mapping[str, Any], key: str, where: str, path: Path) -> FloatArray:
+    point = _vector(section, key, where, path)
+    distance = float(np.linalg.norm(point))
+    if distance > FARTHEST_POINT_M:
+        expected = f"a point in the flange frame in m, within {FARTHEST_POINT_M:g} m (is it in millimetres?)"
+        raise fault(path, expected=expected, found=f"one {distance:g} away", column=where)
+    return point
+
+
+def _missing(key: str, section: Mapping[str, Any]) -> str:
+    near = lookalike(key, list(section))
+    return f"no such key, but {near!r}" if near else "no such key"
+
+
+def _frozen(array: FloatArray) -> FloatArray:
+    array.setflags(write=False)
+    return array
+
+
+def toml_text(raw: Mapping[str, Any]) -> str:
+    """Write a header as TOML: plain keys first, then one section per mapping.
+
+    Parameters
+    ----------
+    raw
+        Text, numbers, truth values, lists of them, and mappings of those.
+
+    Returns
+    -------
+    str
+        TOML that `tomllib` reads back to equal values; numbers keep every digit.
+
+    Raises
+    ------
+    CampaignError
+        If a value is of a kind that TOML text is not written for here.
+    """
+    lines = [f"{_key(k)} = {_value(k, v)}" for k, v in raw.items() if not isinstance(v, Mapping)]
+    for name, section in raw.items():
+        if isinstance(section, Mapping):
+            lines += ["", f"[{_key(name)}]", *(f"{_key(k)} = {_value(k, v)}" for k, v in section.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _key(key: str) -> str:
+    bare = key.isascii() and key.replace("_", "").replace("-", "").isalnum()
+    return key if bare else json.dumps(key, ensure_ascii=False)
+
+
+def _value(key: str, value: Any) -> str:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Path):
+        value = str(value)
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, Sequence):
+        return "[" + ", ".join(_value(key, v) for v in value) + "]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(k)} = {_value(k, v)}" for k, v in value.items()) + "}"
+    raise CampaignError(f"{HEADER_FILE}, key {key}: expected text, a number or a list, found {type(value).__name__}")

@@ -1,0 +1,201 @@
+"""Holds one table against the contract: its columns, types, ranges and order; the first deviation is an error."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from experiments.columns import QUATERNION, Column, TableFormat, lookalike, temperature_columns
+from experiments.tables import TableFile
+
+__all__ = ["validate_table"]
+
+# Nine printed digits give a norm right to 1e-8. Rounding to three digits stays within 1e-3; a wrong order or sign of
+# components does not change the norm, so that what exceeds this is not a unit quaternion at all.
+QUATERNION_TOLERANCE = 1e-3
+
+
+def validate_table(
+    frame: pd.DataFrame, table: TableFormat, source: TableFile, targets: Collection[str]
+) -> pd.DataFrame:
+    """Check a table and give its columns the contract's types.
+
+    Parameters
+    ----------
+    frame
+        The table as read.
+    table
+        Its format for this robot.
+    source
+        The file it came from, for messages.
+    targets
+        Names of the targets declared in ``campaign.toml``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        The same rows; the contract's numbers float64, its counts int64; extra columns untouched.
+
+    Raises
+    ------
+    CampaignError
+        On the first deviation from the contract.
+    """
+    present = _present(frame, table, source)
+    typed = {column.name: _typed(frame[column.name], column, source) for column in present}
+    result = frame.assign(**typed)
+    if table.run is not None:
+        _refuse_unordered(result, table.run, source)
+    else:
+        _refuse_repeated(result, source)
+        _refuse_bad_quaternions(result, source)
+        _refuse_unknown_targets(result, targets, source)
+    return result
+
+
+def _present(frame: pd.DataFrame, table: TableFormat, source: TableFile) -> list[Column]:
+    """Columns of the contract that this table has; a missing required one or half a group is an error."""
+    extra = [str(name) for name in frame.columns if name not in table.known()]
+    _refuse_missing([c for c in table.required if c.name not in frame], extra, "", source)
+    present = list(table.required)
+    for group in table.optional:
+        missing = [c for c in group if c.name not in frame]
+        if len(missing) == len(group):
+            continue
+        _refuse_missing(missing, extra, f" (all of {group[0].name} … {group[-1].name}, or none)", source)
+        present += group
+    return present + [Column(name) for name in temperature_columns(map(str, frame.columns))]
+
+
+def _refuse_missing(missing: list[Column], extra: list[str], why: str, source: TableFile) -> None:
+    if not missing:
+        return
+    names = [c.name for c in missing]
+    near = {name: lookalike(name, extra) for name in names}
+    misnamed = [f"{near[name]!r} (the contract wants {name!r})" for name in names if near[name]]
+    found = "no such column"
+    if misnamed:
+        found += ", but " + ", ".join(misnamed[:3]) + (" …" if len(misnamed) > 3 else "")
+    if len(names) > 1:
+        found += f"; missing in all: {', '.join(names)}"
+    raise source.fault(expected=f"a column {names[0]!r}{why}", found=found, column=names[0])
+
+
+def _typed(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray[np.float64] | pd.Series:
+    return _text(cells, column, source) if column.kind == "text" else _numbers(cells, column, source)
+
+
+def _text(cells: pd.Series, column: Column, source: TableFile) -> pd.Series:
+    empty = np.flatnonzero(cells.isna().to_numpy())
+    if empty.size:
+        raise _cell_fault(cells, column, empty, source)
+    return cells.astype(str)
+
+
+def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray[np.float64]:
+    empty = cells.isna().to_numpy()
+    if pd.api.types.is_numeric_dtype(cells) and not pd.api.types.is_bool_dtype(cells):
+        values = cells.to_numpy(dtype=np.float64, na_value=np.nan)
+    else:
+        # Text, dates and truth values are not numbers, even where they could be read as such.
+        numbers = np.array([isinstance(v, int | float | np.number) and not isinstance(v, bool) for v in cells])
+        if source.path.suffix == ".csv":
+            numbers = pd.to_numeric(cells.astype(str), errors="coerce").notna().to_numpy()
+        bad = np.flatnonzero(~(numbers | empty))
+        if bad.size:
+            raise _cell_fault(cells, column, bad, source)
+        values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise _cell_fault(cells, column, bad, source)
+    wrong = np.zeros(len(values), dtype=bool)
+    if column.lower is not None:
+        wrong |= values < column.lower
+    if column.upper is not None:
+        wrong |= values > column.upper
+    if column.kind == "integer":
+        wrong |= values != np.rint(values)
+    if wrong.any():
+        raise _cell_fault(cells, column, np.flatnonzero(wrong), source)
+    return values.astype(np.int64) if column.kind == "integer" else values
+
+
+def _cell_fault(cells: pd.Series, column: Column, bad: npt.NDArray[np.intp], source: TableFile) -> Exception:
+    row = int(bad[0])
+    found = source.cell(row, column.name, cells.iloc[row])
+    if bad.size > 1:
+        found += f" (and {bad.size - 1} more such rows, the last in row {int(bad[-1]) + 1})"
+    return source.fault(expected=column.expected, found=found, row=row, column=column.name)
+
+
+def _refuse_unordered(frame: pd.DataFrame, run: str, source: TableFile) -> None:
+    """Time increases within a run; a repeated stamp is a repeated row, or two logs under one number."""
+    runs, time = frame[run].to_numpy(), frame["time_s"].to_numpy()
+    order = np.argsort(runs, kind="stable")
+    same_run = np.diff(runs[order]) == 0
+    late = np.flatnonzero(same_run & (np.diff(time[order]) <= 0.0))
+    if late.size == 0:
+        return
+    before, row = int(order[late[0]]), int(order[late[0] + 1])
+    expected = f"time increasing within {run} {runs[row]}"
+    found = f"{time[row]:.10g} s after {time[before]:.10g} s in row {before + 1}"
+    if time[row] == time[before]:
+        same = frame.iloc[row].equals(frame.iloc[before])
+        found = f"the time of row {before + 1} again ({time[row]:.10g} s{', the whole row repeated' if same else ''})"
+    if late.size > 1:
+        found += f" (and {late.size - 1} more such rows)"
+    raise source.fault(expected=expected, found=found, row=row, column="time_s")
+
+
+def _refuse_repeated(frame: pd.DataFrame, source: TableFile) -> None:
+    repeated = np.flatnonzero(frame.duplicated(keep="first").to_numpy())
+    if repeated.size == 0:
+        return
+    row = int(repeated[0])
+    first = int(np.flatnonzero(_equal_rows(frame, row))[0])
+    pose, visit, target = (frame[name].iloc[row] for name in ("pose", "visit", "target"))
+    found = f"row {first + 1} again (pose {pose}, visit {visit}, target {target})"
+    if repeated.size > 1:
+        found += f" (and {repeated.size - 1} more repeated rows)"
+    raise source.fault(expected="every measurement once", found=found, row=row, column="pose")
+
+
+def _equal_rows(frame: pd.DataFrame, row: int) -> npt.NDArray[np.bool_]:
+    """Rows equal to one row, where empty cells of extra columns equal each other."""
+    alike = np.ones(len(frame), dtype=bool)
+    for position in range(frame.shape[1]):
+        cells = frame.iloc[:, position]
+        value = cells.iloc[row]
+        alike &= (cells.isna() if pd.isna(value) else cells == value).to_numpy(dtype=bool, na_value=False)
+    return alike
+
+
+def _refuse_bad_quaternions(frame: pd.DataFrame, source: TableFile) -> None:
+    if QUATERNION[0] not in frame:
+        return
+    norms = np.linalg.norm(frame[list(QUATERNION)].to_numpy(dtype=np.float64), axis=1)  # (rows,)
+    bad = np.flatnonzero(np.abs(norms - 1.0) > QUATERNION_TOLERANCE)
+    if bad.size:
+        found = f"norm {norms[bad[0]]:.6g}"
+        if bad.size > 1:
+            found += f" (and {bad.size - 1} more such rows)"
+        expected = f"a unit quaternion (norm 1 within {QUATERNION_TOLERANCE:g})"
+        raise source.fault(expected=expected, found=found, row=int(bad[0]), column="qw, qx, qy, qz")
+
+
+def _refuse_unknown_targets(frame: pd.DataFrame, targets: Collection[str], source: TableFile) -> None:
+    oriented = QUATERNION[0] in frame
+    allowed = [*targets, "flange"] if oriented else list(targets)
+    bad = np.flatnonzero(~frame["target"].isin(allowed).to_numpy())
+    if bad.size:
+        expected = f"a target of [targets_m] ({', '.join(targets) or 'it declares none'})"
+        # Without orientations a measured flange is a point like any other, and has to be declared as one.
+        expected += " or flange" if oriented else "; flange only with columns qw, qx, qy, qz"
+        row = int(bad[0])
+        found = repr(frame["target"].iloc[row])
+        if bad.size > 1:
+            found += f" (and {bad.size - 1} more such rows)"
+        raise source.fault(expected=expected, found=found, row=row, column="target")
