@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from kinematics.poe import _space_jacobian, joint_transforms
 from kinematics.robot import DescriptionError, Link, RobotDescription
+from kinematics.screws import hat3
 from kinematics.typing_ import Array
 
 __all__ = ["STANDARD_GRAVITY", "add_tool", "gravity_parameters", "gravity_regressor", "gravity_torque"]
@@ -56,15 +57,24 @@ def gravity_regressor(screws: npt.ArrayLike, q: npt.ArrayLike, gravity: npt.Arra
         raise ValueError(f"gravity: expected shape (3,), found {g.shape}")
     G = joint_transforms(S, q)
     n = len(S)
-    J = np.swapaxes(_space_jacobian(S, G), -1, -2)  # (..., n, 6)
-    lever = np.cross(J[..., :3], g)  # −(g × ω_i)
-    # One product for all pairs: columns (t_k, R_k) of every link k side by side, (..., 3, 4n).
-    columns = np.concatenate([G[..., 1:, :3, 3:], G[..., 1:, :3, :3]], axis=-1)
-    columns = np.moveaxis(columns, -3, -2).reshape(*G.shape[:-3], 3, 4 * n)
-    Y = np.asarray(lever @ columns)
-    Y[..., 0::4] -= (J[..., 3:] @ g)[..., None]
-    Y *= np.kron(np.triu(np.ones((n, n))), np.ones(4))  # joint i carries the links k ≥ i only
+    lead = G.shape[:-3]
+    # Row i of the left factor is −(g × ω_i, g·v_i); times the 4×4 matrix of G_k it is everything in the module's formula.
+    left = np.swapaxes(_space_jacobian(S, G), -1, -2) @ _left_factor(g)  # (..., n, 4)
+    right = np.empty((*lead, 4, n, 4))
+    motions = np.moveaxis(G[..., 1:, :, :], -3, -2)
+    right[..., 0], right[..., 1:] = motions[..., 3], motions[..., :3]  # mass first, then first moments
+    Y = np.asarray(left @ right.reshape(*lead, 4, 4 * n))
+    for i in range(1, n):
+        Y[..., i, : 4 * i] = 0.0  # joint i carries the links k ≥ i only
     return Y
+
+
+def _left_factor(g: Array) -> Array:
+    """Give the matrix (6, 4) that turns (ω, v) into −(g × ω, g·v)."""
+    out = np.zeros((6, 4))
+    out[:3, :3] = hat3(g)  # as a row: ωᵀ·hat(g) = −(g × ω)ᵀ
+    out[3:, 3] = -g
+    return out
 
 
 def gravity_parameters(links: Sequence[Link]) -> Array:
