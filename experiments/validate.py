@@ -134,20 +134,27 @@ def _cell_fault(cells: pd.Series, column: Column, bad: npt.NDArray[np.intp], sou
 def _refuse_unordered(frame: pd.DataFrame, run: str, source: TableFile) -> None:
     """Time increases within a run; a repeated stamp is a repeated row, or two logs under one number."""
     runs, time = frame[run].to_numpy(), frame["time_s"].to_numpy()
+    repeated = np.flatnonzero(frame.duplicated([run, "time_s"]).to_numpy())
+    if repeated.size:
+        row = int(repeated[0])
+        first = int(np.flatnonzero((runs == runs[row]) & (time == time[row]))[0])
+        whole = ", the whole row repeated" if _equal_rows(frame, row)[first] else ""
+        found = f"the time of row {first + 1} again ({time[row]:.10g} s{whole})" + _more(repeated.size)
+        raise source.fault(expected=_increasing(run, runs[row]), found=found, row=row, column="time_s")
     order = np.argsort(runs, kind="stable")
-    same_run = np.diff(runs[order]) == 0
-    late = np.flatnonzero(same_run & (np.diff(time[order]) <= 0.0))
-    if late.size == 0:
-        return
-    before, row = int(order[late[0]]), int(order[late[0] + 1])
-    expected = f"time increasing within {run} {runs[row]}"
-    found = f"{time[row]:.10g} s after {time[before]:.10g} s in row {before + 1}"
-    if time[row] == time[before]:
-        same = frame.iloc[row].equals(frame.iloc[before])
-        found = f"the time of row {before + 1} again ({time[row]:.10g} s{', the whole row repeated' if same else ''})"
-    if late.size > 1:
-        found += f" (and {late.size - 1} more such rows)"
-    raise source.fault(expected=expected, found=found, row=row, column="time_s")
+    late = np.flatnonzero((np.diff(runs[order]) == 0) & (np.diff(time[order]) < 0.0))
+    if late.size:
+        before, row = int(order[late[0]]), int(order[late[0] + 1])
+        found = f"{time[row]:.10g} s after {time[before]:.10g} s in row {before + 1}" + _more(late.size)
+        raise source.fault(expected=_increasing(run, runs[row]), found=found, row=row, column="time_s")
+
+
+def _increasing(run: str, number: int) -> str:
+    return f"time increasing within {run} {number}"
+
+
+def _more(count: int) -> str:
+    return f" (and {count - 1} more such rows)" if count > 1 else ""
 
 
 def _refuse_repeated(frame: pd.DataFrame, source: TableFile) -> None:
@@ -157,9 +164,7 @@ def _refuse_repeated(frame: pd.DataFrame, source: TableFile) -> None:
     row = int(repeated[0])
     first = int(np.flatnonzero(_equal_rows(frame, row))[0])
     pose, visit, target = (frame[name].iloc[row] for name in ("pose", "visit", "target"))
-    found = f"row {first + 1} again (pose {pose}, visit {visit}, target {target})"
-    if repeated.size > 1:
-        found += f" (and {repeated.size - 1} more repeated rows)"
+    found = f"row {first + 1} again (pose {pose}, visit {visit}, target {target})" + _more(repeated.size)
     raise source.fault(expected="every measurement once", found=found, row=row, column="pose")
 
 
@@ -179,9 +184,7 @@ def _refuse_bad_quaternions(frame: pd.DataFrame, source: TableFile) -> None:
     norms = np.linalg.norm(frame[list(QUATERNION)].to_numpy(dtype=np.float64), axis=1)  # (rows,)
     bad = np.flatnonzero(np.abs(norms - 1.0) > QUATERNION_TOLERANCE)
     if bad.size:
-        found = f"norm {norms[bad[0]]:.6g}"
-        if bad.size > 1:
-            found += f" (and {bad.size - 1} more such rows)"
+        found = f"norm {norms[bad[0]]:.6g}" + _more(bad.size)
         expected = f"a unit quaternion (norm 1 within {QUATERNION_TOLERANCE:g})"
         raise source.fault(expected=expected, found=found, row=int(bad[0]), column="qw, qx, qy, qz")
 
@@ -195,7 +198,5 @@ def _refuse_unknown_targets(frame: pd.DataFrame, targets: Collection[str], sourc
         # Without orientations a measured flange is a point like any other, and has to be declared as one.
         expected += " or flange" if oriented else "; flange only with columns qw, qx, qy, qz"
         row = int(bad[0])
-        found = repr(frame["target"].iloc[row])
-        if bad.size > 1:
-            found += f" (and {bad.size - 1} more such rows)"
+        found = repr(frame["target"].iloc[row]) + _more(bad.size)
         raise source.fault(expected=expected, found=found, row=row, column="target")

@@ -1,0 +1,95 @@
+"""Looks at a campaign that follows the contract for what is improbable or cannot be identified from it.
+
+What breaks the contract never gets here: `experiments.campaign.read_campaign` refuses it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from experiments.campaign import Campaign
+from experiments.check_angles import angle_findings
+from experiments.check_motion import motion_findings, moved_joints, replicates
+from experiments.check_points import point_findings
+from experiments.check_signals import signal_findings
+from experiments.columns import QUATERNION, temperature_columns
+from experiments.finding import Finding
+
+__all__ = ["Finding", "check_campaign", "holdings"]
+
+_ORDER = {"error": 0, "warning": 1, "note": 2}
+
+
+def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
+    """Look at a campaign as an experienced person would before fitting anything to it.
+
+    Parameters
+    ----------
+    campaign
+        The campaign, as read.
+
+    Returns
+    -------
+    tuple of Finding
+        Errors first, then warnings, then notes.
+    """
+    angles = tuple(angle_findings(campaign))
+    wrong = frozenset(finding.table for finding in angles if finding.severity == "error")
+    findings = [
+        *angles,
+        *point_findings(campaign, wrong),
+        *signal_findings(campaign, wrong),
+        *motion_findings(campaign),
+    ]
+    return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
+
+
+def holdings(campaign: Campaign) -> dict[str, Any]:
+    """Say what a campaign holds, for people and as JSON.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+
+    Returns
+    -------
+    dict
+        ``campaign``, ``robot``, ``joints``, ``instrument``, ``targets``, ``fingerprint`` and, per table in ``tables``:
+        ``rows``, ``duration_s``, ``joints_moved`` (from 1; in ``clamped`` those driven), ``temperatures``; for logs
+        ``runs`` (or ``sweeps``) and ``velocities`` or ``fixture``; for poses ``poses``, ``visits``, ``replicates``,
+        ``targets``, ``orientation`` and ``directions``.
+    """
+    return {
+        "campaign": campaign.name,
+        "robot": campaign.robot.name,
+        "joints": campaign.robot.n,
+        "instrument": campaign.instrument.name,
+        "targets": list(campaign.targets),
+        "fingerprint": campaign.fingerprint,
+        "tables": {table: _table(campaign, table) for table in campaign.tables},
+    }
+
+
+def _table(campaign: Campaign, table: str) -> dict[str, Any]:
+    frame = campaign.tables[table]
+    summary: dict[str, Any] = {
+        "rows": len(frame),
+        "duration_s": float(np.ptp(frame["time_s"].to_numpy(dtype=np.float64))),
+        "joints_moved": [i + 1 for i in moved_joints(campaign, table)],
+        "temperatures": list(temperature_columns(map(str, frame.columns))),
+    }
+    if table == "clamped":
+        return summary | {"sweeps": int(frame["sweep"].nunique()), "fixture": "fixture_x_m" in frame}
+    if table in ("free_air", "wrist"):
+        return summary | {"runs": int(frame["run"].nunique()), "velocities": "qd1_rad_s" in frame}
+    return summary | {
+        "poses": int(frame["pose"].nunique()),
+        "visits": len(frame[["pose", "visit"]].drop_duplicates()),
+        "replicates": replicates(campaign) if table == "poses" else 0,
+        "targets": sorted(set(frame["target"])),
+        "orientation": QUATERNION[0] in frame,
+        "directions": bool(frame.filter(regex=r"^dir\d+$").to_numpy().any()),
+    }

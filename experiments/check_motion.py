@@ -1,0 +1,210 @@
+"""Judges whether the joints moved enough, and in enough ways, for what the tables are meant to identify."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from experiments.campaign import Campaign
+from experiments.check_angles import joint_angles
+from experiments.columns import POSITION, joint_columns, temperature_columns
+from experiments.finding import Finding, joint_list
+
+__all__ = ["motion_findings", "moved_joints", "replicates", "wrist_joints"]
+
+# A joint that moves less shifts a point 1 m away by less than 1 mm: what turns with it cannot be told from the rest.
+STILL_RAD = 1e-3
+# Returns to a pose agree within the robot's repeatability, 1e-4 rad or less; 1e-2 rad is 10 mm at 1 m, another pose.
+SAME_POSE_RAD = 1e-2
+# Springs of drives give way by milliradians under rated torque; an arm that moves more than this is not clamped.
+CLAMPED_RAD = 0.05
+# Returns count as replicates only where nothing but noise should differ (INTERFACE.md).
+SAME_TEMPERATURE_K = 0.5
+
+_LOST = {
+    "poses": "its zero offset, compliance and clearance cannot be told from its neighbours' and the frames' parameters",
+    "free_air": "its friction cannot be identified, and gravity about it only as a constant",
+    "wrist": "friction that reaches several motors through it cannot be told apart",
+}
+
+
+def wrist_joints(campaign: Campaign) -> list[int]:
+    """Joints that share motors through the transmission; the last three where none is known to.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+
+    Returns
+    -------
+    list of int
+        0-based.
+    """
+    n, T = campaign.robot.n, campaign.robot.transmission
+    coupled = (T - np.diag(np.diag(T))) != 0.0
+    joints = [int(i) for i in np.flatnonzero(coupled.any(axis=0) | coupled.any(axis=1))]
+    return joints or list(range(max(0, n - 3), n))
+
+
+def moved_joints(campaign: Campaign, table: str) -> list[int]:
+    """Joints that move in a table; for ``clamped``, joints that are driven.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+    table
+        A table that it has.
+
+    Returns
+    -------
+    list of int
+        0-based.
+    """
+    if table == "clamped":
+        return sorted({int(j) - 1 for j in campaign.tables[table]["joint"]})
+    q = joint_angles(campaign, table)
+    return [int(i) for i in np.flatnonzero(np.ptp(q, axis=0) > STILL_RAD)]
+
+
+def replicates(campaign: Campaign) -> int:
+    """Count returns to a pose, of one target, with the same directions and, within 0.5 K, the same temperatures.
+
+    Parameters
+    ----------
+    campaign
+        The campaign; only its ``poses`` count.
+
+    Returns
+    -------
+    int
+        Rows beyond the first of each group of returns.
+    """
+    frame = campaign.tables["poses"]
+    keys = ["pose", "target", *joint_columns("dir{}", campaign.robot.n)]
+    sensors = list(temperature_columns(map(str, frame.columns)))
+    # Directions that are not known are not known to be the same.
+    frame = frame[(frame[keys[2:]] != 0).all(axis=1)]
+    total = 0
+    for _, group in frame.groupby(keys, sort=False):
+        first = group.drop_duplicates("visit")
+        if len(first) > 1 and sensors:
+            warm = first[sensors].to_numpy(dtype=np.float64)
+            first = first[np.all(np.abs(warm - warm[0]) <= SAME_TEMPERATURE_K, axis=1)]
+        total += len(first) - 1
+    return total
+
+
+def motion_findings(campaign: Campaign) -> Iterator[Finding]:
+    """Look at what moved.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+
+    Yields
+    ------
+    Finding
+        Warnings for what cannot be identified, notes on directions and replicates.
+    """
+    n = campaign.robot.n
+    for table, lost in _LOST.items():
+        if table in campaign.tables:
+            wanted = wrist_joints(campaign) if table == "wrist" else range(n)
+            for i in sorted(set(wanted) - set(moved_joints(campaign, table))):
+                message = f"joint {i + 1} never moves in {table}: {lost}"
+                yield Finding("warning", table, f"q{i + 1}_rad", None, message)
+    for table in ("poses", "verification"):
+        if table in campaign.tables:
+            yield from _directions(table, campaign.tables[table], n)
+            yield from _stops(table, campaign.tables[table], n)
+    if "poses" in campaign.tables:
+        yield from _replicates(campaign)
+    if "clamped" in campaign.tables:
+        yield from _clamped(campaign)
+
+
+def _directions(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
+    names = joint_columns("dir{}", n)
+    directions = frame[list(names)].to_numpy(dtype=np.int64)
+    unknown = [i for i in range(n) if not directions[:, i].any()]
+    if unknown:
+        which = "all joints" if len(unknown) == n else joint_list([i + 1 for i in unknown])
+        message = f"approach directions of {which} are unknown (0): backlash cannot be identified there"
+        yield Finding("note", table, names[unknown[0]], None, message)
+    for i in range(n):
+        signs = set(directions[:, i].tolist()) - {0}
+        if len(signs) == 1 and table == "poses":
+            message = (
+                f"joint {i + 1} was only approached from one side ({signs.pop():+d}): its backlash looks like an offset"
+            )
+            yield Finding("warning", table, names[i], None, message)
+
+
+def _stops(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
+    again = np.flatnonzero(frame.duplicated(["pose", "visit", "target"]).to_numpy())
+    if again.size:
+        row = int(again[0])
+        pose, visit, target = (frame[name].iloc[row] for name in ("pose", "visit", "target"))
+        message = (
+            f"{again.size} rows measure a target again within one visit, first in row {row + 1} (pose {pose}, visit "
+            f"{visit}, target {target}): returns are numbered in the column visit"
+        )
+        yield Finding("warning", table, "visit", row + 1, message)
+    q = list(joint_columns("q{}_rad", n))
+    angles = frame.groupby("pose")[q]
+    spread = (angles.max() - angles.min()).to_numpy(dtype=np.float64).max(axis=1)
+    apart = np.flatnonzero(spread > SAME_POSE_RAD)
+    if apart.size:
+        pose = sorted(set(frame["pose"]))[apart[0]]
+        message = (
+            f"{apart.size} pose numbers stand for several postures, first pose {pose}, whose joint angles differ by "
+            f"{spread[apart[0]]:.3g} rad: what shares a pose number is kept together and compared as replicates"
+        )
+        yield Finding("warning", table, "pose", None, message)
+    copied = frame.duplicated(["pose", "target", *POSITION]).to_numpy() & ~frame.duplicated(["pose", "visit", "target"])
+    rows = np.flatnonzero(copied)
+    if rows.size:
+        message = (
+            f"{rows.size} returns have exactly the position of an earlier one, first in row {rows[0] + 1}: copied, not "
+            "measured again"
+        )
+        yield Finding("warning", table, "x_m", int(rows[0]) + 1, message)
+
+
+def _replicates(campaign: Campaign) -> Iterator[Finding]:
+    count = replicates(campaign)
+    if count:
+        message = f"{count} returns to a pose with the same directions and temperatures: they give the noise floor"
+    else:
+        message = "no returns to a pose with the same directions and temperatures: the noise floor is the instrument's"
+    yield Finding("note", "poses", "visit", None, message)
+
+
+def _clamped(campaign: Campaign) -> Iterator[Finding]:
+    frame, n = campaign.tables["clamped"], campaign.robot.n
+    for i in sorted(set(range(n)) - set(moved_joints(campaign, "clamped"))):
+        message = f"joint {i + 1} is never driven: its drive's stiffness is only seen through the others"
+        yield Finding("warning", "clamped", "joint", None, message)
+    motors = list(joint_columns("motor{}_rad", n))
+    known, q = campaign.robot.transmission_known, joint_angles(campaign, "clamped")
+    sweeps = frame["sweep"].to_numpy()
+    for sweep in np.unique(sweeps):
+        rows = np.flatnonzero(sweeps == sweep)
+        driven = set(frame["joint"].to_numpy()[rows].tolist())
+        first = int(rows[0]) + 1
+        if len(driven) > 1:
+            message = f"sweep {sweep} drives {joint_list(sorted(driven))}: one joint at a time is expected"
+            yield Finding("warning", "clamped", "joint", first, message)
+        joint = min(driven) - 1
+        if np.ptp(frame[motors[joint]].to_numpy(dtype=np.float64)[rows]) == 0.0:
+            message = f"in sweep {sweep}, joint {joint + 1} is driven but its motor never moves"
+            yield Finding("warning", "clamped", motors[joint], first, message)
+        moved = float(np.max(np.ptp(q[rows], axis=0))) if known else 0.0
+        if moved > CLAMPED_RAD:
+            message = f"in sweep {sweep} a joint moves by {moved:.3g} rad: was the flange clamped?"
+            yield Finding("warning", "clamped", motors[joint], first, message)

@@ -1,0 +1,226 @@
+"""Judges whether measured points and orientations are those of this robot, in metres, with these targets.
+
+No base frame is known beforehand: spread, distances and the best rigid fit of nominal to measured points need none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from experiments.campaign import Campaign, target_points
+from experiments.check_angles import joint_angles
+from experiments.columns import POSITION, QUATERNION
+from experiments.finding import Finding
+from kinematics.poe import forward
+
+__all__ = ["point_findings"]
+
+FloatArray = npt.NDArray[np.float64]
+
+# A real arm's points spread as the nominal ones do, within per cent. Between that and the nearest wrong unit (inches,
+# 39) lies a wide gap; 5 is beyond any robot mistaken for another.
+WRONG_UNIT = 5.0
+UNITS = {1e6: "micrometres", 1e3: "millimetres", 100.0: "centimetres", 1 / 0.0254: "inches"}
+UNIT_TOLERANCE = 0.25
+# Below this the nominal points hardly move, and their spread says nothing about units.
+SMALLEST_SPREAD_M = 1e-3
+# No instrument for robots measures from farther away; 1 m in millimetres is ten times that.
+FARTHEST_M = 100.0
+# An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
+CLEARLY_WRONG_M = 0.02
+TARGETS_WRONG_M = 0.01
+# Orientation errors of real arms are milliradians, and four of them add up here.
+ORIENTATION_WRONG_RAD = 0.05
+# Gauss–Newton converges in three or four steps from the closed-form frame; dropping bad rows takes a few more.
+_ITERATIONS = 8
+
+
+def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
+    """Look at measured points.
+
+    Parameters
+    ----------
+    campaign
+        The campaign.
+    angles_wrong
+        Tables whose angles are known to be wrong, so that nominal positions there mean nothing.
+
+    Yields
+    ------
+    Finding
+        Errors for other units and mirrored frames, warnings for points that do not fit.
+    """
+    for table in ("poses", "verification"):
+        if table not in campaign.tables:
+            continue
+        measured = campaign.tables[table][list(POSITION)].to_numpy(dtype=np.float64)  # (rows, 3)
+        poses = _nominal_poses(campaign, table)
+        points = target_points(campaign, table)
+        nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", poses[:, :3, :3], points)
+        unit = _wrong_unit(table, nominal, measured)
+        if unit:
+            yield unit
+            continue
+        yield from _target_distances(campaign, table, measured)
+        if table not in angles_wrong:
+            yield from _rigid_fit(campaign, table, poses, measured)
+            yield from _orientations(campaign, table, poses)
+
+
+def _nominal_poses(campaign: Campaign, table: str) -> FloatArray:
+    """Nominal flange poses (rows, 4, 4) in the robot base frame."""
+    q = joint_angles(campaign, table)
+    poses: FloatArray = forward(campaign.robot.screws, campaign.robot.flange, q @ campaign.robot.linkage.T)
+    return poses
+
+
+def _wrong_unit(table: str, nominal: FloatArray, measured: FloatArray) -> Finding | None:
+    expected, found = _spread(nominal), _spread(measured)
+    distance = float(np.median(np.linalg.norm(measured, axis=1)))
+    if expected > SMALLEST_SPREAD_M:
+        ratio = found / expected
+        if 1 / WRONG_UNIT < ratio < WRONG_UNIT:
+            return None
+        reason = f"they spread {found:.4g} about their centre, where the nominal robot spreads {expected:.4g} m"
+        for factor, unit in UNITS.items():
+            if abs(np.log(ratio / factor)) < UNIT_TOLERANCE:
+                return Finding(
+                    "error", table, "x_m", None, f"positions look like {unit}, metres are expected: {reason}"
+                )
+        return Finding("error", table, "x_m", None, f"positions cannot be of this robot in metres: {reason}")
+    if distance > FARTHEST_M:
+        reason = f"half of them are more than {distance:.4g} from the instrument's origin"
+        return Finding("error", table, "x_m", None, f"positions look like millimetres, metres are expected: {reason}")
+    return None
+
+
+def _spread(points: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
+def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> Iterator[Finding]:
+    """Distances between targets at one stop do not depend on the arm or on any frame."""
+    frame = campaign.tables[table]
+    stops = frame[["pose", "visit", "target"]].assign(row=np.arange(len(frame)))
+    rows = stops.drop_duplicates(["pose", "visit", "target"]).pivot(
+        index=["pose", "visit"], columns="target", values="row"
+    )
+    known = {"flange": np.zeros(3), **campaign.targets}
+    for first, second in combinations(rows.columns, 2):
+        both = rows[[first, second]].dropna().to_numpy(dtype=np.intp)
+        if not len(both):
+            continue
+        nominal = float(np.linalg.norm(known[first] - known[second]))
+        error = np.linalg.norm(measured[both[:, 0]] - measured[both[:, 1]], axis=1) - nominal
+        bad = np.flatnonzero(np.abs(error) > TARGETS_WRONG_M)
+        if bad.size:
+            worst = bad[np.argmax(np.abs(error[bad]))]
+            row = int(both[worst, 1]) + 1
+            message = (
+                f"{first} and {second} are {nominal:.4f} m apart in [targets_m], but measured apart by more than "
+                f"{TARGETS_WRONG_M * 1e3:.0f} mm less or more at {bad.size} of {len(both)} stops (worst "
+                f"{nominal + error[worst]:.4f} m, row {row}): swapped, misdeclared or mismeasured targets"
+            )
+            yield Finding("warning", table, "target", row, message)
+
+
+def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray) -> Iterator[Finding]:
+    """Judge what the best base frame and tool offset leave of the difference between nominal and measured points."""
+    points = target_points(campaign, table)
+    residual = _residual(poses, points, measured)  # (rows,)
+    size = float(np.median(residual))
+    if size > CLEARLY_WRONG_M:
+        far = f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame"
+        if np.median(_residual(poses, points, measured * [1.0, 1.0, -1.0])) < 0.2 * size:
+            message = f"{far}; they fit when mirrored: an axis has a wrong sign, or two are swapped"
+            yield Finding("error", table, "x_m", None, message)
+            return
+        swap = _swapped_targets(campaign, table, poses, measured, 0.2 * size)
+        reason = (
+            f"they fit with targets {swap[0]} and {swap[1]} swapped" if swap else "wrong robot, joint order or sign?"
+        )
+        yield Finding("warning", table, "target" if swap else "x_m", None, f"{far}; {reason}")
+        return
+    bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
+    if bad.size:
+        worst = int(bad[np.argmax(residual[bad])])
+        message = (
+            f"{bad.size} of {len(residual)} positions are far from where the others say they should be (worst "
+            f"{residual[worst] * 1e3:.0f} mm, row {worst + 1}): probably mismeasured or mislabelled"
+        )
+        yield Finding("warning", table, "x_m", worst + 1, message)
+
+
+def _swapped_targets(
+    campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray, good: float
+) -> tuple[str, str] | None:
+    """Find two targets whose names, swapped, make the points fit; distances do not show it if all are equal."""
+    known = {"flange": np.zeros(3), **campaign.targets}
+    labels = [str(name) for name in campaign.tables[table]["target"]]
+    for first, second in combinations(sorted(set(labels)), 2):
+        swap = {first: second, second: first}
+        points = np.stack([known[swap.get(name, name)] for name in labels])
+        if np.median(_residual(poses, points, measured)) < good:
+            return first, second
+    return None
+
+
+def _residual(poses: FloatArray, points: FloatArray, measured: FloatArray) -> FloatArray:
+    """Distance (rows,) [m] of measured points from nominal ones; bad rows do not pull the fit.
+
+    Fitted are the base frame and one offset common to all targets, since neither is known to better than centimetres
+    on a real cell: first the frame in closed form, then both by Gauss–Newton.
+    """
+    turn = poses[:, :3, :3]
+    nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", turn, points)
+    a, b = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    base = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    shift, offset = measured.mean(axis=0) - base @ nominal.mean(axis=0), np.zeros(3)
+    keep = np.ones(len(nominal), dtype=bool)
+    for _ in range(_ITERATIONS):
+        turned = (nominal + turn @ offset) @ base.T  # (rows, 3)
+        error = measured - turned - shift
+        distance = np.linalg.norm(error, axis=1)
+        keep = distance <= 3.0 * np.median(distance) + 1e-9
+        x, y, z = turned[keep].T
+        o = np.zeros_like(x)
+        rotation = np.stack([np.stack(row, -1) for row in ((o, z, -y), (-z, o, x), (y, -x, o))], -2)  # −[turned]×
+        jacobian = np.concatenate([rotation, np.broadcast_to(np.eye(3), rotation.shape), base @ turn[keep]], axis=2)
+        step = np.linalg.lstsq(jacobian.reshape(-1, 9), error[keep].ravel(), rcond=1e-10)[0]
+        base = Rotation.from_rotvec(step[:3]).as_matrix() @ base
+        shift, offset = shift + step[3:6], offset + step[6:]
+    return np.asarray(np.linalg.norm(measured - (nominal + turn @ offset) @ base.T - shift, axis=1))
+
+
+def _orientations(campaign: Campaign, table: str, poses: FloatArray) -> Iterator[Finding]:
+    """Compare the angle of R0ᵀ·R1·R2ᵀ·R3, which neither the base nor the tool frame changes, between rows in a row."""
+    frame = campaign.tables[table]
+    if QUATERNION[0] not in frame or len(frame) < 4:
+        return
+    quaternion = frame[list(QUATERNION)].to_numpy(dtype=np.float64)
+    nominal = _loop_angle(Rotation.from_matrix(poses[:, :3, :3]))
+    scalar_last = quaternion[:, [1, 2, 3, 0]]  # scipy's order
+    readings = {
+        "": Rotation.from_quat(scalar_last),
+        "they fit as scalar last, the contract has the scalar first": Rotation.from_quat(quaternion),
+        "they fit when inverted: they turn from the flange to the instrument's frame": Rotation.from_quat(
+            scalar_last
+        ).inv(),
+    }
+    error = {reading: float(np.median(np.abs(_loop_angle(r) - nominal))) for reading, r in readings.items()}
+    if error[""] > ORIENTATION_WRONG_RAD:
+        best = min(error, key=lambda reading: error[reading])
+        reason = best if error[best] < 0.2 * error[""] else "order or sign of the components, or another robot"
+        message = f"orientations differ from nominal by {error['']:.2g} rad (median) whatever the frames: {reason}"
+        yield Finding("error" if reason == best else "warning", table, "qw", None, message)
+
+
+def _loop_angle(rotation: Rotation) -> FloatArray:
+    loop = rotation[:-3].inv() * rotation[1:-2] * rotation[2:-1].inv() * rotation[3:]
+    return np.asarray(loop.magnitude(), dtype=np.float64)
