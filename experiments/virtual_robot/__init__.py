@@ -1,1 +1,8 @@
-"""A robot with physics of its own, which measures campaigns and hides effects in them."""
+"""A simulated robot that measures campaigns and can hide physical effects in them, with physics of its own."""
+
+from experiments.virtual_robot.description import RobotDescription
+from experiments.virtual_robot.hidden import HIDEABLE, OUTSIDE, Hidden
+from experiments.virtual_robot.measure import Measured, Truth, measure
+from experiments.virtual_robot.plant import Plant
+
+__all__ = ["HIDEABLE", "OUTSIDE", "Hidden", "Measured", "Plant", "RobotDescription", "Truth", "measure"]

@@ -1,0 +1,100 @@
+"""Gears, springs and gaps between motor shaft and arm, and the torque that goes through them.
+
+Signs: ``tau_joint`` is what the drive exerts (static: +dV/dq); the arm lags, q_arm = T'θ_m − C·tau_joint − ½·gap·flank,
+with C = T' diag(1/k) T.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.virtual_robot.bodies import Bodies
+from experiments.virtual_robot.description import Array
+from experiments.virtual_robot.outside import outside_angle
+from experiments.virtual_robot.plant import Attachments, Drive, Plant
+from experiments.virtual_robot.play import slipping
+
+NEGLIGIBLE_LOAD = 0.5  # Nm at the joint; below it, seals hold the arm on the flank that it came from
+
+
+def motor_angles(drive: Drive, q: Array) -> Array:
+    """Return motor angles, rad, (N, n), at which the controller reports joint angles q, rad, (N, n)."""
+    return np.asarray(q @ np.linalg.inv(drive.nominal), dtype=float)  # rows: θ_m = T⁻ᵀ q
+
+
+def compliance_matrix(drive: Drive) -> Array:
+    """Return the joint-side compliance of the drives, rad/Nm, (n, n), symmetric."""
+    T = drive.transmission
+    motor = np.diag(1.0 / drive.spring) + drive.coupling
+    return np.asarray(T.T @ motor @ T + np.diag(drive.extra_compliance), dtype=float)
+
+
+def gear_output(drive: Drive, motor: Array, zero: Array) -> Array:
+    """Return the joint angles that unloaded gears give, rad, (N, n), from motor angles, rad, (N, n)."""
+    q = motor @ drive.transmission + zero
+    e = drive.eccentricity
+    periodic = e[:, 0] * np.sin(q) + e[:, 1] * np.cos(q) + e[:, 2] * np.sin(2 * q) + e[:, 3] * np.cos(2 * q)
+    return np.asarray(q + periodic, dtype=float)
+
+
+def nonlinear_yield(drive: Drive, tau: Array) -> Array:
+    """Return what the springs yield beyond the linear part, rad, (N, n); negative where they harden."""
+    x = tau / drive.rated
+    return np.asarray(-drive.hardening * drive.rated * (x - np.arctan(x)), dtype=float)
+
+
+def attached_load(attachments: Attachments, q: Array) -> Array:
+    """Return the torque that springs between the links ask of the drives, Nm, (N, n), at joint angles q, rad."""
+    a = attachments
+    load = a.dress_stiffness * (q - a.dress_rest)
+    if a.balancer_rate:
+        r1, r2 = a.balancer_arms
+        angle = q[:, a.balancer_joint] - a.balancer_angle
+        length = np.sqrt(r1**2 + r2**2 - 2 * r1 * r2 * np.cos(angle))
+        load[:, a.balancer_joint] += a.balancer_rate * (length - a.balancer_length) * r1 * r2 * np.sin(angle) / length
+    return np.asarray(load, dtype=float)
+
+
+def static_load(plant: Plant, bodies: Bodies, q: Array) -> Array:
+    """Return the joint torques that hold the arm at rest, Nm, (N, n), at true joint angles q, rad, (N, n)."""
+    weight = bodies.gravity(q) if plant.masses.known else np.zeros_like(q)
+    return weight + attached_load(plant.attachments, q)
+
+
+def transmitted(plant: Plant, load: Array, direction: Array) -> Array:
+    """Return the torque that stays in a drive that stopped from ``direction``: load and the arm side's dry friction."""
+    return load + plant.friction.arm * direction
+
+
+def flank(tau: Array, direction: Array) -> Array:
+    """Return the side of the gap on which a drive presses, ±1."""
+    return np.where(np.abs(tau) < NEGLIGIBLE_LOAD, direction, np.sign(tau))
+
+
+def arm_at_rest(plant: Plant, bodies: Bodies, q: Array, direction: Array) -> tuple[Array, Array]:
+    """Return where the arm stands after it stopped, and the torque that its drives transmit.
+
+    Parameters
+    ----------
+    plant, bodies
+        The robot.
+    q
+        Reported joint angles in the order of time, rad, (N, n).
+    direction
+        Last direction of motion of each joint, ±1, (N, n).
+
+    Returns
+    -------
+    tuple of Array
+        True joint angles, rad, (N, n), in equilibrium with the load; transmitted torques, Nm, (N, n).
+    """
+    drive = plant.drive
+    ideal = gear_output(drive, motor_angles(drive, q), plant.geometry.zero)
+    ideal = ideal + outside_angle(plant.outside, q, direction)
+    C = compliance_matrix(drive)
+    arm, tau = ideal, np.zeros_like(ideal)
+    for _ in range(4):  # each pass gains about three digits
+        tau = transmitted(plant, static_load(plant, bodies, arm), direction)
+        slip = -slipping(drive.slip, drive.slip_torque, tau)
+        arm = ideal - tau @ C - nonlinear_yield(drive, tau) - slip - 0.5 * drive.gap * flank(tau, direction)
+    return arm, tau

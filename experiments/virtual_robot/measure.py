@@ -1,0 +1,201 @@
+"""Measures a whole campaign on one individual robot, with or without something hidden in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.virtual_robot.bodies import Bodies
+from experiments.virtual_robot.description import Array, RobotDescription
+from experiments.virtual_robot.draw import GRAVITY, TARGETS, TOOL_COM, TOOL_MASS, draw_plant
+from experiments.virtual_robot.heat import session
+from experiments.virtual_robot.hidden import Hidden, hide
+from experiments.virtual_robot.outliers import spoil
+from experiments.virtual_robot.plant import Plant
+from experiments.virtual_robot.pose_tables import measure_poses
+from experiments.virtual_robot.programs import Run, clamp_program, free_air_program, pose_program, wrist_program
+from experiments.virtual_robot.sampling import Site
+from experiments.virtual_robot.torque_tables import Logged, log_runs, log_sweeps, sweep_amplitudes
+
+TORQUE_TABLES = ("free_air", "wrist", "clamped")
+POSE_TABLES = ("poses", "verification")
+TABLES = TORQUE_TABLES + POSE_TABLES
+VERIFICATION_POSES = 80
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What nobody can know of a real robot; for tests and benchmarks.
+
+    Attributes
+    ----------
+    plant
+        Every true parameter, hidden effects included.
+    baseline
+        The same robot without them.
+    noise_free
+        For each table, its points, m, (rows, 3), or torques, Nm, (rows, n), without noise, repeatability and outliers.
+    outliers
+        For each table, the rows that were spoilt.
+    """
+
+    plant: Plant
+    baseline: Plant
+    noise_free: Mapping[str, Array]
+    outliers: Mapping[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured campaign: tables as the campaign contract has them, and the content of ``campaign.toml``."""
+
+    tables: dict[str, pd.DataFrame]
+    header: dict[str, Any]
+    hidden: list[dict[str, Any]]
+    truth: Truth
+
+
+def measure(
+    robot: RobotDescription,
+    hidden: Sequence[Hidden] = (),
+    *,
+    seed: int = 0,
+    poses: int = 250,
+    tables: Sequence[str] | None = None,
+    outliers: float = 0.0,
+) -> Measured:
+    """Measure a campaign on a virtual robot.
+
+    Plant, programs and noise have streams of their own: with the same seed, hiding an effect, leaving out a table or
+    adding outliers changes nothing else.
+
+    Parameters
+    ----------
+    robot
+        The nominal robot; an individual with errors of its own is drawn from it.
+    hidden
+        Effects that this individual has and a baseline one has not.
+    seed
+        Which individual, programs and noise.
+    poses
+        Number of poses in the table ``poses``.
+    tables
+        Which tables to measure; by default all that the description allows (without links: no torques).
+    outliers
+        Share of rows, 0 … 1, that are wrong; the verification table has none.
+
+    Returns
+    -------
+    Measured
+        Tables, header, what was hidden, and the truth.
+    """
+    if poses < 1:
+        raise ValueError(f"poses: expected at least 1, found {poses}")
+    if not 0.0 <= outliers < 1.0:
+        raise ValueError(f"outliers: expected a share from 0 to below 1, found {outliers}")
+    site = Site(robot)
+    wanted = _tables(site, tables)
+    root = np.random.SeedSequence(seed)
+    plant_seed, program_seed, noise_seed, spoil_seed, hidden_seed = root.spawn(5)
+    streams = {
+        kind: dict(zip(TABLES, (np.random.default_rng(s) for s in seq.spawn(len(TABLES))), strict=True))
+        for kind, seq in (("program", program_seed), ("noise", noise_seed), ("outliers", spoil_seed))
+    }
+    baseline = draw_plant(robot, np.random.default_rng(plant_seed))
+    plant, told = hide(site, baseline, hidden, hidden_seed)
+    logged = _torques(site, baseline, plant, wanted, streams) | _poses(site, plant, wanted, poses, streams)
+    frames = {name: logged[name].table for name in wanted}
+    spoilt: dict[str, tuple[int, ...]] = {}
+    for name in wanted:
+        share = 0.0 if name == "verification" else outliers
+        frames[name], spoilt[name] = spoil(frames[name], share, streams["outliers"][name])
+    truth = Truth(plant, baseline, {name: logged[name].noise_free for name in wanted}, spoilt)
+    return Measured(frames, _header(robot, plant), told, truth)
+
+
+def _tables(site: Site, tables: Sequence[str] | None) -> tuple[str, ...]:
+    possible = TABLES if site.weighed else POSE_TABLES
+    for name in tables or ():
+        if name not in TABLES:
+            raise ValueError(f"table {name!r}: expected some of {', '.join(TABLES)}")
+        if name not in possible:
+            raise ValueError(f"table {name!r}: the description {site.robot.name!r} has no links, so no torques")
+    return tuple(name for name in possible if tables is None or name in tables)
+
+
+_Streams = Mapping[str, Mapping[str, np.random.Generator]]
+
+
+def _torques(site: Site, baseline: Plant, plant: Plant, wanted: Sequence[str], streams: _Streams) -> dict[str, Logged]:
+    """One session: free air, wrist, clamped, from switch-on. Programs are made even where a table is left out."""
+    if not set(wanted) & set(TORQUE_TABLES):
+        return {}
+    bodies, program = Bodies(plant.geometry, plant.masses), streams["program"]
+    free, wrist = free_air_program(site, program["free_air"]), wrist_program(site, program["wrist"])
+    clamp = clamp_program(site, program["clamped"])
+    time, work = _work(free, 0.0)
+    wrist_start = time[-1] + 300.0
+    wrist_time, wrist_work = _work(wrist, wrist_start)
+    clamp_start = wrist_time[-1] + 900.0
+    work = np.vstack([work, 0 * work[:1], wrist_work, 0.1 + 0 * work[:1]])
+    work = work / np.mean(work[: len(time)])
+    ends = np.concatenate([time, [wrist_start], wrist_time, [clamp_start + clamp.time[-1]]])
+    history = session(plant.heat, ends, work)
+    out = {}
+    noise = streams["noise"]
+    if "free_air" in wanted:
+        out["free_air"] = log_runs(plant, bodies, free, history=history, since=0.0, rng=noise["free_air"])
+    if "wrist" in wanted:
+        out["wrist"] = log_runs(plant, bodies, wrist, history=history, since=wrist_start, rng=noise["wrist"])
+    if "clamped" in wanted:
+        amplitude = sweep_amplitudes(baseline, Bodies(baseline.geometry, baseline.masses), clamp)
+        out["clamped"] = log_sweeps(
+            plant, bodies, clamp, amplitude, history=history, since=clamp_start, rng=noise["clamped"]
+        )
+    return out
+
+
+def _work(runs: Sequence[Run], since: float) -> tuple[Array, Array]:
+    """Return ends of ten-second pieces of the runs, s of the session, (m,), and mean joint speeds in them, (m, n)."""
+    time, work = [], []
+    for run in runs:
+        if since + run.start > 0:  # the pause before it
+            time.append(since + run.start)
+            work.append(np.zeros(run.path.knots.shape[1]))
+        edges = np.arange(10.0, run.path.length, 10.0)
+        for end in (*edges, run.path.length):
+            _, speed, _ = run.path.at(np.linspace(max(end - 10.0, 0.0), end, 20))
+            time.append(since + run.start + end)
+            work.append(np.mean(np.abs(speed), axis=0))
+    return np.array(time), np.array(work)
+
+
+def _poses(site: Site, plant: Plant, wanted: Sequence[str], poses: int, streams: _Streams) -> dict[str, Logged]:
+    """Another day, again from switch-on: poses, then verification."""
+    if not set(wanted) & set(POSE_TABLES):
+        return {}
+    bodies, program = Bodies(plant.geometry, plant.masses), streams["program"]
+    first = pose_program(site, poses, 60.0, True, program["poses"])
+    second = pose_program(site, VERIFICATION_POSES, first.time[-1] + 120.0, False, program["verification"])
+    travel = np.vstack([first.travel, second.travel])
+    history = session(plant.heat, np.concatenate([first.time, second.time]), travel / travel.mean(axis=0))
+    return {
+        name: measure_poses(plant, bodies, visits, history, streams["noise"][name])
+        for name, visits in (("poses", first), ("verification", second))
+        if name in wanted
+    }
+
+
+def _header(robot: RobotDescription, plant: Plant) -> dict[str, Any]:
+    return {
+        "format": "clampid-campaign/1",
+        "robot": robot.name,
+        "gravity_m_s2": [float(g) for g in GRAVITY],
+        "tool": {"mass_kg": TOOL_MASS, "com_m": [float(c) for c in TOOL_COM]},
+        "targets_m": {name: list(p) for name, p in TARGETS.items()},
+        "instrument": {"name": "virtual laser tracker", "position_std_m": plant.instrument.sigma},
+    }

@@ -1,0 +1,166 @@
+"""The true numbers of one virtual robot. What a baseline robot lacks (an eccentric gear, a soft clamp) is zero here.
+
+Angles are radians, lengths metres, torques Nm; vectors are in the base frame at the zero pose unless said otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from experiments.virtual_robot.description import Array
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """True screws, flange and tracked points."""
+
+    kinds: tuple[str, ...]
+    axes: Array  # (n, 3)
+    points: Array  # (n, 3)
+    pitch: Array  # (n,) m/rad
+    zero: Array  # (n,) rad, the angle at which the arm stands when zero is reported
+    flange: Array  # (4, 4)
+    linkage: Array  # (n, n) from the controller's joint values to the chain's
+    targets: Mapping[str, Array]  # in the flange frame
+
+    @property
+    def link_vectors(self) -> Array:
+        """Vector from each joint's point to the next one's, the last to the flange, m, (n, 3)."""
+        ends = np.vstack([self.points[1:], self.flange[:3, 3]])
+        return np.asarray(ends - self.points, dtype=float)
+
+
+@dataclass(frozen=True)
+class Masses:
+    """True masses; ``link`` is all zero where the description knows no link."""
+
+    gravity: Array  # (3,) m/s²
+    link: Array  # (n,) kg
+    com: Array  # (n, 3) m
+    tool: float  # kg
+    tool_com: Array  # (3,) m, flange frame
+
+    @property
+    def known(self) -> bool:
+        """Whether the robot has weight at all."""
+        return bool(self.link.any())
+
+
+@dataclass(frozen=True)
+class Drive:
+    """From motor shaft to arm: gears, springs, gaps."""
+
+    nominal: Array  # (n, n) T as the controller has it
+    transmission: Array  # (n, n) T as the gears are
+    spring: Array  # (n,) Nm/rad at the motor
+    coupling: Array  # (n, n) rad/Nm at the motors, symmetric, off the diagonal
+    extra_compliance: Array  # (n,) rad/Nm at the joint
+    hardening: Array  # (n,) rad/Nm at the joint, compliance that is lost at high torque
+    rated: Array  # (n,) Nm at the joint
+    gap: Array  # (n,) rad at the joint
+    slip: Array  # (n, k) rad/Nm, compliance of the elements that slip (hysteresis)
+    slip_torque: Array  # (n, k) Nm, where they slip
+    eccentricity: Array  # (n, 4) rad: sin q, cos q, sin 2q, cos 2q
+    rotor: Array  # (n,) kg m² at the motor
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction and everything else that a motor's torque reading contains beside the load."""
+
+    coulomb: Array  # (n,) Nm at the motor
+    viscous: Array  # (n,) Nm s/rad at the motor
+    presliding: Array  # (n,) rad at the motor
+    arm: Array  # (n,) Nm at the joint, Coulomb
+    stribeck: Array  # (n,) Nm at the motor
+    stribeck_speed: Array  # (n,) rad/s at the motor
+    asymmetry: Array  # (n,) Nm at the motor, more when turning forward
+    load: Array  # (n,) share of the transmitted joint torque
+    thermal: Array  # (n,) 1/K
+    ripple: Array  # (n, 4) Nm at the joint: sin m, cos m, sin 2m, cos 2m of the motor's angle
+    offset: Array  # (n,) Nm at the motor
+    lag: float  # s by which torques are logged late
+
+
+@dataclass(frozen=True)
+class Attachments:
+    """Things bolted to the arm that load its joints."""
+
+    dress_stiffness: Array  # (n,) Nm/rad
+    dress_rest: Array  # (n,) rad
+    balancer_rate: float  # N/m
+    balancer_joint: int
+    balancer_arms: tuple[float, float]  # m
+    balancer_length: float  # m, unstretched
+    balancer_angle: float  # rad
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What bends, grows and tilts between the joints."""
+
+    expansion: Array  # (n,) 1/K along each link vector
+    bending: Array  # (n,) 1/(Nm²), 1/EI of each link
+    bearing: Array  # (n,) rad/Nm, tilt of each joint's bearing
+    base: float  # rad/Nm, tilt of the base
+
+
+@dataclass(frozen=True)
+class Heat:
+    """First-order bodies: each motor is warmed by its motion, each link by its motor."""
+
+    motor_time: Array  # (n,) s
+    motor_rise: Array  # (n,) K above ambient after long work
+    link_time: Array  # (n,) s, to ambient
+    contact_time: Array  # (n,) s, from the motor
+    start: Array  # (2, n) K above ambient at switch-on, motors then links
+    ambient: float  # °C
+    swing: float  # K
+    period: float  # s
+    phase: float  # rad
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """Where the measuring instrument stands, and how well it and the robot repeat."""
+
+    rotation: Array  # (3, 3) base to instrument
+    origin: Array  # (3,) m
+    sigma: float  # m, one axis
+    scale: float  # 1
+    repeatability: Array  # (n,) rad per visit
+    torque_sigma: Array  # (n,) Nm at the motor
+    temperature_sigma: float  # K
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """The clamp's block: compliance at the flange, along and about the base axes, and its dial gauges."""
+
+    compliance: Array  # (6,) m/N and rad/Nm
+    preload: float  # share of the rated torque
+    sigma: Array  # (6,) m and rad
+
+
+@dataclass(frozen=True)
+class Plant:
+    """One robot with everything that is true about it."""
+
+    geometry: Geometry
+    masses: Masses
+    drive: Drive
+    friction: Friction
+    attachments: Attachments
+    structure: Structure
+    heat: Heat
+    instrument: Instrument
+    fixture: Fixture
+    outside: Mapping[str, float]  # amplitudes of what no library knows
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.geometry.zero)

@@ -1,0 +1,52 @@
+"""The tables of measured points: poses and verification."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from experiments.virtual_robot.bodies import Bodies
+from experiments.virtual_robot.description import Array
+from experiments.virtual_robot.drive import arm_at_rest
+from experiments.virtual_robot.heat import History, read_sensors
+from experiments.virtual_robot.instrument import to_instrument
+from experiments.virtual_robot.outside import outside_shift
+from experiments.virtual_robot.plant import Plant
+from experiments.virtual_robot.programs import TARGET_TIME, PoseProgram
+from experiments.virtual_robot.structure import deformation, flange_poses
+from experiments.virtual_robot.torque_tables import Logged, columns
+
+
+def tracked_points(plant: Plant, bodies: Bodies, arm: Array, link_temperature: Array) -> Array:
+    """Return the tracked points in the instrument's frame, m, (N, targets, 3), at true joint angles, rad, (N, n)."""
+    pose = flange_poses(bodies, arm, deformation(plant, bodies, arm, link_temperature))
+    points = []
+    for target in plant.geometry.targets.values():
+        point = pose[:, :3, :3] @ target + pose[:, :3, 3]
+        point = point + outside_shift(plant.outside, pose[:, :3, 3], point)
+        points.append(to_instrument(plant.instrument, point))
+    return np.stack(points, axis=1)
+
+
+def measure_poses(
+    plant: Plant, bodies: Bodies, program: PoseProgram, history: History, rng: np.random.Generator
+) -> Logged:
+    """Measure every target at every visit; ``noise_free`` lacks instrument noise and the robot's repeatability."""
+    visits, n = program.q.shape
+    names = list(plant.geometry.targets)
+    arm, _ = arm_at_rest(plant, bodies, program.q, program.direction)
+    there = arm + plant.instrument.repeatability * rng.standard_normal((visits, n))
+    warm = history.at(program.time).link
+    truth = tracked_points(plant, bodies, arm, warm).reshape(-1, 3)
+    read = tracked_points(plant, bodies, there, warm).reshape(-1, 3)
+    read += plant.instrument.sigma * rng.standard_normal(read.shape)
+
+    each = np.repeat(np.arange(visits), len(names))
+    time = program.time[each] + TARGET_TIME * np.tile(np.arange(len(names)), visits)
+    data = {"pose": program.pose[each], "visit": program.visit[each], "time_s": np.round(time, 3)}
+    data |= columns("q", program.q[each], "rad")
+    data |= {f"dir{i + 1}": program.direction[each, i].astype(int) for i in range(n)}
+    table = pd.DataFrame(data | {"target": np.tile(names, visits)})
+    table[["x_m", "y_m", "z_m"]] = read
+    sensors = read_sensors(history.at(time), plant.instrument.temperature_sigma, rng)
+    return Logged(pd.concat([table, pd.DataFrame(sensors)], axis=1), truth)
