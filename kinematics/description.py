@@ -1,8 +1,9 @@
 """
 Reads robot descriptions: bundled ones by name, others by path (our TOML, or URDF).
 
-The TOML is for people: lengths in m, angles in degrees or radians as the key says (`limits_deg`, `limits_rad`), ratios as
-exact fractions in quotes. A key that is not known is an error. The format is told in appendix_data/robots/README.md.
+The TOML is for people: lengths in m, angles in degrees or radians as the key says (`limits_deg`, `limits_rad`),
+ratios as exact fractions in quotes. A key that is not known is an error. The format is told in
+appendix_data/robots/README.md.
 """
 
 import tomllib

@@ -3,9 +3,9 @@ Denavit–Hartenberg tables: base · A_1 ⋯ A_n · tool is the flange.
 
     A_i = Rz(sign·q_i + theta_offset) · Tz(d) · Tx(a) · Rx(alpha) · Ry(beta)
 
-A row with beta = 0 is standard (Denavit & Hartenberg 1955). A row with d = 0 and beta free is Hayati's, for an axis that is
-nearly parallel to the next one, where d of a standard row grows without bound (Hayati 1985). A prismatic joint adds its value to
-d instead. The conversions from and to screws are in `kinematics.dh_conversion`.
+A row with beta = 0 is standard (Denavit & Hartenberg 1955). A row with d = 0 and beta free is Hayati's, for an axis
+that is nearly parallel to the next one, where d of a standard row grows without bound (Hayati 1985). A prismatic
+joint adds its value to d instead. The conversions from and to screws are in `kinematics.dh_conversion`.
 """
 
 from dataclasses import dataclass, field

@@ -1,15 +1,15 @@
 """
 Torques that hold the arm against gravity, linear in its masses and first moments.
 
-τ_joint is what the drive exerts: at rest, the derivative of the potential energy, +dV/dq. With the motion G_k(q) of link k
-from the zero pose (rotation R_k, translation t_k) and the screw of joint i moved along, (ω_i, v_i), a point of link k moves by
-ω_i × p + v_i per unit of q_i, so
+τ_joint is what the drive exerts: at rest, the derivative of the potential energy, +dV/dq. With the motion G_k(q) of
+link k from the zero pose (rotation R_k, translation t_k) and the screw of joint i moved along, (ω_i, v_i), a point of
+link k moves by ω_i × p + v_i per unit of q_i, so
 
     τ_i = −Σ_{k ≥ i} m_k·(g·v_i + (g × ω_i)·t_k) + (R_kᵀ (g × ω_i))·(m c)_k
 
-which holds for revolute, prismatic and helical joints alike. The centres of mass c_k are in the base frame at the zero pose, so
-that no frame of any link has to be chosen. Source: Lynch & Park, Modern Robotics, section 8.1 (potential energy), in the
-first-moment form that makes it linear.
+which holds for revolute, prismatic and helical joints alike. The centres of mass c_k are in the base frame at the
+zero pose, so that no frame of any link has to be chosen. Source: Lynch & Park, Modern Robotics, section 8.1
+(potential energy), in the first-moment form that makes it linear.
 """
 
 from collections.abc import Sequence
@@ -43,8 +43,8 @@ def gravity_regressor(screws: npt.ArrayLike, q: npt.ArrayLike, gravity: npt.Arra
     Returns
     -------
     Array
-        Matrices (..., n, 4n); φ stacks (m, m·cx, m·cy, m·cz) [kg, kg m] per link, with the centre of mass in the base frame
-        at the zero pose. Source: the module's docstring.
+        Matrices (..., n, 4n); φ stacks (m, m·cx, m·cy, m·cz) [kg, kg m] per link, with the centre of mass in the base
+        frame at the zero pose. Source: the module's docstring.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def gravity_regressor(screws: npt.ArrayLike, q: npt.ArrayLike, gravity: npt.Arra
     G = joint_transforms(S, q)
     n = len(S)
     lead = G.shape[:-3]
-    # Row i of the left factor is −(g × ω_i, g·v_i); times the 4×4 matrix of G_k it is everything in the module's formula.
+    # Row i of the left factor is −(g × ω_i, g·v_i); times the 4×4 matrix of G_k it is all of the module's formula.
     left = np.swapaxes(_space_jacobian(S, G), -1, -2) @ _left_factor(g)  # (..., n, 4)
     right = np.empty((*lead, 4, n, 4))
     motions = np.moveaxis(G[..., 1:, :, :], -3, -2)

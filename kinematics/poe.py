@@ -20,8 +20,9 @@ def _exponential(S: Array, q: Array) -> Array:
     """
     Give exp([S] q) (..., 4, 4) for one screw (6,) and many q (...); the screw need not be of unit length.
 
-    The 4×4 matrix [S] satisfies [S]⁴ = −|omega|²·[S]², so that the exponential is I + q[S] + b[S]² + c[S]³ for any screw:
-    one small matrix product for all rows. Source: Lynch & Park, Modern Robotics, proposition 3.25, in homogeneous form.
+    The 4×4 matrix [S] satisfies [S]⁴ = −|omega|²·[S]², so that the exponential is I + q[S] + b[S]² + c[S]³ for any
+    screw: one small matrix product for all rows. Source: Lynch & Park, Modern Robotics, proposition 3.25, in
+    homogeneous form.
     """
     M = np.zeros((4, 4))
     M[:3, :3], M[:3, 3] = hat3(S[:3]), S[3:]
@@ -59,9 +60,9 @@ def joint_transforms(screws: npt.ArrayLike, q: npt.ArrayLike) -> Array:
     Returns
     -------
     Array
-        Transforms (..., n+1, 4, 4): the first is the identity, number i moves a point that is fixed to link i from where
-        it is at the zero pose to where it is at q, both in the base frame.
-        Source: Lynch & Park, Modern Robotics, eq. 4.6.
+        Transforms (..., n+1, 4, 4): the first is the identity, number i moves a point that is fixed to link i from
+        where it is at the zero pose to where it is at q, both in the base frame. Source: Lynch & Park, Modern
+        Robotics, eq. 4.6.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def space_jacobian(screws: npt.ArrayLike, q: npt.ArrayLike) -> Array:
 
 
 def _space_jacobian(S: Array, transforms: Array) -> Array:
-    """Move the screws (n, 6) along with the links before them, by the transforms (..., n+1, 4, 4); the result is (..., 6, n)."""
+    """Move the screws (n, 6) along with the links before them, by transforms (..., n+1, 4, 4), into (..., 6, n)."""
     out = np.empty((*transforms.shape[:-3], len(S), 6))
     for i, screw in enumerate(S):
         w, v = np.moveaxis(transforms[..., i, :3, :3] @ screw.reshape(2, 3).T, -1, 0)

@@ -113,8 +113,8 @@ class RobotDescription:
     motor_spring
         Spring constants at the motor shafts (n,) [Nm/rad], if known.
     linkage
-        Matrix (n, n) from the controller's joint values to those of the chain: the identity except where a parallel linkage
-        couples joints.
+        Matrix (n, n) from the controller's joint values to those of the chain: the identity except where a parallel
+        linkage couples joints.
     dh
         The nominal Denavit–Hartenberg table, if one is given; agrees with the joints.
     notes, unverified

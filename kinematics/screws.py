@@ -1,9 +1,10 @@
 """
 Rotations, rigid transforms and screws, batched over leading dimensions.
 
-Twists and screws are 6-vectors (omega, v), as in Lynch & Park, *Modern Robotics*, chapter 3: a screw S turned by q moves
-every point of space, written in the base frame, by exp([S] q). Nothing here divides by an angle, so that nothing has to be
-switched at zero: sin x / x is `numpy.sinc`, and the one function that is not expressible by it has a short series.
+Twists and screws are 6-vectors (omega, v), as in Lynch & Park, *Modern Robotics*, chapter 3: a screw S turned by q
+moves every point of space, written in the base frame, by exp([S] q). Nothing here divides by an angle, so that
+nothing has to be switched at zero: sin x / x is `numpy.sinc`, and the one function that is not expressible by it has
+a short series.
 """
 
 import numpy as np
@@ -118,7 +119,7 @@ def _quaternion(R: Array) -> tuple[Array, Array]:
     """Give scalar ≥ 0 (...,) and vector (..., 3) parts; by the largest of four components, so accurate near pi."""
     d = np.diagonal(R, axis1=-2, axis2=-1)
     trace = d.sum(axis=-1)
-    # Four times the outer product of the quaternion (w, x, y, z) with itself: its column of the largest diagonal is safe.
+    # Four times the outer product of the quaternion (w, x, y, z) with itself: the column of its largest entry is safe.
     Q = np.empty((*R.shape[:-2], 4, 4))
     Q[..., 0, 0] = 1 + trace
     Q[..., 0, 1:] = Q[..., 1:, 0] = 2 * vee3(R)
@@ -232,7 +233,8 @@ def log_se3(T: npt.ArrayLike) -> Array:
     Returns
     -------
     Array
-        Vectors (..., 6), (omega [rad], v [m]), rotation at most pi. Source: Lynch & Park, Modern Robotics, section 3.3.3.2.
+        Vectors (..., 6), (omega [rad], v [m]), rotation at most pi. Source: Lynch & Park, Modern Robotics, section
+        3.3.3.2.
     """
     T = np.asarray(T, dtype=np.float64)
     w = log_so3(T[..., :3, :3])
@@ -320,13 +322,14 @@ def cayley(w: npt.ArrayLike) -> Array:
     Parameters
     ----------
     w
-        Vectors (..., 3) [rad, for small angles]; the rotation is by 2·atan(|w|/2). Complex values are let through, so that
-        derivatives can be checked by a complex step.
+        Vectors (..., 3) [rad, for small angles]; the rotation is by 2·atan(|w|/2). Complex values are let through, so
+        that derivatives can be checked by a complex step.
 
     Returns
     -------
     Array
-        Rotations (..., 3, 3). Source: Cayley's formula for orthogonal matrices; Lynch & Park, Modern Robotics, appendix B.4.
+        Rotations (..., 3, 3). Source: Cayley's formula for orthogonal matrices; Lynch & Park, Modern Robotics,
+        appendix B.4.
     """
     r = 0.5 * np.asarray(w)
     H = hat3(r)

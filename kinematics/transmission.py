@@ -32,10 +32,8 @@ class Transmission:
     ValueError
         If T is not square, not finite, or cannot be inverted.
 
-    Notes
-    -----
-    All methods take arrays (..., n) and act on the last axis. Source: Calibration and Implementation of Robot for Detection
-    of X-rays (thesis), appendix, in its consistent form (appendix_data/DERIVATION.md).
+    Notes ----- All methods take arrays (..., n) and act on the last axis. Source: Calibration and Implementation of
+    Robot for Detection of X-rays (thesis), appendix, in its consistent form (appendix_data/DERIVATION.md).
     """
 
     T: Array
@@ -62,11 +60,11 @@ class Transmission:
         return np.asarray(np.asarray(joint, dtype=np.float64) @ self.inverse)
 
     def motor_torque(self, joint_torque: npt.ArrayLike) -> Array:
-        """Give torques at the motor shafts (..., n) [Nm] from those at the joints (..., n) [Nm]: τ_motor = T·τ_joint."""
+        """Give motor-shaft torques (..., n) [Nm] from joint torques (..., n) [Nm]: τ_motor = T·τ_joint."""
         return np.asarray(np.asarray(joint_torque, dtype=np.float64) @ self.T.T)
 
     def joint_torque(self, motor_torque: npt.ArrayLike) -> Array:
-        """Give torques at the joints (..., n) [Nm] from those at the motor shafts (..., n) [Nm]: τ_joint = T⁻¹·τ_motor."""
+        """Give joint torques (..., n) [Nm] from motor-shaft torques (..., n) [Nm]: τ_joint = T⁻¹·τ_motor."""
         return np.asarray(np.asarray(motor_torque, dtype=np.float64) @ self.inverse.T)
 
     def joint_compliance(self, motor_spring: npt.ArrayLike) -> Array:
