@@ -41,7 +41,7 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
         *angles,
         *point_findings(campaign, wrong),
         *signal_findings(campaign, wrong),
-        *motion_findings(campaign),
+        *motion_findings(campaign, wrong),
     ]
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
 

@@ -98,13 +98,15 @@ def replicates(campaign: Campaign) -> int:
     return total
 
 
-def motion_findings(campaign: Campaign) -> Iterator[Finding]:
+def motion_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
     """Look at what moved.
 
     Parameters
     ----------
     campaign
         The campaign.
+    angles_wrong
+        Tables whose angles are known to be in another unit.
 
     Yields
     ------
@@ -126,6 +128,8 @@ def motion_findings(campaign: Campaign) -> Iterator[Finding]:
         yield from _replicates(campaign)
     if "clamped" in campaign.tables:
         yield from _clamped(campaign)
+        if campaign.robot.transmission_known and "clamped" not in angles_wrong:
+            yield from _unclamped(campaign)
 
 
 def _directions(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
@@ -191,7 +195,6 @@ def _clamped(campaign: Campaign) -> Iterator[Finding]:
         message = f"joint {i + 1} is never driven: its drive's stiffness is only seen through the others"
         yield Finding("warning", "clamped", "joint", None, message)
     motors = list(joint_columns("motor{}_rad", n))
-    known, q = campaign.robot.transmission_known, joint_angles(campaign, "clamped")
     sweeps = frame["sweep"].to_numpy()
     for sweep in np.unique(sweeps):
         rows = np.flatnonzero(sweeps == sweep)
@@ -204,7 +207,17 @@ def _clamped(campaign: Campaign) -> Iterator[Finding]:
         if np.ptp(frame[motors[joint]].to_numpy(dtype=np.float64)[rows]) == 0.0:
             message = f"in sweep {sweep}, joint {joint + 1} is driven but its motor never moves"
             yield Finding("warning", "clamped", motors[joint], first, message)
-        moved = float(np.max(np.ptp(q[rows], axis=0))) if known else 0.0
-        if moved > CLAMPED_RAD:
-            message = f"in sweep {sweep} a joint moves by {moved:.3g} rad: was the flange clamped?"
-            yield Finding("warning", "clamped", motors[joint], first, message)
+
+
+def _unclamped(campaign: Campaign) -> Iterator[Finding]:
+    sweeps = campaign.tables["clamped"]["sweep"].to_numpy()
+    q = joint_angles(campaign, "clamped")
+    moved = {int(sweep): np.ptp(q[sweeps == sweep], axis=0) for sweep in np.unique(sweeps)}  # (n,) each
+    free = [sweep for sweep, span in moved.items() if span.max() > CLAMPED_RAD]
+    if free:
+        joint = int(np.argmax(moved[free[0]])) + 1
+        message = (
+            f"in {len(free)} of {len(moved)} sweeps a joint moves by more than {CLAMPED_RAD:g} rad, first in sweep "
+            f"{free[0]}, joint {joint}, by {moved[free[0]].max():.3g} rad: was the flange clamped?"
+        )
+        yield Finding("warning", "clamped", f"motor{joint}_rad", int(np.flatnonzero(sweeps == free[0])[0]) + 1, message)

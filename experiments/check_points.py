@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from experiments.campaign import Campaign, target_points
@@ -34,7 +35,7 @@ FARTHEST_M = 100.0
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
 CLEARLY_WRONG_M = 0.02
 TARGETS_WRONG_M = 0.01
-# Orientation errors of real arms are milliradians, and four of them add up here.
+# Orientation errors of real arms are milliradians; the base frame adds a few more.
 ORIENTATION_WRONG_RAD = 0.05
 # Gauss–Newton converges in three or four steps from the closed-form frame; dropping bad rows takes a few more.
 _ITERATIONS = 8
@@ -69,7 +70,6 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
         yield from _target_distances(campaign, table, measured)
         if table not in angles_wrong:
             yield from _rigid_fit(campaign, table, poses, measured)
-            yield from _orientations(campaign, table, poses)
 
 
 def _nominal_poses(campaign: Campaign, table: str) -> FloatArray:
@@ -132,11 +132,11 @@ def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> I
 def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray) -> Iterator[Finding]:
     """Judge what the best base frame and tool offset leave of the difference between nominal and measured points."""
     points = target_points(campaign, table)
-    residual = _residual(poses, points, measured)  # (rows,)
+    residual, base = _fit(poses, points, measured)  # (rows,), (3, 3)
     size = float(np.median(residual))
     if size > CLEARLY_WRONG_M:
         far = f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame"
-        if np.median(_residual(poses, points, measured * [1.0, 1.0, -1.0])) < 0.2 * size:
+        if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0])[0]) < 0.2 * size:
             message = f"{far}; they fit when mirrored: an axis has a wrong sign, or two are swapped"
             yield Finding("error", table, "x_m", None, message)
             return
@@ -146,6 +146,8 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
         )
         yield Finding("warning", table, "target" if swap else "x_m", None, f"{far}; {reason}")
         return
+    if QUATERNION[0] in campaign.tables[table]:
+        yield from _orientations(table, campaign.tables[table], poses, base)
     bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
     if bad.size:
         worst = int(bad[np.argmax(residual[bad])])
@@ -165,13 +167,13 @@ def _swapped_targets(
     for first, second in combinations(sorted(set(labels)), 2):
         swap = {first: second, second: first}
         points = np.stack([known[swap.get(name, name)] for name in labels])
-        if np.median(_residual(poses, points, measured)) < good:
+        if np.median(_fit(poses, points, measured)[0]) < good:
             return first, second
     return None
 
 
-def _residual(poses: FloatArray, points: FloatArray, measured: FloatArray) -> FloatArray:
-    """Distance (rows,) [m] of measured points from nominal ones; bad rows do not pull the fit.
+def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance (rows,) [m] of measured from nominal points, and the base's turn (3, 3); bad rows do not pull the fit.
 
     Fitted are the base frame and one offset common to all targets, since neither is known to better than centimetres
     on a real cell: first the frame in closed form, then both by Gauss–Newton.
@@ -195,32 +197,31 @@ def _residual(poses: FloatArray, points: FloatArray, measured: FloatArray) -> Fl
         step = np.linalg.lstsq(jacobian.reshape(-1, 9), error[keep].ravel(), rcond=1e-10)[0]
         base = Rotation.from_rotvec(step[:3]).as_matrix() @ base
         shift, offset = shift + step[3:6], offset + step[6:]
-    return np.asarray(np.linalg.norm(measured - (nominal + turn @ offset) @ base.T - shift, axis=1))
+    distance = np.linalg.norm(measured - (nominal + turn @ offset) @ base.T - shift, axis=1)
+    return np.asarray(distance), base
 
 
-def _orientations(campaign: Campaign, table: str, poses: FloatArray) -> Iterator[Finding]:
-    """Compare the angle of R0ᵀ·R1·R2ᵀ·R3, which neither the base nor the tool frame changes, between rows in a row."""
-    frame = campaign.tables[table]
-    if QUATERNION[0] not in frame or len(frame) < 4:
-        return
+def _orientations(table: str, frame: pd.DataFrame, poses: FloatArray, base: FloatArray) -> Iterator[Finding]:
+    """Compare orientations in the base frame (3, 3) that the positions gave; the tool's own turn is left free.
+
+    With the base free as well, reading the components in another order would go unseen: every orthogonal map of
+    quaternions is q → a·q·b or a·q*·b.
+    """
     quaternion = frame[list(QUATERNION)].to_numpy(dtype=np.float64)
-    nominal = _loop_angle(Rotation.from_matrix(poses[:, :3, :3]))
-    scalar_last = quaternion[:, [1, 2, 3, 0]]  # scipy's order
+    scalar_last = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])  # scipy's own order
     readings = {
-        "": Rotation.from_quat(scalar_last),
+        "": scalar_last,
         "they fit as scalar last, the contract has the scalar first": Rotation.from_quat(quaternion),
-        "they fit when inverted: they turn from the flange to the instrument's frame": Rotation.from_quat(
-            scalar_last
-        ).inv(),
+        "they fit when inverted, the contract wants the flange in the instrument's frame": scalar_last.inv(),
     }
-    error = {reading: float(np.median(np.abs(_loop_angle(r) - nominal))) for reading, r in readings.items()}
+    nominal = Rotation.from_matrix(base @ poses[:, :3, :3])
+    error = {}
+    for words, measured in readings.items():
+        tool = nominal.inv() * measured
+        error[words] = float(np.median((tool.mean().inv() * tool).magnitude()))
     if error[""] > ORIENTATION_WRONG_RAD:
-        best = min(error, key=lambda reading: error[reading])
-        reason = best if error[best] < 0.2 * error[""] else "order or sign of the components, or another robot"
-        message = f"orientations differ from nominal by {error['']:.2g} rad (median) whatever the frames: {reason}"
-        yield Finding("error" if reason == best else "warning", table, "qw", None, message)
-
-
-def _loop_angle(rotation: Rotation) -> FloatArray:
-    loop = rotation[:-3].inv() * rotation[1:-2] * rotation[2:-1].inv() * rotation[3:]
-    return np.asarray(loop.magnitude(), dtype=np.float64)
+        best = min(error, key=lambda words: error[words])
+        fits = error[best] < ORIENTATION_WRONG_RAD
+        reason = best if fits else "order or sign of the components?"
+        message = f"orientations differ from nominal by {error['']:.2g} rad (median) whatever the tool: {reason}"
+        yield Finding("error" if fits else "warning", table, "qw", None, message)
