@@ -24,8 +24,9 @@ import pandas as pd
 from experiments.columns import TABLES, table_format
 from experiments.errors import CampaignError, fault
 from experiments.fingerprint import fingerprint
-from experiments.header import FORMAT, HEADER_FILE, Instrument, Tool, read_header, toml_text
+from experiments.header import FORMAT, HEADER_FILE, Instrument, Tool, read_header
 from experiments.tables import TableFile, read_table
+from experiments.toml_text import toml_text
 from experiments.validate import validate_table
 from kinematics.description import RobotDescription
 
@@ -170,7 +171,7 @@ def write_campaign(
         If a table's name or the format is unknown, there is no table, or the folder exists, is not empty, and is not a
         campaign folder that may be overwritten.
     """
-    path = Path(folder)
+    path = Path(folder).resolve()  # "." has no name to rename to
     if file_format not in ("csv", "parquet"):
         raise CampaignError(f"{path}: expected the file format csv or parquet, found {file_format!r}")
     unknown = [name for name in tables if name not in TABLES]
@@ -191,7 +192,7 @@ def write_campaign(
         _put_in_place(partial, path)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return path
+    return Path(folder)
 
 
 def _write_table(frame: pd.DataFrame, file: Path) -> None:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from experiments.columns import QUATERNION, Column, TableFormat, lookalike, temperature_columns
+from experiments.errors import CampaignError
 from experiments.tables import TableFile
 
 __all__ = ["validate_table"]
@@ -123,7 +124,7 @@ def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray
     return values.astype(np.int64) if column.kind == "integer" else values
 
 
-def _cell_fault(cells: pd.Series, column: Column, bad: npt.NDArray[np.intp], source: TableFile) -> Exception:
+def _cell_fault(cells: pd.Series, column: Column, bad: npt.NDArray[np.intp], source: TableFile) -> CampaignError:
     row = int(bad[0])
     found = source.cell(row, column.name, cells.iloc[row])
     if bad.size > 1:

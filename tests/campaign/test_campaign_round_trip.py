@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tomllib
+from datetime import date, datetime
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.campaign import CampaignError, read_campaign, target_points, write_campaign
-from experiments.header import toml_text
+from experiments.toml_text import toml_text
 
 
 @pytest.mark.parametrize("file_format", ["csv", "parquet"])
@@ -58,7 +60,14 @@ def test_floats_survive_csv(tmp_path_factory: pytest.TempPathFactory, values: li
 
 
 _text = st.text(st.characters(codec="utf-8"), max_size=8)
-_scalar = st.one_of(_text, st.integers(-(2**62), 2**62), st.floats(allow_nan=False), st.booleans())
+_scalar = st.one_of(
+    st.dates(date(1900, 1, 1)),
+    st.datetimes(datetime(1900, 1, 1)),
+    _text,
+    st.integers(-(2**62), 2**62),
+    st.floats(allow_nan=False),
+    st.booleans(),
+)
 
 
 @given(st.dictionaries(_text, st.one_of(_scalar, st.lists(_scalar, max_size=3), st.dictionaries(_text, _scalar))))
@@ -83,6 +92,13 @@ def test_tables_of_both_kinds_and_names(tmp_path: Path) -> None:
     with (folder / "campaign.toml").open("a") as file:
         file.write('wrist = "log of the wrist.parquet"\n')
     assert set(read_campaign(folder).tables) == {"wrist", "poses"}
+
+
+def test_robot_and_tables_are_relative_to_the_folder(tmp_path: Path) -> None:
+    described = resources.files("appendix_data") / "robots" / "kuka_kr20_r1810.toml"
+    (tmp_path / "my robot.toml").write_bytes(described.read_bytes())
+    header = HEADER | {"robot": "../my robot.toml"}
+    assert read_campaign(write(tmp_path / "c", make_tables(), header)).robot.n == 6
 
 
 def test_target_points(tmp_path: Path) -> None:
