@@ -44,7 +44,8 @@ def press(C: Array, gap: Array, angle: Array, start: Array | None = None, tolera
 def block_compliance(plant: Plant, jacobian: Array) -> tuple[Array, Array]:
     """Return the block's compliance as the joints see it, rad/Nm, (n, n), and the wrench per joint torque, (6, n)."""
     wrench = np.linalg.pinv(jacobian).T  # W = J⁻ᵀ (tau − load)
-    return np.asarray(wrench.T @ np.diag(plant.fixture.compliance) @ wrench, dtype=float), wrench
+    seen = wrench.T @ np.diag(plant.fixture.compliance) @ wrench
+    return np.asarray(seen, dtype=float), np.asarray(wrench, dtype=float)
 
 
 def clamped_torques(plant: Plant, bodies: Bodies, output: Array, arm: Array, load: Array) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from experiments.virtual_robot.outside import outside_angle
 from experiments.virtual_robot.plant import Attachments, Drive, Plant
 from experiments.virtual_robot.play import slipping
 
+HARDENED = 0.8  # of the rated torque, up to which springs harden
 NEGLIGIBLE_LOAD = 0.5  # Nm at the joint; below it, seals hold the arm on the flank that it came from
 
 
@@ -39,8 +40,9 @@ def gear_output(drive: Drive, motor: Array, zero: Array) -> Array:
 
 def nonlinear_yield(drive: Drive, tau: Array) -> Array:
     """Return what the springs yield beyond the linear part, rad, (N, n); negative where they harden."""
-    x = tau / drive.rated
-    return np.asarray(-drive.hardening * drive.rated * (x - np.arctan(x)), dtype=float)
+    cubic = np.clip(tau, -HARDENED * drive.rated, HARDENED * drive.rated)
+    # Beyond, the spring goes on with the slope that it has reached.
+    return np.asarray(-drive.hardening * (cubic**3 + 3 * cubic**2 * (tau - cubic)), dtype=float)
 
 
 def attached_load(attachments: Attachments, q: Array) -> Array:

@@ -14,7 +14,7 @@ from experiments.virtual_robot.kinds import KINDS, Kind
 from experiments.virtual_robot.outside import OUTSIDE_KINDS
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.sampling import Site
-from experiments.virtual_robot.sizes import sizes
+from experiments.virtual_robot.sizes import Sight
 
 OUTSIDE: tuple[str, ...] = tuple(OUTSIDE_KINDS)
 HIDEABLE: tuple[str, ...] = tuple(KINDS)
@@ -74,20 +74,24 @@ def hide(
     told: list[dict[str, Any]] = []
     if not hidden:
         return plant, told
-    size = sizes(site, baseline)
+    sight = Sight(site, baseline)
     for item in hidden:
         kind = KINDS[item.effect]
         rng = np.random.default_rng([*seed.generate_state(2), zlib.crc32(item.effect.encode())])
-        where, index = _place(kind, item, size.load, baseline, rng)
-        plant, parameters = kind.put(plant, index, item.magnitude, size, rng)
+        where, index = _place(kind, item, baseline, rng)
+        new, parameters = kind.put(plant, index, item.magnitude, sight, rng)
+        seen = any(parameters.values()) and (site.weighed or sight.rms(new, plant) > 0)
+        if item.magnitude and not seen:
+            raise ValueError(f"{item.effect}@{where}: leaves no trace on {site.robot.name!r} as it is described")
+        plant = new
         told.append({"effect": item.effect, "where": where, "parameters": parameters})
     return plant, told
 
 
-def _place(kind: Kind, item: Hidden, load: Any, plant: Plant, rng: np.random.Generator) -> tuple[str, int]:
-    if kind.noun not in ("joint", "link"):
+def _place(kind: Kind, item: Hidden, plant: Plant, rng: np.random.Generator) -> tuple[str, int]:
+    if not kind.numbered:
         return kind.noun, 0
-    usual = kind.places(plant, load)
+    usual = kind.places(plant)
     drawn = int(rng.choice(usual)) if len(usual) else 0  # drawn in any case: the stream stays the same
     index = drawn if item.where is None else int(item.where.removeprefix(kind.noun)) - 1
     if not 0 <= index < plant.n:

@@ -58,7 +58,7 @@ class Drive:
     spring: Array  # (n,) Nm/rad at the motor
     coupling: Array  # (n, n) rad/Nm at the motors, symmetric, off the diagonal
     extra_compliance: Array  # (n,) rad/Nm at the joint
-    hardening: Array  # (n,) rad/Nm at the joint, compliance that is lost at high torque
+    hardening: Array  # (n,) rad/Nm³ at the joint
     rated: Array  # (n,) Nm at the joint
     gap: Array  # (n,) rad at the joint
     slip: Array  # (n, k) rad/Nm, compliance of the elements that slip (hysteresis)

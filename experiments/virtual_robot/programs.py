@@ -69,7 +69,8 @@ def _follow(paths: list[Path], pause: float) -> tuple[Run, ...]:
 def free_air_program(site: Site, rng: np.random.Generator) -> tuple[Run, ...]:
     """Return two runs through the same configurations, at full and at 80 % of the program's speed."""
     knots = site.configurations(int(rng.integers(44, 53)), 0.7, 2.5, rng)
-    speed = 0.13 * site.speed  # a slow program: gravity and friction are wanted, not inertia
+    # A slow program: gravity and friction are wanted, not inertia.
+    speed = np.maximum(0.13 * site.speed, np.minimum(0.35, 0.5 * site.speed))
     return _follow([_path(knots, speed, DWELL), _path(knots, 0.8 * speed, DWELL)], pause=600.0)
 
 

@@ -1,74 +1,114 @@
-"""How large an effect must be to be seen: levers and loads of one robot over its workspace."""
+"""How large an effect must be to be seen in measured points: what is left of it after a standard model took its share.
+
+The standard model has free geometry, joint compliance, backlash, arm-side friction and centres of mass. Its columns are
+differences of the virtual robot's own measurement, so they know nothing of the identification code.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.description import Array
+from experiments.virtual_robot.drive import arm_at_rest
+from experiments.virtual_robot.heat import session
 from experiments.virtual_robot.plant import Plant
+from experiments.virtual_robot.pose_tables import tracked_points
+from experiments.virtual_robot.rotations import rotation_matrix
 from experiments.virtual_robot.sampling import Site
 
-VISIBLE = 1.5  # times the instrument's noise, of what is left after a standard model took its share
+VISIBLE = 1.5  # times the instrument's noise (one axis), rms of what a standard model leaves
+LARGEST = 4.0  # times the noise, rms before absorption: what is nearly absorbed is not blown up beyond this
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """Sizes over random configurations of one robot.
+class Sight:
+    """Measures, always in the same hundred poses of a warming robot, what a change of the plant does to the points."""
 
-    Attributes
-    ----------
-    visible
-        Displacement, m, that counts as clearly visible (norm of three axes).
-    lever
-        Distance of the tracked points from each joint's axis, m, (n,), rms.
-    load
-        Spread of each joint's static torque, Nm, (n,).
-    tilting
-        Displacement per tilt compliance of each joint's bearing, m per rad/Nm, (n,), rms.
-    """
+    def __init__(self, site: Site, plant: Plant) -> None:
+        rng = np.random.default_rng(1)
+        self.plant = plant
+        self._q = site.configurations(100, 0.85, 2 * np.pi, rng)
+        self._direction = rng.choice([-1.0, 1.0], self._q.shape)
+        warm = session(plant.heat, np.array([8000.0]), np.ones((1, plant.n)))
+        self._link = warm.at(np.linspace(0.0, 8000.0, len(self._q))).link
 
-    visible: float
-    lever: Array
-    load: Array
-    tilting: Array
+    def points(self, plant: Plant) -> Array:
+        """Return all coordinates of all tracked points of a plant, m, flat."""
+        bodies = Bodies(plant.geometry, plant.masses)
+        arm, _ = arm_at_rest(plant, bodies, self._q, self._direction)
+        return tracked_points(plant, bodies, arm, self._link).ravel()
 
-    def angle(self, joint: int, absorbed: float = 1.0) -> float:
-        """Return the rms angle, rad, that makes a joint visibly wrong; ``absorbed``: how much larger for absorption."""
-        return absorbed * self.visible / max(float(self.lever[joint]), 0.05)
+    @cached_property
+    def _here(self) -> Array:
+        return self.points(self.plant)
+
+    @cached_property
+    def _columns(self) -> dict[str, Array]:
+        """Columns of the standard model by what they belong to, each of unit length."""
+        found: dict[str, list[Array]] = {}
+        for family, plant in _small_changes(self.plant):
+            column = self.points(plant) - self._here
+            length = float(np.linalg.norm(column))
+            if length > 1e-9:
+                found.setdefault(family, []).append(column / length)
+        return {family: np.array(columns).T for family, columns in found.items()}
+
+    def left(self, changed: Plant, spare: str = "") -> float:
+        """Return the rms, m, one axis, that the standard model without the family ``spare`` leaves of a change."""
+        change = self.points(changed) - self._here
+        A = np.hstack([columns for family, columns in self._columns.items() if family != spare])
+        u, s, _ = np.linalg.svd(A, full_matrices=False)
+        Q = u[:, s > 1e-4 * s[0]]
+        return float(np.sqrt(np.mean((change - Q @ (Q.T @ change)) ** 2)))
+
+    def rms(self, changed: Plant, before: Plant) -> float:
+        """Return the rms, m, one axis, of the whole change between two plants."""
+        return float(np.sqrt(np.mean((self.points(changed) - self.points(before)) ** 2)))
+
+    def factor(self, change: Callable[[Plant], Plant], spare: str = "") -> float:
+        """Return the factor on a small change that makes it clearly visible; 0 where nothing of it can be seen."""
+        changed = change(self.plant)
+        whole = self.rms(changed, self.plant)
+        if whole < 1e-9:
+            return 0.0
+        sigma = self.plant.instrument.sigma
+        return sigma * min(VISIBLE / max(self.left(changed, spare), 1e-12), LARGEST / whole)
 
 
-def sizes(site: Site, plant: Plant) -> Sizes:
-    """Return the sizes of a baseline plant, always over the same configurations."""
-    q = site.configurations(80, 0.85, 2 * np.pi, np.random.default_rng(1))
-    bodies = Bodies(plant.geometry, plant.masses)
-    n = plant.n
-    pose, lever, tilting = np.tile(np.eye(4), (len(q), 1, 1)), np.zeros((len(q), n)), np.zeros((len(q), n))
-    steps, frames = bodies.steps(q), []
-    for k in range(n):
-        pose = pose @ steps[:, k]
-        frames.append(pose)
-    points = np.mean(list(plant.geometry.targets.values()), axis=0)
-    flange = frames[-1] @ bodies.flange
-    point = flange[:, :3, :3] @ points + flange[:, :3, 3]
-    spread = 0.1  # m, of the targets about their mean: a lever that even the last axis has
-    load = bodies.wrenches(q)
-    for k, frame in enumerate(frames):
-        arm = point - frame[:, :3, 3]
-        axis = frame[:, :3, :3] @ plant.geometry.axes[k]
-        if plant.geometry.kinds[k] == "prismatic":
-            lever[:, k] = 1.0
-        else:
-            lever[:, k] = np.sqrt(np.sum(np.cross(axis, arm) ** 2, axis=1) + spread**2)
-        moment = np.linalg.norm(
-            load.moment[:, k] - (load.moment[:, k] @ plant.geometry.axes[k])[:, None] * plant.geometry.axes[k], axis=1
-        )
-        tilting[:, k] = moment * np.linalg.norm(arm, axis=1)
-    return Sizes(
-        visible=VISIBLE * np.sqrt(3) * plant.instrument.sigma,
-        lever=np.sqrt(np.mean(lever**2, axis=0)),
-        load=np.std(bodies.gravity(q), axis=0),
-        tilting=np.sqrt(np.mean(tilting**2, axis=0)),
-    )
+def _small_changes(plant: Plant) -> Iterator[tuple[str, Plant]]:
+    g, step = plant.geometry, 1e-4
+    for i in range(plant.n):
+        yield "geometry", replace(plant, geometry=replace(g, zero=_bump(g.zero, i, step)))
+        drive, masses, friction = plant.drive, plant.masses, plant.friction
+        soft = _bump(drive.extra_compliance, i, 1e-7)
+        yield "joint_compliance", replace(plant, drive=replace(drive, extra_compliance=soft))
+        yield "backlash", replace(plant, drive=replace(drive, gap=_bump(drive.gap, i, step)))
+        yield "wrist_coupling_friction", replace(plant, friction=replace(friction, arm=_bump(friction.arm, i, 0.1)))
+        for k in range(3):
+            yield "geometry", replace(plant, geometry=replace(g, axes=_turned(g.axes, i, k, step)))
+            yield "geometry", replace(plant, geometry=replace(g, points=_bump(g.points, (i, k), step)))
+            yield "gravity", replace(plant, masses=replace(masses, com=_bump(masses.com, (i, k), 1e-2)))
+    for name, point in g.targets.items():
+        for k in range(3):
+            yield "geometry", replace(plant, geometry=replace(g, targets={**g.targets, name: _bump(point, k, step)}))
+    for k in range(3):
+        origin = _bump(plant.instrument.origin, k, step)
+        yield "geometry", replace(plant, instrument=replace(plant.instrument, origin=origin))
+        turn = rotation_matrix(step * np.eye(3)[k : k + 1])[0] @ plant.instrument.rotation
+        yield "geometry", replace(plant, instrument=replace(plant.instrument, rotation=turn))
+
+
+def _bump(values: Array, index: int | tuple[int, int], step: float) -> Array:
+    out = values.copy()
+    out[index] += step
+    return out
+
+
+def _turned(axes: Array, joint: int, k: int, step: float) -> Array:
+    out = axes.copy()
+    out[joint] = rotation_matrix(step * np.eye(3)[k : k + 1])[0] @ axes[joint]
+    return out

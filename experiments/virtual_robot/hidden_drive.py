@@ -1,0 +1,100 @@
+"""Effects between motor and joint: gaps, springs, gears."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from experiments.virtual_robot.description import Array
+from experiments.virtual_robot.drive import compliance_matrix
+from experiments.virtual_robot.plant import Plant
+from experiments.virtual_robot.puts import Numbers, named, plus
+from experiments.virtual_robot.sizes import Sight
+
+SMALL = 1e-4  # rad, a change to measure sizes with
+
+
+def _own_compliance(plant: Plant, i: int) -> float:
+    return float(compliance_matrix(plant.drive)[i, i])
+
+
+def hide_backlash(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Widen the gap of a joint."""
+
+    def wider(p: Plant, gap: float) -> Plant:
+        return replace(p, drive=replace(p.drive, gap=plus(p.drive.gap, i, gap)))
+
+    gap = m * SMALL * s.factor(lambda p: wider(p, SMALL), "backlash")
+    return wider(plant, gap), {"gap_rad": gap}
+
+
+def hide_compliance(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Make a joint softer; at least by a sixth, so that clamped sweeps show it where weight does not load the joint."""
+
+    def softer(p: Plant, extra: float) -> Plant:
+        drive = p.drive
+        return replace(p, drive=replace(drive, extra_compliance=plus(drive.extra_compliance, i, extra)))
+
+    own = _own_compliance(s.plant, i)
+    extra = m * own * max(0.17, 0.01 * min(s.factor(lambda p: softer(p, 0.01 * own), "joint_compliance"), 100.0))
+    return softer(plant, extra), {"compliance_rad_Nm": extra}
+
+
+def hide_eccentricity(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a joint's angle err once and, less, twice per revolution, with random phases."""
+    a, b = rng.uniform(0, 2 * np.pi, 2)
+    shape = np.array([np.cos(a), np.sin(a), 0.6 * np.cos(b), 0.6 * np.sin(b)])
+
+    def wavy(p: Plant, terms: Array) -> Plant:
+        return replace(p, drive=replace(p.drive, eccentricity=plus(p.drive.eccentricity, i, terms)))
+
+    terms = m * SMALL * s.factor(lambda p: wavy(p, SMALL * shape)) * shape
+    return wavy(plant, terms), named(("sin_q_rad", "cos_q_rad", "sin_2q_rad", "cos_2q_rad"), terms)
+
+
+def hide_ratio(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Make an entry of T wrong: of the wrist's coupling to the joint before, or else of the joint's own ratio."""
+    T = s.plant.drive.transmission
+    j = i - 1 if i > 0 and T[i - 1, i] != 0 else i
+
+    def wrong(p: Plant, error: float) -> Plant:
+        new = p.drive.transmission.copy()
+        new[j, i] += error * T[j, j]  # rad per rad of joint j
+        return replace(p, drive=replace(p.drive, transmission=new))
+
+    error = m * SMALL * s.factor(lambda p: wrong(p, SMALL))
+    return wrong(plant, error), {f"joint{i + 1}_per_joint{j + 1}_rad_rad": error}
+
+
+def hide_hardening(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a spring harden; at most so far that at 0.8 of the rated torque a tenth of its compliance is left."""
+    cubic = min(0.25 * m, 0.45) * _own_compliance(s.plant, i) / (3 * (0.45 * float(s.plant.drive.rated[i])) ** 2)
+    cubic = min(cubic, 0.9 * _own_compliance(s.plant, i) / (3 * (0.8 * float(s.plant.drive.rated[i])) ** 2))
+
+    drive = replace(plant.drive, hardening=plus(plant.drive.hardening, i, cubic))
+    return replace(plant, drive=drive), {"cubic_rad_Nm3": cubic}
+
+
+def hide_hysteresis(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let part of a spring slip, at three torques, the highest a fifth of the rated one."""
+    share = min(0.25 * m, 0.8) * _own_compliance(s.plant, i) * np.array([0.5, 0.3, 0.2])
+    limit = np.array([0.03, 0.08, 0.2]) * float(s.plant.drive.rated[i])
+    thresholds = plant.drive.slip_torque.copy()
+    thresholds[i] = limit
+    drive = replace(plant.drive, slip=plus(plant.drive.slip, i, share), slip_torque=thresholds)
+    return replace(plant, drive=drive), {
+        **named(tuple(f"slip{k}_rad_Nm" for k in (1, 2, 3)), share),
+        **named(tuple(f"limit{k}_Nm" for k in (1, 2, 3)), limit),
+        "lost_motion_rad": float(2 * share @ limit),
+    }
+
+
+def hide_coupled_springs(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Couple the spring of a motor with that of the motor before it (the first: with the second)."""
+    j = i - 1 if i else min(1, plant.n - 1)
+    value = min(0.2 * m, 0.8) / float(np.sqrt(plant.drive.spring[i] * plant.drive.spring[j]))
+    coupling = plant.drive.coupling.copy()
+    coupling[[i, j], [j, i]] += value
+    name = f"motor{min(i, j) + 1}_motor{max(i, j) + 1}_rad_Nm"
+    return replace(plant, drive=replace(plant.drive, coupling=coupling)), {name: value}
