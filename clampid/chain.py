@@ -1,0 +1,243 @@
+"""The chain: the stations in their order, and the one compiled function that says what all effects do there.
+
+For each stage the effects' deviations at a station add. What a station computes (joint torques, the flank on which
+they press) is a signal for the later ones, so that a spring can use a torque without knowing whose it is. The result
+is one casadi function of a row's signals and of the parameters, with its derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
+from clampid.slots import Layout, Slot
+
+__all__ = ["Chain", "Deviations", "build_chain"]
+
+Array = npt.NDArray[np.float64]
+
+OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
+    "free_air": ("joint_torque", "motor_torque"),
+    "clamped": ("joint_angle", "fixture", "motor_torque"),
+    "poses": ("joint_angle", "base_twist", "link_twist", "target_shift", "measurement"),
+}
+"""The stations whose deviations a stage's measurement sees."""
+
+BLOCK = 256  # rows evaluated at once
+_INTERNAL: Mapping[str, tuple[str | int, ...]] = {"gravity_torque": ("n",), "rest_direction": ("n",), "wrench_map": (6, "n")}
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Deviations of all rows at all stations of a stage, with derivatives, sparse over (station, parameter).
+
+    Attributes
+    ----------
+    values
+        ``(N, S)``, the stations' entries in the order of the chain's outputs.
+    partials
+        ``(N, nonzeros)``: d values / d parameters.
+    station, parameter
+        ``(nonzeros,)``: which entry of S and which parameter each column of ``partials`` belongs to.
+    by_torque
+        ``(N, S, n)``: d values / d joint torque, in the stage ``clamped``; else None.
+    """
+
+    values: Array
+    partials: Array
+    station: npt.NDArray[np.int64]
+    parameter: npt.NDArray[np.int64]
+    by_torque: Array | None
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The compiled deviations of a set of slots in one stage.
+
+    Attributes
+    ----------
+    offsets
+        Station → slice of the entries S.
+    """
+
+    stage: Stage
+    slots: tuple[Slot, ...]
+    offsets: Mapping[str, slice]
+    signals: tuple[tuple[str, int], ...]
+    function: _Blocks
+    station: npt.NDArray[np.int64]
+    parameter: npt.NDArray[np.int64]
+
+    def evaluate(self, theta: Array, signals: Mapping[str, Array], torque: Array | None = None) -> Deviations:
+        """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""
+        columns = []
+        count = next(len(v) for v in signals.values())
+        for name, width in self.signals:
+            values = torque if name == "torque" and self.stage == "clamped" else signals[name]
+            if values is None:
+                raise ValueError("the chain of the stage clamped needs the joint torques it is to be evaluated at")
+            columns.append(np.reshape(values, (count, width)))
+        rows = np.concatenate(columns, axis=1) if columns else np.zeros((count, 0))
+        out = self.function(theta, rows)
+        by_torque = None
+        if self.stage == "clamped":
+            by_torque = out[2].reshape(count, -1, out[0].shape[1]).transpose(0, 2, 1)
+        return Deviations(out[0], out[1], self.station, self.parameter, by_torque)
+
+
+class _Blocks:
+    """A function evaluated over blocks of rows through casadi's buffers: one crossing into casadi per block."""
+
+    def __init__(self, function: Any) -> None:
+        mapped = function.map("rows", "serial", BLOCK, [0], [])
+        self.theta = np.zeros(function.nnz_in(0))
+        self.rows = np.zeros((BLOCK, function.nnz_in(1)))
+        self.out = [np.zeros((BLOCK, function.nnz_out(i))) for i in range(function.n_out())]
+        self.buffer, self.trigger = mapped.buffer()
+        for i, array in enumerate((self.theta, self.rows)):
+            if array.size:
+                self.buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate(self.out):
+            if array.size:
+                self.buffer.set_res(i, memoryview(array))
+
+    def __call__(self, theta: Array, rows: Array) -> list[Array]:
+        count = len(rows)
+        results = [np.empty((count, o.shape[1])) for o in self.out]
+        self.theta[:] = theta
+        for start in range(0, count, BLOCK):
+            stop = min(start + BLOCK, count)
+            self.rows[: stop - start] = rows[start:stop]
+            self.trigger()
+            for result, o in zip(results, self.out, strict=True):
+                result[start:stop] = o[: stop - start]
+        return results
+
+
+def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
+    counts = {"n": layout.joints, "4n": 4 * layout.joints, "m": len(layout.targets), "s": len(layout.sessions)}
+    return tuple(counts[k] if isinstance(k, str) else k for k in shape)
+
+
+def _symbol(name: str, shape: tuple[int, ...]) -> tuple[Any, Any]:
+    """A symbol to be filled from a row-major block, and the expression of that shape."""
+    flat = ca.SX.sym(name, int(np.prod(shape, dtype=int)))
+    if len(shape) < 2:
+        return flat, flat
+    return flat, ca.reshape(flat, shape[1], shape[0]).T
+
+
+def build_chain(
+    stage: Stage,
+    slots: Sequence[Slot],
+    effects: Mapping[str, Effect],
+    layout: Layout,
+    transmission: Array,
+    link_vectors: Array,
+) -> Chain:
+    """Compile the deviations of ``slots`` in a stage.
+
+    Parameters
+    ----------
+    transmission
+        ``(n, n)``, T.
+    link_vectors
+        ``(n, 3)``, from each joint's point to the next one's (the last: to the flange), base axes, zero pose, m.
+
+    Raises
+    ------
+    EffectError
+        A slot's effect does not act in this stage, or reads a signal that it did not declare.
+    """
+    theta = ca.SX.sym("theta", len(slots))
+    index = {slot: k for k, slot in enumerate(slots)}
+    active = [effects[name] for name in dict.fromkeys(slot.effect for slot in slots)]
+    for effect in active:
+        if stage not in effect.stages:
+            raise EffectError(f"effect {effect.name} does not act in {stage}; it does in: {', '.join(effect.stages)}")
+    flats: dict[str, Any] = {}
+    signals: dict[str, Any] = {}
+
+    def signal(name: str) -> Any:
+        if name not in signals:
+            shape = SIGNALS[name].shape if name in SIGNALS else _INTERNAL[name]
+            flats[name], signals[name] = _symbol(name, _size(shape, layout))
+        return signals[name]
+
+    constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
+    parameters = {effect.name: _parameters(effect, layout, index, theta) for effect in active}
+
+    def total(station: str, only: Sequence[Effect]) -> Any:
+        value = ca.SX(*_matrix(_size(STATIONS[station][0], layout)))
+        for effect in only:
+            if station in effect.acts:
+                x = SimpleNamespace(**constants, **{name: signal(name) for name in effect.needs})
+                try:
+                    value = value + effect.acts[station](parameters[effect.name], x)
+                except AttributeError as error:
+                    raise EffectError(f"effect {effect.name} reads what it does not declare: {error}") from error
+        return value
+
+    extra: list[Any] = []
+    if stage == "clamped":
+        torque = signal("torque")
+        # Inside the gap the torque is nearly zero and the flank undecided: a smooth sign whose width is far below
+        # the noise keeps the equilibrium solvable by Newton's method.
+        width = signal("rest_direction")
+        signals["flank"] = torque / ca.sqrt(torque**2 + width**2)
+        if any("wrench" in effect.needs for effect in active):
+            signals["wrench"] = signal("wrench_map") @ torque
+    elif any({"torque", "flank"} & set(effect.needs) for effect in active):
+        load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
+        if stage == "free_air":  # friction acts on the load, not on itself
+            load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
+        signals["torque"] = signal("gravity_torque") + total("joint_torque", load)
+        if stage == "poses":
+            # A joint without load rests on the side it came from; any load beyond that decides the flank.
+            signals["flank"] = ca.sign(signals["torque"] + signal("rest_direction"))
+    values, offsets, start = [], {}, 0
+    for station in OUTPUTS[stage]:
+        value = ca.vec(total(station, active).T)
+        values.append(value)
+        offsets[station] = slice(start, start + value.shape[0])
+        start += value.shape[0]
+    stacked = ca.densify(ca.vertcat(*values))
+    jacobian = ca.jacobian(stacked, theta)
+    row, column = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
+    if stage == "clamped":
+        extra = [ca.densify(ca.jacobian(stacked, flats["torque"]))]
+    order = tuple(flats)
+    function = ca.Function(
+        "deviations",
+        [theta, ca.vertcat(*(flats[k] for k in order))],
+        [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1), *extra],
+    )
+    widths = tuple((name, flats[name].shape[0]) for name in order)
+    return Chain(stage, tuple(slots), offsets, widths, _Blocks(function), row, column)
+
+
+def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
+    return (shape[0], shape[1]) if len(shape) == 2 else (shape[0], 1)
+
+
+def _parameters(effect: Effect, layout: Layout, index: Mapping[Slot, int], theta: Any) -> SimpleNamespace:
+    """An effect's parameters as columns; where a slot is not active its amplitude is zero, its shape the start."""
+    found = {}
+    for parameter in effect.parameters:
+        places = layout.places(effect, parameter)
+        column = ca.SX(len(places), 1)
+        if parameter.shape:
+            column = ca.SX(ca.DM.ones(len(places), 1) * parameter.grid[0])
+        for i, place in enumerate(places):
+            slot = Slot(effect.name, parameter.name, place)
+            if slot in index:
+                column[i] = theta[index[slot]]
+        found[parameter.name] = column
+    return SimpleNamespace(**found)

@@ -1,0 +1,197 @@
+"""What a physical effect is: parameters, the signals it needs, and the deviation it causes at a station of the chain.
+
+An effect is *location × covariate function*. Its file states the function; the chain (:mod:`clampid.chain`) knows
+what a deviation at each location does to the measurement. Zero amplitudes mean that the effect is absent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+__all__ = ["FAMILIES", "SIGNALS", "STATIONS", "UNITS", "Effect", "EffectError", "Parameter", "Signal", "Stage"]
+
+Stage = Literal["free_air", "clamped", "poses"]
+Per = Literal["robot", "joint", "link", "target", "session"]
+Deviation = Callable[[Any, Any], Any]
+
+STAGES: tuple[Stage, ...] = ("free_air", "clamped", "poses")
+
+FAMILIES: tuple[str, ...] = (
+    "geometry", "gravity", "payload", "gravity_compensator", "inertia", "coulomb_friction", "viscous_friction",
+    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "temperature_dependent_friction",
+    "wrist_coupling_friction", "torque_ripple", "dress_pack", "torque_offset", "backlash", "joint_compliance",
+    "nonlinear_stiffness", "hysteresis", "cross_coupled_stiffness", "fixture_compliance", "bearing_tilt",
+    "link_bending", "base_tilt", "gear_eccentricity", "coupling_ratio_error", "thermal_expansion",
+    "instrument_scale", "time_lag", "outliers",
+)  # fmt: skip
+"""The family names of the campaign format; a verdict goes by these."""
+
+UNITS: frozenset[str] = frozenset(
+    {
+        "", "m", "rad", "kg", "kg m", "kg m^2", "s", "K", "1/K", "Nm", "Nm s/rad", "Nm s^2/rad^2", "Nm/rad", "Nm/K",
+        "rad/Nm", "rad/Nm^3", "rad/s", "m/Nm", "m/N", "m/s", "N/m", "rad/m", "1/(N m^2)", "rad/K",
+    }
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One recorded or derived variable, a value of it per row.
+
+    The shape may name ``n`` (joints), ``m`` (targets) and ``s`` (sessions).
+    """
+
+    shape: tuple[str | int, ...]
+    unit: str
+    meaning: str
+
+
+SIGNALS: Mapping[str, Signal] = {
+    "q": Signal(("n",), "rad", "joint angles as the controller reports them"),
+    "motor": Signal(("n",), "rad", "motor-shaft angles, T^-T q"),
+    "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown"),
+    "torque": Signal(("n",), "Nm", "joint torque that the drive exerts, static: +dV/dq"),
+    "flank": Signal(("n",), "", "side on which the transmitted torque presses, -1 to +1"),
+    "joint_speed": Signal(("n",), "rad/s", "speed of the joints"),
+    "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),
+    "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion"),
+    "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion"),
+    "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
+    "torque_rate": Signal(("n",), "Nm/s", "rate of the torque measured at the motors"),
+    "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),
+    "tool_regressor": Signal(("n", 4), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of the tool, flange frame"),
+    "base_moment": Signal((3,), "Nm", "moment of the weight of all that moves, about the base's origin, base frame"),
+    "transverse_moment": Signal(("n", 3), "Nm", "moment on each joint's bearing across its axis, in the link before it"),
+    "link_moment": Signal(("n", 3), "Nm", "moment that each link's far end carries, base axes at the zero pose"),
+    "link_force": Signal(("n", 3), "N", "force that each link's far end carries, base axes at the zero pose"),
+    "wrench": Signal((6,), "Nm, N", "moment and force of the clamped flange on the fixture, base frame"),
+    "link_temperature": Signal(("n",), "K", "temperature of each link less 20 degC"),
+    "motor_temperature": Signal(("n",), "K", "temperature of each motor less 20 degC"),
+    "elapsed": Signal((), "s", "time since the first row"),
+    "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
+    "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
+    "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
+    "position": Signal((3,), "m", "the measured point in the instrument's frame"),
+}
+"""What an effect may depend on, name by name."""
+
+STATIONS: Mapping[str, tuple[tuple[str | int, ...], str]] = {
+    "joint_torque": (("n",), "torque at the joint, Nm; reaches the motors through T"),
+    "motor_torque": (("n",), "torque at the motor, Nm"),
+    "joint_angle": (("n",), "angle of the arm beyond what the controller reports, rad"),
+    "base_twist": ((6,), "motion of the base, (w, v) in the base frame about its origin, rad and m"),
+    "link_twist": (("n", 6), "motion of each link's far end, (w, v) at the next joint's point, rad and m"),
+    "target_shift": ((3,), "shift of the tracked point, in the flange frame, m"),
+    "fixture": ((6,), "motion of the clamped flange, (w, v) in the base frame about the flange, rad and m"),
+    "measurement": ((3,), "error of the instrument, in its own frame, m"),
+}
+"""Where a deviation can act, in the order in which the chain visits them."""
+
+
+class EffectError(ValueError):
+    """An effect, or the name of one, that does not exist or does not fit; the message says what exists."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect, or one per joint, link or target.
+
+    Attributes
+    ----------
+    name
+        As in the effect's equation.
+    unit
+        SI, one of :data:`UNITS`.
+    size
+        What it may reasonably amount to: scales the solver, and is the weak prior.
+    per
+        ``robot``: one; ``joint``, ``link``, ``target``, ``session``: one for each.
+    bounds
+        Physical limits.
+    shape
+        Not an amplitude: it has a start value and a grid, and means nothing while the amplitudes are zero.
+    grid
+        The values of a shape parameter that a search visits; the first is its start.
+    """
+
+    name: str
+    unit: str
+    size: float
+    per: Per = "robot"
+    bounds: tuple[float, float] = (-float("inf"), float("inf"))
+    meaning: str = ""
+    shape: bool = False
+    grid: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.unit not in UNITS:
+            raise EffectError(f"parameter {self.name}: unit {self.unit!r} is not known; known: {sorted(UNITS)}")
+        if self.shape and not self.grid:
+            raise EffectError(f"parameter {self.name}: a shape parameter needs a grid; its first value is the start")
+        if not self.size > 0:
+            raise EffectError(f"parameter {self.name}: size must be positive, found {self.size}")
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect: where it acts, with what parameters, on what signals, and where that is written.
+
+    Attributes
+    ----------
+    name
+        The variant, unique in the catalogue.
+    family
+        One of :data:`FAMILIES`.
+    acts
+        Station → ``deviation(p, x)``; p gives the parameters (casadi, ``(n,)`` or scalar), x the signals.
+    parameters
+        Its parameters.
+    needs
+        The signals its deviations read.
+    stages
+        The experiments it can act in.
+    equation
+        The deviation as the sources write it.
+    source
+        Keys of ``appendix_data/sources.bib``.
+    at
+        Name of the place of an effect that has just one, such as ``base``.
+    places
+        Which joints or links it can sit at, from 1; empty: all.
+    grouped
+        Candidates are tried at all places at once too, because such an effect seldom comes at one place alone.
+    """
+
+    name: str
+    family: str
+    acts: Mapping[str, Deviation]
+    parameters: tuple[Parameter, ...]
+    needs: tuple[str, ...]
+    stages: tuple[Stage, ...]
+    equation: str
+    source: tuple[str, ...]
+    at: str = "robot"
+    places: Literal["all", "wrist", "loaded"] = "all"
+    grouped: bool = True
+    meaning: str = field(default="")
+
+    def __post_init__(self) -> None:
+        for kind, found, known in (
+            ("family", (self.family,), FAMILIES),
+            ("station", tuple(self.acts), tuple(STATIONS)),
+            ("signal", self.needs, tuple(SIGNALS)),
+            ("stage", self.stages, STAGES),
+        ):
+            for name in found:
+                if name not in known:
+                    raise EffectError(f"effect {self.name}: {kind} {name!r} does not exist; known: {', '.join(known)}")
+
+    @property
+    def per(self) -> Per:
+        """``joint`` or ``link`` where the effect can sit at several places, else ``robot``."""
+        kinds: set[Per] = {p.per for p in self.parameters if p.per in ("joint", "link")}
+        if len(kinds) > 1:
+            raise EffectError(f"effect {self.name}: parameters per {sorted(kinds)} in one effect")
+        return kinds.pop() if kinds else "robot"

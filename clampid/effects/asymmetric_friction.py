@@ -1,0 +1,24 @@
+"""Dry friction that differs by direction. On one axis it is exactly Coulomb friction and a torque offset together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """tau_motor = dF_c (1 + sign(w))/2."""
+    return p.dFc * 0.5 * (1 + x.motor_motion)
+
+
+EFFECT = Effect(
+    name="asymmetric_friction",
+    family="asymmetric_friction",
+    acts={"motor_torque": torque},
+    parameters=(Parameter("dFc", "Nm", 0.1, "joint", meaning="dry friction forwards less backwards"),),
+    needs=("motor_motion",),
+    stages=("free_air", "clamped"),
+    equation="tau_motor = dF_c (1 + sign(w))/2",
+    source=("Armstrong1994",),
+)

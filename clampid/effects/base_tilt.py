@@ -1,0 +1,30 @@
+"""A pedestal that tilts under the moment of what it carries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+
+def tilt(p: Any, x: Any) -> Any:
+    """w = C (M_x, M_y), M the moment about the base's origin of all that moves."""
+    mx, my = x.base_moment[0], x.base_moment[1]
+    return rows(p.cxx * mx + p.cxy * my, p.cxy * mx + p.cyy * my, 0, 0, 0, 0)
+
+
+EFFECT = Effect(
+    name="base_tilt",
+    family="base_tilt",
+    acts={"base_twist": tilt},
+    parameters=tuple(
+        Parameter(name, "rad/Nm", 1e-7, meaning=f"tilt of the base about {a} by moment about {b}")
+        for name, a, b in (("cxx", "x", "x"), ("cxy", "x and y", "y and x"), ("cyy", "y", "y"))
+    ),
+    needs=("base_moment",),
+    stages=("poses",),
+    equation="(w_x, w_y) = C_b (M_x, M_y)",
+    source=("XCTDrift",),
+    at="base",
+)

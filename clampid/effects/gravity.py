@@ -1,0 +1,30 @@
+"""Masses and centres of mass of the links, other than described."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import interleave
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """d tau = Y(q) d(m, m c)."""
+    return x.regressor @ interleave(p.m, p.mx, p.my, p.mz)
+
+
+EFFECT = Effect(
+    name="gravity",
+    family="gravity",
+    acts={"joint_torque": torque},
+    parameters=(
+        Parameter("m", "kg", 5.0, "link", meaning="mass beyond the description"),
+        Parameter("mx", "kg m", 2.0, "link", meaning="m c_x beyond the description, base axes at the zero pose"),
+        Parameter("my", "kg m", 2.0, "link", meaning="m c_y beyond the description"),
+        Parameter("mz", "kg m", 2.0, "link", meaning="m c_z beyond the description"),
+    ),
+    needs=("regressor",),
+    stages=("free_air", "poses"),
+    equation="d tau = Y(q) d(m, m c), Y = d(dV/dq)/d(m, m c)",
+    source=("Thesis", "LynchPark2017"),
+)

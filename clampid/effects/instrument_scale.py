@@ -1,0 +1,25 @@
+"""An instrument whose metre is not a metre."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.effect import Effect, Parameter
+
+
+def error(p: Any, x: Any) -> Any:
+    """dx = s x, in the instrument's frame."""
+    return p.s * x.position
+
+
+EFFECT = Effect(
+    name="instrument_scale",
+    family="instrument_scale",
+    acts={"measurement": error},
+    parameters=(Parameter("s", "", 2e-5, bounds=(-0.01, 0.01), meaning="scale error"),),
+    needs=("position",),
+    stages=("poses",),
+    equation="dx = s x",
+    source=("ISO9283",),
+    at="instrument",
+)

@@ -1,0 +1,31 @@
+"""A tool whose mass or centre of mass is not what the controller was told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """d tau = Y_flange(q) d(m, m c): the tool moves with the last link."""
+    return x.tool_regressor @ rows(p.m, p.mx, p.my, p.mz)
+
+
+EFFECT = Effect(
+    name="payload",
+    family="payload",
+    acts={"joint_torque": torque},
+    parameters=(
+        Parameter("m", "kg", 2.0, meaning="mass of the tool beyond what was declared"),
+        Parameter("mx", "kg m", 0.4, meaning="m c_x of the tool beyond what was declared, in the flange frame"),
+        Parameter("my", "kg m", 0.4, meaning="m c_y of the tool beyond what was declared, in the flange frame"),
+        Parameter("mz", "kg m", 0.4, meaning="m c_z of the tool beyond what was declared, in the flange frame"),
+    ),
+    needs=("tool_regressor",),
+    stages=("free_air", "poses"),
+    equation="d tau = Y_n(q) d(m, m c)_tool",
+    source=("Thesis",),
+    at="tool",
+)

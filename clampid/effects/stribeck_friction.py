@@ -1,0 +1,30 @@
+"""Extra dry friction at slow speed, which a lubricant film carries away as the speed grows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import exp
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """tau_motor = F_s exp(-(w_motor/w_s)^2) sign(w_motor)."""
+    return p.Fs * exp(-((x.motor_speed / p.ws) ** 2)) * x.motor_motion
+
+
+EFFECT = Effect(
+    name="stribeck_friction",
+    family="stribeck_friction",
+    acts={"motor_torque": torque},
+    parameters=(
+        Parameter("Fs", "Nm", 0.1, "joint", meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c"),
+        Parameter(
+            "ws", "rad/s", 5.0, "joint", (0.05, 500.0), "Stribeck speed, at the motor", True, (5.0, 1.5, 15.0, 40.0)
+        ),
+    ),
+    needs=("motor_speed", "motor_motion"),
+    stages=("free_air",),
+    equation="tau_motor = (F_s - F_c) exp(-(w/w_s)^2) sign(w)",
+    source=("Stribeck1902", "Waiboer2005", "Armstrong1994"),
+)

@@ -1,0 +1,255 @@
+"""The fit: damped Gauss-Newton on scaled, whitened normal equations with a weak prior, robust against wrong rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, stats
+
+from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
+from clampid.slots import Slot
+from clampid.stages.clamped import loop_compliance
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Bools, Rows
+
+__all__ = ["Estimate", "FitError", "Prior", "fit", "solve"]
+
+PRIOR_SIZES = 10.0  # the weak prior's standard deviation, in reasonable sizes
+OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
+OUTLIER_PASSES = 3
+OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
+ITERATIONS = 30
+NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
+
+
+class FitError(ValueError):
+    """The rows cannot carry the fit; the message says why."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What earlier stages know: slots, their values ``(k,)`` and covariance ``(k, k)``, SI."""
+
+    slots: tuple[Slot, ...]
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The result of a fit.
+
+    Attributes
+    ----------
+    experiment
+        What was fitted; its rows are marked with the outliers found.
+    theta, covariance
+        ``(P + K,)`` and ``(P + K, P + K)``: values and covariance, SI.
+    noise
+        The noise model that weighted the rows.
+    whitened
+        Residual and Jacobian at the solution.
+    residual
+        ``(N, m)``, SI, of all rows, used or not.
+    outliers
+        ``(N,)``: rows rejected.
+    prior_precision, prior_mean
+        The prior that was used.
+    """
+
+    experiment: Experiment
+    theta: Array
+    covariance: Array
+    noise: Noise
+    whitened: Whitened
+    residual: Array
+    outliers: Bools
+    prior_precision: Array
+    prior_mean: Array
+    iterations: int
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """The slots of the first P parameters."""
+        return self.experiment.slots
+
+    @property
+    def std(self) -> Array:
+        """Standard errors ``(P + K,)``."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def identified(self) -> Bools:
+        """Which parameters these data, with what earlier stages knew, tell to within their reasonable size ``(P + K,)``."""
+        return self.std < self.experiment.sizes()
+
+    def values(self) -> dict[Slot, float]:
+        """Slot → value."""
+        return {slot: float(v) for slot, v in zip(self.slots, self.theta, strict=False)}
+
+
+def fit(
+    experiment: Experiment,
+    prior: Prior | None = None,
+    start: Mapping[Slot, float] | None = None,
+    *,
+    reject: bool = True,
+    noise: Noise | None = None,
+) -> Estimate:
+    """Fit the experiment's slots to its rows.
+
+    Weighted first by what the instrument states, then by what the residual shows, in two rounds; in between, rows
+    whose residual a clean table would show with a chance of 1 % are rejected, in at most three passes.
+
+    Raises
+    ------
+    FitError
+        There are no rows to fit, or no finite solution.
+    """
+    if not experiment.rows.used.any():
+        raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
+    precision, mean = _prior(experiment, prior)
+    theta = _start(experiment, mean, start, prior)
+    rejected = np.zeros(len(experiment.rows), dtype=bool)
+    model = noise or initial_noise(experiment.rows)
+    estimate = solve(experiment, theta, model, precision, mean)
+    for _ in range(OUTLIER_PASSES if reject else 0):
+        bad = _outliers(experiment.rows, estimate.residual) & ~rejected
+        if not bad.any() or (bad | rejected).mean() > OUTLIER_SHARE:
+            break
+        rejected |= bad
+        experiment = experiment.with_rows(experiment.rows.without(bad))
+        estimate = solve(experiment, estimate.theta, model, precision, mean)
+    if noise is None:
+        for _ in range(2 if experiment.stage == "free_air" else 1):
+            model = learn_noise(experiment.rows, estimate.residual)
+            estimate = solve(experiment, estimate.theta, model, precision, mean)
+    return replace(estimate, outliers=rejected)
+
+
+def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
+    """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting."""
+    size = experiment.sizes()
+    lower, upper = experiment.bounds()
+    bounded = experiment.shapes() | (experiment.stage == "clamped")
+    damping, cost = 0.0, np.inf
+    current: tuple[Array, Whitened] | None = None
+    iteration = 0
+    while iteration < ITERATIONS:
+        iteration += 1
+        residual, jacobian = experiment.residual(theta)
+        if not np.all(np.isfinite(residual)):
+            raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
+        white = noise.whiten(experiment.rows, residual, jacobian)
+        new_cost = float(white.residual @ white.residual + (theta - mean) @ precision @ (theta - mean))
+        if current is not None and new_cost > cost * (1 + 1e-9) + 1e-12:
+            damping = max(10 * damping, 1e-3)
+            theta = theta_best + _step(A, g, size, damping)
+            theta = np.where(bounded, np.clip(theta, lower, upper), theta)
+            if damping > 1e8:
+                break
+            continue
+        theta_best, cost, current = theta, new_cost, (residual, white)
+        damping = 0.0 if damping < 1e-3 else damping / 10
+        A = white.jacobian.T @ white.jacobian + precision
+        g = white.jacobian.T @ white.residual - precision @ (theta - mean)
+        step = _step(A, g, size, damping)
+        if float(g @ step) < NEGLIGIBLE:
+            break
+        theta = theta + step
+        theta = np.where(bounded, np.clip(theta, lower, upper), theta)
+        if np.array_equal(theta, theta_best):
+            break
+    if current is None:
+        raise FitError(f"{experiment.stage}: the fit did not start")
+    residual, white = current
+    information = white.jacobian.T @ white.jacobian + precision
+    scaled = information * np.outer(size, size)
+    covariance = linalg.pinvh(scaled) * np.outer(size, size)
+    freedom = max(len(white.residual) - len(theta), 1)
+    scale = max(float(white.residual @ white.residual) / freedom, 1e-12)
+    return Estimate(
+        experiment=experiment,
+        theta=theta_best,
+        covariance=np.asarray(covariance * max(scale, 1.0) if scale > 1 else covariance * scale),
+        noise=noise,
+        whitened=white,
+        residual=residual,
+        outliers=np.zeros(len(experiment.rows), dtype=bool),
+        prior_precision=precision,
+        prior_mean=mean,
+        iterations=iteration,
+    )
+
+
+def _step(A: Array, g: Array, size: Array, damping: float) -> Array:
+    """Solve the scaled normal equations; the scale is what each parameter may amount to, further balanced by its column."""
+    balance = size / np.sqrt(np.maximum(np.diag(A) * size**2, 1e-300))
+    scaled = A * np.outer(balance, balance) + damping * np.eye(len(g))
+    try:
+        step = linalg.cho_solve(linalg.cho_factor(scaled), g * balance)
+    except linalg.LinAlgError:
+        step = linalg.pinvh(scaled) @ (g * balance)
+    return np.asarray(step * balance)
+
+
+def _prior(experiment: Experiment, prior: Prior | None) -> tuple[Array, Array]:
+    """Precision ``(P + K, P + K)`` and mean: the weak prior everywhere, what earlier stages know where they know it."""
+    size, start = experiment.sizes(), experiment.start()
+    precision = np.diag(1.0 / (PRIOR_SIZES * size) ** 2)
+    shapes = experiment.shapes()
+    precision[shapes, shapes] = 1.0 / size[shapes] ** 2  # a shape is known up to its own size
+    mean = np.where(shapes, start, 0.0)
+    if prior is not None and prior.slots:
+        index = {slot: k for k, slot in enumerate(experiment.slots)}
+        shared = [k for k, slot in enumerate(prior.slots) if slot in index]
+        where = [index[prior.slots[k]] for k in shared]
+        if where:
+            precision[np.ix_(where, where)] = linalg.pinvh(prior.covariance[np.ix_(shared, shared)])
+            mean[where] = prior.mean[shared]
+    return precision, mean
+
+
+def _start(experiment: Experiment, mean: Array, start: Mapping[Slot, float] | None, prior: Prior | None) -> Array:
+    theta = experiment.start()
+    known = {slot: float(v) for slot, v in zip(prior.slots, prior.mean, strict=True)} if prior is not None else {}
+    known |= dict(start or {})
+    # A drive without spring would be infinitely stiff, and its torque undefined: the loops' slopes are the start.
+    stiffness = loop_compliance(experiment.rows) if experiment.stage == "clamped" else np.zeros(0)
+    for k, slot in enumerate(experiment.slots):
+        if slot in known:
+            theta[k] = known[slot]
+        elif experiment.stage == "clamped" and slot.effect == "joint_compliance":
+            theta[k] = stiffness[int(slot.place.removeprefix("joint")) - 1]
+    if experiment.stage == "clamped":
+        theta[len(experiment.slots) :] = _clamping_offsets(experiment, theta)
+    return theta
+
+
+def _clamping_offsets(experiment: Experiment, theta: Array) -> Array:
+    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds."""
+    rows, n = experiment.rows, experiment.rows.robot.n
+    torque = rows.constants["start_torque"]
+    d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
+    wound = rows.constants["wound"] + d.values[:, :n]
+    sweep = rows.constants["sweep"]
+    return np.concatenate([wound[sweep == s].mean(axis=0) for s in range(rows.constants["sweeps"])])
+
+
+def _outliers(rows: Rows, residual: Array) -> Bools:
+    """Rows far beyond what a clean table would show; scales are medians, so that the outliers do not set them."""
+    out = np.zeros(len(rows), dtype=bool)
+    groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
+    for group in groups:
+        inside = [c for c in group if c < residual.shape[1]]
+        used = rows.used[:, inside].all(axis=1) if inside else np.zeros(len(rows), dtype=bool)
+        if used.sum() < 20:
+            continue
+        white = residual[:, inside] / rows.sigma[:, inside]
+        scale = NORMAL * np.median(np.abs(white[used]))
+        size = np.linalg.norm(white, axis=1) / max(scale, 1e-12)
+        limit = np.sqrt(stats.chi2.isf(OUTLIER_RATE / used.sum(), len(inside)))
+        out |= used & (size > max(limit, 4.0))
+    return out

@@ -1,0 +1,73 @@
+"""Gauge: which geometric parameters of a robot can be told apart at all, whatever is measured.
+
+Turning a link's far end about the joint before it is the same as an offset of that joint, and so on: a chain of n
+revolute joints has 4 n + 6 independent numbers, far fewer than 6 per link. The choice is made by rank: parameters are
+taken in a fixed order (base, flange or targets, then link by link), and one that adds nothing new over random postures
+is left at zero, where it costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.effect import Effect
+from clampid.slots import Slot, slots_of
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Rows
+
+__all__ = ["independent_geometry"]
+
+NEW = 1e-5  # a column whose new part is less than this share of it is a combination of those before it
+POSTURES = 60
+
+
+def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slot, ...]:
+    """The independent slots of ``geometry`` for the targets and sessions that the rows have.
+
+    The rows' own postures do not matter: random ones stand in for them, so that what is left out is left out for the
+    robot's sake and not for a poor campaign's.
+    """
+    slots = _ordered(slots_of(effects["geometry"], rows.layout))
+    if rows.measured.shape[1] == 3:  # points alone: targets carry the tool
+        slots = tuple(s for s in slots if not s.parameter.startswith("flange_"))
+    kinds, first = np.unique(
+        np.c_[rows.session, rows.signals["target_is"]], axis=0, return_index=True
+    )
+    rng = np.random.default_rng(0)
+    robot = rows.robot
+    chosen = np.repeat(first, POSTURES)
+    lower = np.where(np.isfinite(robot.lower), robot.lower, -np.pi)
+    upper = np.where(np.isfinite(robot.upper), robot.upper, np.pi)
+    q = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (len(chosen), robot.n))
+    sample = rows.take(chosen)
+    sample = replace(sample, signals={**sample.signals, "q": q})
+    trial = experiment(sample, effects, slots)
+    _, jacobian = trial.residual(np.zeros(len(slots)))
+    size = trial.sizes()
+    columns = (jacobian * size).reshape(-1, len(slots))
+    basis = np.zeros((len(columns), 0))
+    kept = []
+    for k, slot in enumerate(slots):
+        column = columns[:, k]
+        length = float(np.linalg.norm(column))
+        if length == 0.0:
+            continue
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > NEW * length:
+            basis = np.c_[basis, rest / np.linalg.norm(rest)]
+            kept.append(slot)
+    return tuple(kept)
+
+
+def _ordered(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
+    """Base, flange, targets, then link by link, shifts before turns."""
+
+    def key(slot: Slot) -> tuple[int, str, int]:
+        kind = next((i for i, p in enumerate(("base_", "flange_", "target_")) if slot.parameter.startswith(p)), 3)
+        return kind, slot.place if kind == 3 else "", len(slot.parameter)
+
+    return tuple(sorted(slots, key=key))

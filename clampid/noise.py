@@ -1,0 +1,150 @@
+"""Noise: what the residual of a right model looks like, and how to make it white.
+
+Poses and clamped sweeps: independent numbers of known relative size. Logs: torques that follow each other within a
+tenth of a second are strongly correlated, so that residual and columns alike pass an autoregressive filter, restarted
+at every contiguous stretch; unwhitened, ordinary tests fire on any clean log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from clampid.stages.rows import Array, Integers, Rows
+from experiments.signals import segments
+
+__all__ = ["Noise", "Whitened", "initial_noise", "learn_noise"]
+
+ORDER = 12
+NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Whitened residual ``(M,)`` and Jacobian ``(M, P)``, one entry per used number.
+
+    ``entry`` ``(M,)`` is the row, ``channel`` ``(M,)`` the column of ``measured`` that each entry came from.
+    """
+
+    residual: Array
+    jacobian: Array
+    entry: Integers
+    channel: Integers
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations and, for logs, the autoregression of each channel.
+
+    Attributes
+    ----------
+    sigma
+        ``(N, m)``: standard deviation of each number, all of its noise, SI.
+    filters
+        Per channel the coefficients of predictors of order 0 to 12 with their relative variances; empty for white noise.
+    """
+
+    sigma: Array
+    filters: tuple[tuple[tuple[Array, float], ...], ...] = ()
+
+    def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
+        """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
+        parts_r, parts_j, entries, channels = [], [], [], []
+        for c in range(residual.shape[1]):
+            used = rows.used[:, c]
+            index = np.flatnonzero(used)
+            if not len(index):
+                continue
+            scale = 1.0 / self.sigma[index, c]
+            r, j = residual[index, c] * scale, jacobian[index, c] * scale[:, None]
+            if self.filters:
+                stretch = segments(rows.constants["run"], rows.constants["time"], used)[index]
+                W = _whitener(stretch, self.filters[c])
+                r, j = W @ r, W @ j
+            parts_r.append(r)
+            parts_j.append(j)
+            entries.append(index)
+            channels.append(np.full(len(index), c))
+        if not parts_r:
+            return Whitened(np.zeros(0), np.zeros((0, jacobian.shape[2])), np.zeros(0, np.int64), np.zeros(0, np.int64))
+        return Whitened(
+            np.concatenate(parts_r), np.concatenate(parts_j), np.concatenate(entries), np.concatenate(channels)
+        )
+
+    def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
+        """The noise of some of the rows."""
+        return Noise(self.sigma[chosen], self.filters)
+
+
+def initial_noise(rows: Rows) -> Noise:
+    """What is known before any fit: the rows' own standard deviations, white."""
+    return Noise(rows.sigma)
+
+
+def learn_noise(rows: Rows, residual: Array) -> Noise:
+    """Noise from a fit's residual ``(N, m)``: one scale per kind of channel, and for logs their autoregression.
+
+    In poses positions share one scale and rotations another; each motor has its own. The scale is the rms of the used
+    residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model that is.
+    """
+    sigma = rows.sigma.copy()
+    groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
+    for group in groups:
+        inside = [c for c in group if c < residual.shape[1]]
+        used = rows.used[:, inside]
+        if inside and used.any():
+            white = (residual[:, inside] / rows.sigma[:, inside])[used]
+            sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
+    if rows.stage != "free_air":
+        return Noise(sigma)
+    filters = []
+    for c in range(residual.shape[1]):
+        stretch = segments(rows.constants["run"], rows.constants["time"], rows.used[:, c])
+        filters.append(_autoregression(residual[:, c] / sigma[:, c], stretch))
+    return Noise(sigma, tuple(filters))
+
+
+def _autoregression(x: Array, stretch: Integers) -> tuple[tuple[Array, float], ...]:
+    """Yule-Walker predictors of order 0 … 12 (Levinson-Durbin), from within-stretch products only."""
+    products, counts = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
+    for lag in range(ORDER + 1):
+        a, b = x[lag:], x[: len(x) - lag]
+        same = (stretch[lag:] == stretch[: len(x) - lag]) & (stretch[lag:] >= 0)
+        products[lag], counts[lag] = float(a[same] @ b[same]), float(same.sum())
+    if counts[0] == 0 or products[0] == 0:
+        return ((np.zeros(0), 1.0),)
+    autocovariance = products / counts[0]  # the biased estimate: always a stable filter
+    autocovariance /= autocovariance[0]
+    predictors: list[tuple[Array, float]] = [(np.zeros(0), 1.0)]
+    a, variance = np.zeros(0), 1.0
+    for k in range(1, ORDER + 1):
+        reflection = (autocovariance[k] - a @ autocovariance[1:k][::-1]) / variance
+        a = np.r_[a - reflection * a[::-1], reflection]
+        variance *= 1.0 - reflection**2
+        predictors.append((a, max(variance, 1e-6)))
+    return tuple(predictors)
+
+
+def _whitener(stretch: Integers, predictors: tuple[tuple[Array, float], ...]) -> sparse.csr_matrix:
+    """The filter as a banded matrix; each stretch begins with the predictors of low order."""
+    count = len(stretch)
+    start = np.r_[True, stretch[1:] != stretch[:-1]] if count else np.zeros(0, dtype=bool)
+    index = np.arange(count)
+    age = index - np.maximum.accumulate(np.where(start, index, 0)) if count else index
+    row, column, value = [], [], []
+    top = len(predictors) - 1
+    for order, (coefficients, variance) in enumerate(predictors):
+        chosen = index[age == order] if order < top else index[age >= order]
+        scale = 1.0 / np.sqrt(variance)
+        row.append(chosen)
+        column.append(chosen)
+        value.append(np.full(len(chosen), scale))
+        for lag, coefficient in enumerate(coefficients, start=1):
+            row.append(chosen)
+            column.append(chosen - lag)
+            value.append(np.full(len(chosen), -scale * coefficient))
+    data = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
+    return sparse.csr_matrix(data, shape=(count, count))

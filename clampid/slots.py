@@ -1,0 +1,124 @@
+"""Slots: one number of one effect at one place. A model's parameter vector is a tuple of slots and their values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from clampid.effect import Effect, EffectError, Parameter, Stage
+
+__all__ = ["Layout", "Slot", "Term", "find_parameter", "parse_term", "slots_of", "terms_of"]
+
+
+@dataclass(frozen=True, order=True)
+class Slot:
+    """One number: a parameter of an effect at a place, such as ``backlash.gap@joint3``."""
+
+    effect: str
+    parameter: str
+    place: str
+
+    @property
+    def label(self) -> str:
+        """``effect.parameter@place``."""
+        return f"{self.effect}.{self.parameter}@{self.place}"
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at one place, or (``place=None``) wherever it can sit."""
+
+    effect: str
+    place: str | None = None
+
+    @property
+    def label(self) -> str:
+        """``effect@place`` or ``effect``."""
+        return self.effect if self.place is None else f"{self.effect}@{self.place}"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How many of everything there are: the names of joints, links, targets and sessions, in order."""
+
+    joints: int
+    targets: tuple[str, ...] = ()
+    sessions: tuple[str, ...] = ("session1",)
+    wrist: tuple[int, ...] = ()
+
+    def places(self, effect: Effect, parameter: Parameter) -> tuple[str, ...]:
+        """Names of the places of a parameter, in the order of its column of values."""
+        match parameter.per:
+            case "joint":
+                return tuple(f"joint{i + 1}" for i in range(self.joints))
+            case "link":
+                return tuple(f"link{i + 1}" for i in range(self.joints))
+            case "target":
+                return self.targets
+            case "session":
+                return self.sessions
+            case _:
+                return (effect.at,)
+
+    def allowed(self, effect: Effect) -> tuple[str, ...]:
+        """Where an effect can sit: joints or links, or its one place."""
+        if effect.per == "robot":
+            return (effect.at,)
+        chosen = self.wrist if effect.places == "wrist" else tuple(range(self.joints))
+        return tuple(f"{effect.per}{i + 1}" for i in chosen)
+
+
+def slots_of(effect: Effect, layout: Layout, places: Sequence[str] | None = None) -> tuple[Slot, ...]:
+    """All slots of an effect, or those at the given joints or links (with what belongs to no place of its own)."""
+    wanted = layout.allowed(effect) if places is None else tuple(places)
+    found: list[Slot] = []
+    for parameter in effect.parameters:
+        for place in layout.places(effect, parameter):
+            if parameter.per in ("joint", "link") and place not in wanted:
+                continue
+            found.append(Slot(effect.name, parameter.name, place))
+    return tuple(found)
+
+
+def terms_of(effect: Effect, layout: Layout) -> tuple[Term, ...]:
+    """The terms of an effect, place by place."""
+    return tuple(Term(effect.name, place) for place in layout.allowed(effect))
+
+
+def parse_term(text: str, catalogue: Mapping[str, Effect], layout: Layout) -> Term:
+    """Read ``effect`` or ``effect@joint3``.
+
+    Raises
+    ------
+    EffectError
+        The effect is not known, or cannot sit there; the message says what exists.
+    """
+    name, _, place = text.strip().partition("@")
+    if name not in catalogue:
+        raise EffectError(f"no effect is called {name!r}; known: {', '.join(sorted(catalogue))}")
+    if not place:
+        return Term(name)
+    allowed = layout.allowed(catalogue[name])
+    if catalogue[name].per == "link" and place.startswith("joint"):
+        place = "link" + place.removeprefix("joint")
+    if place not in allowed:
+        raise EffectError(f"effect {name} cannot sit at {place!r}; it can at: {', '.join(allowed)}")
+    return Term(name, place)
+
+
+def find_parameter(slot: Slot, catalogue: Mapping[str, Effect]) -> Parameter:
+    """The parameter that a slot is a value of."""
+    for parameter in catalogue[slot.effect].parameters:
+        if parameter.name == slot.parameter:
+            return parameter
+    raise EffectError(f"effect {slot.effect} has no parameter {slot.parameter!r}")
+
+
+def slots_of_terms(terms: Iterable[Term], catalogue: Mapping[str, Effect], layout: Layout) -> tuple[Slot, ...]:
+    """The slots of several terms, each once, in order."""
+    found: dict[Slot, None] = {}
+    for term in terms:
+        places = None if term.place is None or catalogue[term.effect].per == "robot" else (term.place,)
+        for slot in slots_of(catalogue[term.effect], layout, places):
+            found[slot] = None
+    return tuple(found)

@@ -1,0 +1,226 @@
+"""The clamping experiment: the flange is held, one motor goes back and forth in small steps, springs wind up.
+
+With the flange held the arm cannot move, so that every joint's spring, gap and the fixture take up what the motors do::
+
+    T' theta_m + dq(tau) = q_clamp + offset + J^-1 (motion of the fixture)
+
+is solved for the joint torques tau, row by row; then tau_motor = T tau + friction. The offset is the posture at which the
+arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.chain import Chain, Deviations
+from clampid.slots import Layout
+from clampid.stages.rows import Array, Rows
+from clampid.stages.torques import temperatures
+from experiments.campaign import Campaign
+from kinematics.poe import forward, space_jacobian
+
+__all__ = ["clamped_rows", "loop_compliance", "offset_count", "residual"]
+
+NEWTON_STEPS = 60
+GAP_SOFTNESS = 2e-3  # of a joint's rated torque: how sharply a gap closes, far below the noise of a torque
+
+
+def offset_count(rows: Rows) -> int:
+    """How many clamping offsets the rows have: one per joint and sweep."""
+    return int(rows.constants["sweeps"]) * rows.robot.n
+
+
+def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
+    """Measured less predicted motor torques ``(N, n)``, Nm, and derivatives ``(N, n, P + offsets)``.
+
+    Parameters
+    ----------
+    offsets
+        ``(sweeps * n,)``, rad: see the module.
+    """
+    n, count = rows.robot.n, len(rows)
+    T = np.asarray(rows.robot.transmission)
+    sweep = rows.constants["sweep"]
+    shift = rows.constants["wound"] - offsets.reshape(-1, n)[sweep]
+    inverse = rows.constants["inverse_jacobian"]
+    torque, deviations, slope = _equilibrium(rows, chain, theta, shift, inverse)
+    motor = slice(chain.offsets["motor_torque"].start, chain.offsets["motor_torque"].stop)
+    predicted = torque @ T.T + deviations.values[:, motor]
+    # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
+    balance = np.zeros((count, n, len(chain.slots) + len(offsets)))
+    direct = np.zeros((count, n, len(chain.slots) + len(offsets)))
+    for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
+        part = deviations.partials[:, k]
+        if station < n:
+            balance[:, station, parameter] += part
+        elif station >= motor.start:
+            direct[:, station - motor.start, parameter] += part
+        else:
+            balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
+    for j in range(n):
+        balance[np.arange(count), j, len(chain.slots) + sweep * n + j] = -1.0
+    tau = -np.linalg.solve(slope, balance)
+    return rows.measured - predicted, np.einsum("ij,njp->nip", T, tau) + direct
+
+
+def _equilibrium(
+    rows: Rows, chain: Chain, theta: Array, shift: Array, inverse: Array
+) -> tuple[Array, Deviations, Array]:
+    """Joint torques ``(N, n)`` at which springs and gaps take up ``shift`` ``(N, n)``: damped Newton, all rows at once."""
+    n = rows.robot.n
+    fixture = chain.offsets["fixture"]
+
+    def balance(torque: Array) -> tuple[Array, Deviations]:
+        d = chain.evaluate(theta, rows.signals, torque)
+        moved = np.einsum("nij,nj->ni", inverse, d.values[:, fixture])
+        return shift + d.values[:, :n] - moved, d
+
+    torque = np.zeros((len(rows), n))  # not the measured ones: a solver that fails must not look right
+    error, deviations = balance(torque)
+    scale = rows.constants["rated"]
+    step_limit = 0.5 * scale
+    for _ in range(NEWTON_STEPS):
+        slope = _slope(deviations, inverse, fixture, n)
+        step = -np.linalg.solve(slope, error[:, :, None])[:, :, 0]
+        step *= np.minimum(1.0, (step_limit / np.maximum(np.abs(step), 1e-300)).min(axis=1))[:, None]
+        # A closing gap bends the curve: halve the step of a row until its error falls.
+        factor = np.ones(len(step))
+        for _ in range(12):
+            trial = torque + factor[:, None] * step
+            new_error, new = balance(trial)
+            worse = np.linalg.norm(new_error, axis=1) > np.linalg.norm(error, axis=1) * (1 - 1e-4 * factor) + 1e-13
+            if not worse.any():
+                break
+            factor[worse] *= 0.5
+        torque, error, deviations = trial, new_error, new
+        if np.max(np.abs(factor[:, None] * step) / scale) < 1e-9:
+            break
+    return torque, deviations, _slope(deviations, inverse, fixture, n)
+
+
+def _slope(deviations: Deviations, inverse: Array, fixture: slice, n: int) -> Array:
+    by_torque = deviations.by_torque
+    if by_torque is None:
+        raise ValueError("the chain was not built for the stage clamped")
+    slope = by_torque[:, :n] - inverse @ by_torque[:, fixture]
+    # A drive without any spring or gap in the model is stiff, not infinitely so: the model must name its compliance.
+    return np.asarray(slope - 1e-12 * np.eye(n))
+
+
+def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
+    """Rows of the table clamped of one or several sessions."""
+    import pandas as pd
+
+    robot, n = campaigns[0].robot, campaigns[0].robot.n
+    T = np.asarray(robot.transmission)
+    frames = [c.tables["clamped"] for c in campaigns if "clamped" in c.tables]
+    session = np.concatenate([np.full(len(c.tables["clamped"]), s) for s, c in enumerate(campaigns) if "clamped" in c.tables])
+    joined = pd.concat(frames, ignore_index=True)
+    _, sweep = np.unique(np.c_[session, joined["sweep"].to_numpy()], axis=0, return_inverse=True)
+    sweep = sweep.astype(np.int64)
+    driven = joined["joint"].to_numpy(int) - 1
+    time = joined["time_s"].to_numpy(float)
+    motor = joined[[f"motor{i + 1}_rad" for i in range(n)]].to_numpy(float)
+    measured = joined[[f"tau{i + 1}_Nm" for i in range(n)]].to_numpy(float)
+    q = motor @ T
+    count, sweeps = len(joined), int(sweep.max()) + 1
+    reference = np.array([q[sweep == s].mean(axis=0) for s in range(sweeps)])
+    rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
+    motion, used, fraction = np.zeros((count, n)), np.ones((count, n), dtype=bool), np.zeros(count)
+    for s in range(sweeps):
+        rows = np.flatnonzero(sweep == s)
+        fraction[rows] = np.linspace(0.0, 1.0, len(rows))
+        m = motor[rows, driven[rows[0]]]
+        step = np.diff(m)
+        step = np.r_[step[:1], step] if len(step) else np.zeros(1)
+        sign = np.sign(np.where(np.abs(step) > 0.05 * np.median(np.abs(step[step != 0]) if np.any(step) else 1), step, 0))
+        for i in range(1, len(sign)):
+            sign[i] = sign[i] or sign[i - 1]
+        motion[rows, driven[rows[0]]] = sign
+        # Friction builds up again over the first step after a reversal; that row's friction is not known.
+        turned = np.r_[True, sign[1:] != sign[:-1]]
+        used[rows[turned]] = False
+    inverse, wrench = np.zeros((sweeps, n, 6)), np.zeros((sweeps, 6, n))
+    for s in range(sweeps):
+        chain_q = np.asarray(robot.linkage) @ reference[s]
+        J = _flange_jacobian(robot, chain_q)
+        inverse[s] = np.linalg.pinv(J, rcond=1e-3)
+        wrench[s] = inverse[s].T
+    signals = {
+        "q": q,
+        "motor": motor,
+        "motor_motion": motion,
+        "joint_motion": motion,
+        "rest_direction": np.tile(GAP_SOFTNESS * rated, (count, 1)),
+        "wrench_map": wrench[sweep],
+        "elapsed": time - time.min(),
+        "sweep_fraction": fraction,
+        **temperatures(joined, n),
+    }
+    return Rows(
+        stage="clamped",
+        robot=robot,
+        layout=layout,
+        signals=signals,
+        measured=measured,
+        sigma=np.tile(step_noise(measured, motion, sweep), (count, 1)),
+        used=used,
+        unit=np.arange(count),
+        fold=sweep,
+        table=np.full(count, "clamped"),
+        row=np.concatenate([np.arange(1, len(f) + 1) for f in frames]),
+        session=session,
+        constants={
+            "sweep": sweep,
+            "sweeps": sweeps,
+            "driven": driven,
+            "wound": q - reference[sweep],
+            "reference": reference,
+            "inverse_jacobian": inverse[sweep],
+            "start_torque": measured @ np.linalg.inv(T).T,
+            "rated": rated,
+        },
+        per_row=("sweep", "driven", "wound", "inverse_jacobian", "start_torque"),
+    )
+
+
+def loop_compliance(rows: Rows) -> Array:
+    """A rough compliance of each drive at its motor ``(n,)``, rad/Nm: the slope of its own loops, direction by direction."""
+    n = rows.robot.n
+    motion, driven, sweep = rows.signals["motor_motion"], rows.constants["driven"], rows.constants["sweep"]
+    out = np.full(n, 0.3)
+    for j in range(n):
+        angle, torque = [], []
+        for s in np.unique(sweep[driven == j]):
+            for sign in (-1.0, 1.0):
+                branch = rows.used[:, j] & (sweep == s) & (motion[:, j] == sign)
+                if branch.sum() > 3:
+                    m, t = rows.signals["motor"][branch, j], rows.measured[branch, j]
+                    angle.append(m - m.mean())
+                    torque.append(t - t.mean())
+        if angle:
+            a, t = np.concatenate(angle), np.concatenate(torque)
+            slope = float(a @ t) / max(float(a @ a), 1e-300)
+            if slope > 0:
+                out[j] = 1.0 / slope
+    return np.clip(out, 1e-3, 1e2)
+
+
+def step_noise(measured: Array, motion: Array, sweep: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Array:
+    """Noise ``(n,)`` of the torques from second differences along branches: a smooth curve leaves none of itself there."""
+    same = (sweep[2:] == sweep[:-2]) & np.all(motion[2:] == motion[:-2], axis=1)
+    second = (measured[2:] - 2 * measured[1:-1] + measured[:-2])[same]
+    if len(second) < 8:
+        return np.maximum(measured.std(axis=0), 1e-9)
+    # Median absolute value, so that steps of stick and slip do not count; var(second difference) = 6 var.
+    return np.maximum(1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0), 1e-9)
+
+
+def _flange_jacobian(robot: object, q: Array) -> Array:
+    """Jacobian ``(6, n)`` of the flange's motion (w, v) about the flange's origin, base frame."""
+    J = space_jacobian(robot.screws, q).copy()  # type: ignore[attr-defined]
+    p = forward(robot.screws, robot.flange, q)[:3, 3]  # type: ignore[attr-defined]
+    J[3:] = J[3:] - np.cross(p, J[:3].T).T
+    return np.asarray(J)

@@ -1,0 +1,96 @@
+"""An experiment: rows and the effects that are active in them, as one function of one parameter vector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clampid.chain import Chain, build_chain
+from clampid.effect import Effect, Stage
+from clampid.slots import Slot, find_parameter
+from clampid.stages import clamped, poses, torques
+from clampid.stages.rows import Array, Rows
+
+__all__ = ["Experiment", "experiment"]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Rows and active slots of one stage.
+
+    The parameter vector is ``(P + K,)``: the slots, then K offsets that belong to the experiment alone (in ``clamped``
+    the posture at which each sweep was clamped; elsewhere none).
+    """
+
+    rows: Rows
+    effects: Mapping[str, Effect]
+    slots: tuple[Slot, ...]
+    chain: Chain
+    offsets: int
+
+    @property
+    def stage(self) -> Stage:
+        """Which of the three stages this is."""
+        return self.rows.stage
+
+    def residual(self, theta: Array) -> tuple[Array, Array]:
+        """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P + K)``, SI."""
+        own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
+        match self.stage:
+            case "poses":
+                return poses.residual(self.rows, self.chain, own)
+            case "free_air":
+                return torques.residual(self.rows, self.chain, own)
+            case _:
+                return clamped.residual(self.rows, self.chain, own, extra)
+
+    def with_rows(self, rows: Rows) -> Experiment:
+        """The same effects on other rows of the same layout."""
+        return replace(self, rows=rows)
+
+    def with_slots(self, slots: Sequence[Slot]) -> Experiment:
+        """The same rows with other slots active."""
+        return experiment(self.rows, self.effects, slots)
+
+    def start(self) -> Array:
+        """A start: amplitudes zero, or in ``clamped`` stiff springs; shape parameters at the first of their grid."""
+        theta = np.zeros(len(self.slots) + self.offsets)
+        for k, slot in enumerate(self.slots):
+            parameter = find_parameter(slot, self.effects)
+            if parameter.shape:
+                theta[k] = parameter.grid[0]
+        return theta
+
+    def sizes(self) -> Array:
+        """What each parameter may reasonably amount to ``(P + K,)``."""
+        own = [find_parameter(slot, self.effects).size for slot in self.slots]
+        return np.array([*own, *([1e-3] * self.offsets)])
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Physical limits ``(P + K,)`` each."""
+        pairs = [find_parameter(slot, self.effects).bounds for slot in self.slots]
+        pairs += [(-np.inf, np.inf)] * self.offsets
+        return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+
+    def shapes(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` are shapes, not amplitudes."""
+        own = [find_parameter(slot, self.effects).shape for slot in self.slots]
+        return np.array([*own, *([False] * self.offsets)], dtype=bool)
+
+
+def experiment(rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot]) -> Experiment:
+    """An experiment with the given slots active.
+
+    Raises
+    ------
+    clampid.effect.EffectError
+        An effect does not act in the rows' stage.
+    """
+    robot = rows.robot
+    chain = build_chain(
+        rows.stage, slots, effects, rows.layout, np.asarray(robot.transmission), poses.link_vectors(robot)
+    )
+    offsets = clamped.offset_count(rows) if rows.stage == "clamped" else 0
+    return Experiment(rows, effects, tuple(slots), chain, offsets)

@@ -1,0 +1,181 @@
+"""Rows of the pose experiment from the tables poses or verification."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from clampid.slots import Layout
+from clampid.stages.loads import bearing_signals, gravity_signals
+from clampid.stages.rows import Array, Rows
+from clampid.stages.torques import temperatures
+from experiments.campaign import Campaign
+from kinematics.poe import forward
+
+__all__ = ["align", "pose_rows", "quaternion_to_rotation"]
+
+DEFAULT_POSITION_STD = 1e-4  # m, where the instrument's maker says nothing
+DEFAULT_ORIENTATION_STD = 3e-4  # rad
+REST_FRICTION = 1e-3  # of rated torque: the dry friction that any bearing has, which decides an unloaded joint's flank
+
+
+def target_names(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
+    """The targets of all sessions, each session's own: ``session/target`` where there are several sessions."""
+    names: list[str] = []
+    for s, campaign in enumerate(campaigns):
+        seen: dict[str, None] = {}
+        for table in ("poses", "verification"):
+            if table in campaign.tables:
+                seen |= dict.fromkeys(str(t) for t in campaign.tables[table]["target"].unique())
+        names += [_target_label(s, t, len(campaigns)) for t in seen if t != "flange"]
+    return tuple(names)
+
+
+def _target_label(session: int, target: str, sessions: int) -> str:
+    return target if sessions == 1 else f"session{session + 1}:{target}"
+
+
+def pose_rows(
+    campaigns: Sequence[Campaign], layout: Layout, table: str, base: Mapping[int, Array] | None = None
+) -> Rows:
+    """Rows of one table of one or several sessions.
+
+    Parameters
+    ----------
+    base
+        Session → ``(4, 4)``, where the instrument sees the robot's base. Without it that is found from the rows by
+        aligning the nominal robot with what was measured.
+    """
+    parts = [_one(c, s, len(campaigns), layout, table, base) for s, c in enumerate(campaigns) if table in c.tables]
+    return parts[0] if len(parts) == 1 else _join(parts)
+
+
+def _one(
+    campaign: Campaign, session: int, sessions: int, layout: Layout, table: str, base: Mapping[int, Array] | None
+) -> Rows:
+    robot, n = campaign.robot, campaign.robot.n
+    frame = campaign.tables[table]
+    count = len(frame)
+    q = frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
+    direction = frame[[f"dir{i + 1}" for i in range(n)]].to_numpy(float)
+    position = frame[["x_m", "y_m", "z_m"]].to_numpy(float)
+    names = frame["target"].astype(str).to_numpy()
+    target = np.array([campaign.targets.get(name, np.zeros(3)) for name in names])
+    rotated = all(c in frame.columns for c in ("qw", "qx", "qy", "qz"))
+    measured, rotation = position, np.tile(np.eye(3), (count, 1, 1))
+    instrument = campaign.instrument
+    sigma = np.full((count, 3), instrument.position_std or DEFAULT_POSITION_STD)
+    used = np.ones((count, 3), dtype=bool)
+    if rotated:
+        quaternion = frame[["qw", "qx", "qy", "qz"]].to_numpy(float)
+        rotation = quaternion_to_rotation(quaternion)
+        measured = np.c_[position, np.zeros((count, 3))]
+        sigma = np.c_[sigma, np.full((count, 3), instrument.orientation_std or DEFAULT_ORIENTATION_STD)]
+        used = np.ones((count, 6), dtype=bool)
+    own = {name: k for k, name in enumerate(layout.targets)}
+    target_is = np.zeros((count, len(layout.targets)))
+    for i, name in enumerate(names):
+        label = _target_label(session, str(name), sessions)
+        if label in own:
+            target_is[i, own[label]] = 1.0
+    session_is = np.zeros((count, len(layout.sessions)))
+    session_is[:, session] = 1.0
+    chain_q = q @ np.asarray(robot.linkage).T
+    nominal = forward(robot.screws, robot.flange, chain_q)
+    points = np.einsum("nij,nj->ni", nominal[:, :3, :3], target) + nominal[:, :3, 3]
+    reference = base[session] if base is not None else align(points, position)
+    rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
+    time = frame["time_s"].to_numpy(float)
+    start = min(float(campaign.tables[t]["time_s"].min()) for t in ("poses", "verification") if t in campaign.tables)
+    _, fold = np.unique(frame["pose"].to_numpy(), return_inverse=True)
+    _, unit = np.unique(np.c_[frame["pose"].to_numpy(), frame["visit"].to_numpy()], axis=0, return_inverse=True)
+    signals = {
+        "q": q,
+        "motor": q @ np.linalg.inv(np.asarray(robot.transmission)),
+        "direction": direction,
+        "joint_motion": direction,
+        "motor_motion": direction,
+        "rest_direction": REST_FRICTION * rated * direction,
+        "elapsed": time - start,
+        "target_is": target_is,
+        "session_is": session_is,
+        "position": position,
+        **gravity_signals(campaign, q),
+        **bearing_signals(campaign, q),
+        **temperatures(frame, n),
+    }
+    return Rows(
+        stage="poses",
+        robot=robot,
+        layout=layout,
+        signals=signals,
+        measured=measured,
+        sigma=sigma,
+        used=used,
+        unit=unit.astype(np.int64),
+        fold=fold.astype(np.int64),
+        table=np.full(count, table),
+        row=np.arange(1, count + 1),
+        session=np.full(count, session),
+        constants={"target": target, "rotation": rotation, "base_reference": np.tile(reference, (count, 1, 1)), "time": time},
+        per_row=("target", "rotation", "base_reference", "time"),
+    )
+
+
+def _join(parts: Sequence[Rows]) -> Rows:
+    width = max(p.measured.shape[1] for p in parts)
+
+    def widen(a: Array, fill: float) -> Array:
+        return np.c_[a, np.full((len(a), width - a.shape[1]), fill)] if a.shape[1] < width else a
+
+    first, shift_unit, shift_fold = parts[0], 0, 0
+    units, folds = [], []
+    for p in parts:
+        units.append(p.unit + shift_unit)
+        folds.append(p.fold + shift_fold)
+        shift_unit, shift_fold = int(units[-1].max()) + 1, int(folds[-1].max()) + 1
+    return Rows(
+        stage="poses",
+        robot=first.robot,
+        layout=first.layout,
+        signals={k: np.concatenate([p.signals[k] for p in parts]) for k in first.signals},
+        measured=np.concatenate([widen(p.measured, 0.0) for p in parts]),
+        sigma=np.concatenate([widen(p.sigma, 1.0) for p in parts]),
+        used=np.concatenate([widen(p.used.astype(float), 0.0) for p in parts]) > 0.5,
+        unit=np.concatenate(units),
+        fold=np.concatenate(folds),
+        table=np.concatenate([p.table for p in parts]),
+        row=np.concatenate([p.row for p in parts]),
+        session=np.concatenate([p.session for p in parts]),
+        constants={k: np.concatenate([p.constants[k] for p in parts]) for k in first.constants},
+        per_row=first.per_row,
+    )
+
+
+def align(points: Array, measured: Array) -> Array:
+    """The rigid motion ``(4, 4)`` that takes ``points`` ``(N, 3)`` nearest to ``measured`` (Kabsch's solution)."""
+    a, b = np.median(points, axis=0), np.median(measured, axis=0)
+    keep = np.ones(len(points), dtype=bool)
+    out = np.eye(4)
+    for _ in range(3):  # once more without what is far off: a wrong row must not turn the frame
+        a, b = points[keep].mean(axis=0), measured[keep].mean(axis=0)
+        U, _, Vt = np.linalg.svd((points[keep] - a).T @ (measured[keep] - b))
+        R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+        out[:3, :3], out[:3, 3] = R, b - R @ a
+        far = np.linalg.norm(points @ R.T + out[:3, 3] - measured, axis=1)
+        keep = far <= 6 * np.median(far) + 1e-12
+    return out
+
+
+def quaternion_to_rotation(q: Array) -> Array:
+    """Rotation matrices ``(N, 3, 3)`` from unit quaternions ``(N, 4)``, scalar first."""
+    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return np.moveaxis(R, 2, 0)

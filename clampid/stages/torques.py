@@ -1,0 +1,132 @@
+"""The torque experiments, free air and wrist: motor torques of an arm that moves and stops.
+
+tau_motor = T tau_joint + motor friction. Static friction is indeterminate, so that a motor at rest says nothing here;
+its rows are predicted but not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.chain import Chain
+from clampid.slots import Layout
+from clampid.stages.loads import gravity_signals, inertia_torque
+from clampid.stages.rows import Array, Rows
+from experiments.campaign import Campaign
+from experiments.signals import acceleration, held_sign, rest_threshold, segments, speeds
+
+__all__ = ["residual", "torque_rows"]
+
+INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
+NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
+BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
+
+
+def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
+    """Measured less predicted motor torques ``(N, n)``, Nm, and the prediction's derivative ``(N, n, P)``."""
+    deviations = chain.evaluate(theta, rows.signals)
+    T = np.asarray(rows.robot.transmission)
+    n = rows.robot.n
+    joint = rows.signals["gravity_torque"] + rows.signals["inertia_torque"] + deviations.values[:, chain.offsets["joint_torque"]]
+    predicted = joint @ T.T + deviations.values[:, chain.offsets["motor_torque"]]
+    sensitivity = np.concatenate([T, np.eye(n)], axis=1)  # (n, 2n): joint torques, then motor torques
+    jacobian = np.zeros((len(rows), n, len(chain.slots)))
+    for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
+        for motor in np.flatnonzero(sensitivity[:, station]):
+            jacobian[:, motor, parameter] += sensitivity[motor, station] * deviations.partials[:, k]
+    return rows.measured - predicted, jacobian
+
+
+def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
+    """Rows of the tables free_air and wrist of one or several sessions."""
+    import pandas as pd
+
+    frames, names, sessions = [], [], []
+    for s, campaign in enumerate(campaigns):
+        for name in ("free_air", "wrist"):
+            if name in campaign.tables:
+                frames.append(campaign.tables[name])
+                names.append(name)
+                sessions.append(s)
+    robot = campaigns[0].robot
+    n = robot.n
+    T = np.asarray(robot.transmission)
+    joined = pd.concat(frames, ignore_index=True)
+    lengths = [len(f) for f in frames]
+    part = np.repeat(np.arange(len(frames)), lengths)
+    _, run = np.unique(np.c_[part, joined["run"].to_numpy()], axis=0, return_inverse=True)
+    run = run.astype(np.int64)
+    time = joined["time_s"].to_numpy(float)
+    q = joined[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
+    names_qd = [f"qd{i + 1}_rad_s" for i in range(n)]
+    if all(c in joined.columns and not joined[c].isna().any() for c in names_qd):
+        qd = joined[names_qd].to_numpy(float)
+    else:
+        qd = speeds(q, time, run, window_s=0.02)
+    qdd = acceleration(qd, time, run, window_s=0.02)
+    to_motor = np.linalg.inv(T)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
+    wm = qd @ to_motor
+    rest, rest_m = rest_threshold(qd), rest_threshold(wm)
+    moving = np.abs(wm) > rest_m
+    motion, motion_m = held_sign(qd, rest, run), held_sign(wm, rest_m, run)
+    session = np.repeat(np.array(sessions), lengths)
+    signals = {
+        "q": q,
+        "motor": q @ to_motor,
+        "joint_speed": qd,
+        "motor_speed": wm,
+        "joint_motion": motion,
+        "motor_motion": motion_m,
+        "joint_acceleration": qdd,
+        "elapsed": time - time.min(),
+        **temperatures(joined, n),
+    }
+    for s, campaign in enumerate(campaigns):
+        if not np.any(session == s):
+            continue
+        own = gravity_signals(campaign, q[session == s])
+        chosen = session == s
+        own["inertia_torque"] = inertia_torque(campaign, q[chosen], qd[chosen], qdd[chosen])
+        for name, values in own.items():
+            signals.setdefault(name, np.zeros((len(q), *values.shape[1:])))[chosen] = values
+    signals["rest_direction"] = np.zeros_like(q)
+    measured = joined[[f"tau{i + 1}_Nm" for i in range(n)]].to_numpy(float)
+    # Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
+    # and where that is more than a fraction of the noise, the row is left out.
+    inertial = np.abs(signals["inertia_torque"] @ T.T)
+    noise = NORMAL * np.median(np.abs(np.diff(measured, axis=0)), axis=0) / np.sqrt(2.0)
+    used = moving & (inertial <= INERTIA_SHARE * noise)
+    signals["torque_rate"] = np.gradient(measured, axis=0)
+    stretch = segments(run, time, np.ones(len(run), dtype=bool))
+    _, unit = np.unique(np.c_[stretch, np.floor(time / BLOCK_S)], axis=0, return_inverse=True)
+    return Rows(
+        stage="free_air",
+        robot=robot,
+        layout=layout,
+        signals=signals,
+        measured=measured,
+        sigma=np.ones_like(measured),
+        used=used,
+        unit=unit.astype(np.int64),
+        fold=run,
+        table=np.repeat(np.array(names), lengths),
+        row=np.concatenate([np.arange(1, k + 1) for k in lengths]),
+        session=session,
+        constants={"time": time, "run": run},
+        per_row=("time", "run"),
+    )
+
+
+def temperatures(table: object, n: int) -> dict[str, Array]:
+    """Temperatures of links and motors less 20 degC, ``(N, n)``; zeros where no sensor is."""
+    out = {}
+    for kind in ("link", "motor"):
+        values = np.zeros((len(table), n))  # type: ignore[arg-type]
+        for i in range(n):
+            column = f"temp_{kind}{i + 1}_C"
+            if column in table.columns:  # type: ignore[attr-defined]
+                values[:, i] = np.nan_to_num(table[column].to_numpy(float) - 20.0)  # type: ignore[index]
+        out[f"{kind}_temperature"] = values
+    return out
