@@ -89,8 +89,9 @@ def _parse(where: str, content: bytes) -> RobotDescription:
         return validate(_robot(table))
     except KeyError as error:
         raise DescriptionError(f"{where}: the key {error} is missing") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError, ValueError) as error:
-        raise error if isinstance(error, DescriptionError) else DescriptionError(f"{where}: {error}") from None
+    except (ValueError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
+        # A wrong type or length anywhere in the file shows as one of these; ours are among the ValueErrors.
+        raise DescriptionError(f"{where}: {error}") from None
 
 
 def _known_keys(where: str, table: Table, *keys: str) -> None:
@@ -185,7 +186,7 @@ def _dh(table: Table) -> DHTable:
     rows = []
     for i, row in enumerate(table["row"], 1):
         angles = [f"{name}_{unit}" for name in ("theta_offset", "alpha", "beta") for unit in ("deg", "rad")]
-        _known_keys(f"dh row {i}", row, "sign", "d_m", "a_m", *angles)
+        _known_keys(f"dh row {i}", row, "sign", "d_m", "a_m", "prismatic", *angles)
         rows.append(
             DHRow(
                 sign=int(row.get("sign", 1)),
@@ -194,6 +195,7 @@ def _dh(table: Table) -> DHTable:
                 a=float(row["a_m"]),
                 alpha=float(_angle(row, "alpha", 0.0)),
                 beta=float(_angle(row, "beta", 0.0)),
+                prismatic=bool(row.get("prismatic", False)),
             )
         )
     standard = all(row.beta == 0.0 for row in rows)

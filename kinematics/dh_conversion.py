@@ -109,11 +109,12 @@ def standard_from_poe(screws: npt.ArrayLike, home: npt.ArrayLike, like: DHTable 
     table = _table(screws, home, like, "standard")
     loss = reconstruction_error(table, screws, home)
     if loss > _ACCEPTED_LOSS:
-        d = np.abs([row.d for row in table.rows])
-        i = int(np.argmax(d))
+        sines = np.abs(np.sin([row.alpha for row in table.rows]))
+        i = int(np.argmin(np.where(sines > _PARALLEL, sines, np.inf)))
         raise DHError(
-            f"a standard table would lose {loss:.2g} m by cancellation, more than {_ACCEPTED_LOSS:g} m: axes {i + 1} and "
-            f"{i + 2} (or those around them) are so nearly parallel that d of row {i + 1} is {d[i]:.3g} m; use Hayati's rows"
+            f"a standard table would lose {loss:.2g} m by cancellation, more than {_ACCEPTED_LOSS:g} m: axes {i + 1} "
+            f"and {i + 2} are {sines[i]:.2g} rad from parallel, so that d of row {i + 1} is {table.rows[i].d:.3g} m; "
+            "use Hayati's rows"
         )
     return table
 
@@ -135,14 +136,14 @@ def reconstruction_error(table: DHTable, screws: npt.ArrayLike, home: npt.ArrayL
     -------
     float
         The larger of two numbers: the difference of the poses that is seen at 200 random q (any entry, rad and m
-        alike), and twice the spacing of floating-point numbers at the largest offset of the table, because the seen
-        difference can be small by luck.
+        alike), and four times the spacing of floating-point numbers at the largest offset of the table, because the
+        seen difference can be small by luck.
     """
     n = len(table.rows)
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, n))
     seen = float(np.abs(forward(table, q) - poe.forward(screws, home, q)).max())
     largest = max(max(abs(row.d), abs(row.a)) for row in table.rows)
-    return max(seen, 2 * float(np.spacing(largest)))
+    return max(seen, 4 * float(np.spacing(largest)))
 
 
 def _table(screws: npt.ArrayLike, home: npt.ArrayLike, like: DHTable | None, convention: Convention) -> DHTable:
@@ -164,7 +165,7 @@ def _table(screws: npt.ArrayLike, home: npt.ArrayLike, like: DHTable | None, con
             u = frame[:3, :3].T @ (signs[i + 1] * axes[i + 1])
             p = frame[:3, :3].T @ (point - frame[:3, 3])
             near = np.hypot(u[0], u[1]) < HAYATI_BELOW
-            row = _hayati_row(u, p) if near and convention == "hayati" else _standard_row(u, p, hint)
+            row = _hayati_row(u, p, hint) if near and convention == "hayati" else _standard_row(u, p, hint)
         row = replace(row, sign=signs[i], prismatic=prismatic[i])
         rows.append(row)
         frame = frame @ row_transform(row, 0.0)
@@ -205,7 +206,7 @@ def _base_frame(S: Array, axis: Array, sign: int, prismatic: bool, like: DHTable
 
 
 def _turned(theta: float, a: float, hint: DHRow | None) -> bool:
-    """Say whether x should point the other way: as in the hint; else a > 0 where theta is sideways, else theta small."""
+    """Say whether x should point the other way: as in the hint; else a > 0 if theta is sideways, else theta small."""
     if hint is not None:
         return abs(_wrap(theta - hint.theta_offset)) > np.pi / 2
     if np.pi / 4 < abs(theta) < 3 * np.pi / 4 and abs(a) > 1e-9:
@@ -237,13 +238,13 @@ def _standard_row(u: Array, p: Array, hint: DHRow | None) -> DHRow:
     return DHRow(1, theta, d, a, alpha)
 
 
-def _hayati_row(u: Array, p: Array) -> DHRow:
+def _hayati_row(u: Array, p: Array, hint: DHRow | None) -> DHRow:
     """Go to the point where the line through p along u pierces z = 0, then tilt by alpha and beta."""
     x, y = p[:2] - p[2] / u[2] * u[:2]
     theta, a = float(np.arctan2(y, x)), float(np.hypot(x, y))
     if a < _PARALLEL:
         theta, a = 0.0, 0.0
-    if _turned(theta, a, None):
+    if _turned(theta, a, hint):
         theta, a = _wrap(theta + np.pi), -a
     c, s = np.cos(theta), np.sin(theta)
     ux, uy = c * u[0] + s * u[1], c * u[1] - s * u[0]

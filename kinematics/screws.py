@@ -146,7 +146,7 @@ def log_so3(R: npt.ArrayLike) -> Array:
     -------
     Array
         Rotation vectors (..., 3) [rad]; at exactly pi, one of the two. Accurate to rounding at 0 and at pi, because it
-        goes by a quaternion. Source: Lynch & Park, Modern Robotics, section 3.2.3.3 and appendix B.3.
+        goes by a quaternion. Source: Lynch & Park, Modern Robotics, section 3.2.3.3 and appendix B.
     """
     scalar, vector = _quaternion(np.asarray(R, dtype=np.float64))
     length = np.linalg.norm(vector, axis=-1)
@@ -329,7 +329,7 @@ def cayley(w: npt.ArrayLike) -> Array:
     -------
     Array
         Rotations (..., 3, 3). Source: Cayley's formula for orthogonal matrices; Lynch & Park, Modern Robotics,
-        appendix B.4.
+        appendix B.
     """
     r = 0.5 * np.asarray(w)
     H = hat3(r)
@@ -350,7 +350,7 @@ def cayley_left_jacobian(w: npt.ArrayLike) -> Array:
     -------
     Array
         Matrices (..., 3, 3), (I + hat(w/2)) / (1 + |w/2|²). Source: derived from Cayley's formula (Lynch & Park, Modern
-        Robotics, appendix B.4); checked against differences.
+        Robotics, appendix B); checked against differences.
     """
     r = 0.5 * np.asarray(w, dtype=np.float64)
     factor = 1 / (1 + np.sum(r * r, axis=-1))

@@ -136,7 +136,8 @@ def write_urdf(
     Returns
     -------
     str
-        The file's text: links `world`, `base_link`, `link_1` … and `flange`; fixed joints `base` and `flange`.
+        The file's text: links `world`, `base_link`, `link_1` … and `flange`; fixed joints `base_joint` and
+        `flange_joint` (pinocchio finds a frame by name only if no joint has the same).
         Numbers have all their digits. Source: the URDF specification; each link's frame lies on its joint's axis,
         Lynch & Park, Modern Robotics, section 4.2.
 
@@ -150,7 +151,9 @@ def write_urdf(
         raise DescriptionError(f"{robot.name}: expected screws of shape ({robot.n}, 6), found {S.shape}")
     name = re.sub(r"\W+", "_", robot.name)
     lines = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="world"/>', '  <link name="base_link"/>']
-    lines += _fixed("base", "world", "base_link", np.eye(4) if base is None else np.asarray(base, dtype=np.float64))
+    lines += _fixed(
+        "base_joint", "world", "base_link", np.eye(4) if base is None else np.asarray(base, dtype=np.float64)
+    )
     parent, last = "base_link", np.zeros(3)
     for i, (joint, screw) in enumerate(zip(robot.joints, S, strict=True), 1):
         child, (kind, axis, point) = f"link_{i}", _axis_and_point(joint, screw, last)
@@ -169,7 +172,7 @@ def write_urdf(
         parent, last = child, point
     flange = home.copy()
     flange[:3, 3] -= last
-    lines += ['  <link name="flange"/>', *_fixed("flange", parent, "flange", flange), "</robot>", ""]
+    lines += ['  <link name="flange"/>', *_fixed("flange_joint", parent, "flange", flange), "</robot>", ""]
     return "\n".join(lines)
 
 
