@@ -68,7 +68,7 @@ def hide(
 ) -> tuple[Plant, list[dict[str, Any]]]:
     """Return the plant with the effects in it, and what was hidden, as ``[{"effect", "where", "parameters"}]``.
 
-    What an effect draws depends on its name and place only, not on what else is hidden.
+    What an effect draws, and its size, depend on its name and place only, not on what else is hidden.
     """
     plant = baseline
     told: list[dict[str, Any]] = []
