@@ -25,7 +25,8 @@ def hide_backlash(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
     def wider(p: Plant, gap: float) -> Plant:
         return replace(p, drive=replace(p.drive, gap=plus(p.drive.gap, i, gap)))
 
-    gap = m * SMALL * s.factor(lambda p: wider(p, SMALL), "backlash")
+    # Where no weight loads a joint, the arm side's friction holds it like a gap: neither hides the other here.
+    gap = m * SMALL * s.factor(lambda p: wider(p, SMALL), "backlash", "wrist_coupling_friction")
     return wider(plant, gap), {"gap_rad": gap}
 
 

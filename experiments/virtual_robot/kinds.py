@@ -49,9 +49,13 @@ def _any(plant: Plant) -> list[int]:
     return list(range(plant.n))
 
 
+def _postures(plant: Plant) -> Array:
+    return np.random.default_rng(2).uniform(-1.5, 1.5, (50, plant.n))
+
+
 def _loaded(plant: Plant) -> list[int]:
     """Joints on which the weight of the arm changes with posture."""
-    q = np.random.default_rng(2).uniform(-1.5, 1.5, (50, plant.n))
+    q = _postures(plant)
     spread: Array = np.std(Bodies(plant.geometry, plant.masses).gravity(q), axis=0)
     return [int(i) for i in np.flatnonzero(spread > 0.02 * max(float(spread.max()), 1e-9))] or _any(plant)
 
@@ -68,6 +72,15 @@ def _wrist(plant: Plant) -> list[int]:
     return list(range(min(3, plant.n - 1), plant.n))
 
 
+def _tilted(plant: Plant) -> list[int]:
+    """Joints whose bearings the weight of the arm would tilt: across their axes it is heavy."""
+    moment = Bodies(plant.geometry, plant.masses).wrenches(_postures(plant)).moment
+    axes = plant.geometry.axes
+    across = moment - np.einsum("nij,ij->ni", moment, axes)[..., None] * axes
+    rms: Array = np.sqrt(np.mean(np.sum(across**2, axis=2), axis=0))
+    return [int(i) for i in np.flatnonzero(rms > 0.1 * rms.max())]
+
+
 def _second(plant: Plant) -> list[int]:
     return [min(1, plant.n - 1)]
 
@@ -78,7 +91,7 @@ def _long(plant: Plant) -> list[int]:
 
 
 def _beams(plant: Plant) -> list[int]:
-    return [i for i in _long(plant) if 0 < i < plant.n - 1] or [0]
+    return [i for i in _long(plant) if 0 < i < min(3, plant.n - 1)] or [0]
 
 
 @dataclass(frozen=True)
@@ -137,7 +150,7 @@ KINDS: dict[str, Kind] = {
     "fixture_compliance": Kind(hide_fixture, "fixture", ("clamped",)),
     "base_tilt": Kind(hide_base_tilt, "base", POSES),
     "instrument_scale": Kind(hide_scale, "instrument", POSES),
-    "bearing_tilt": Kind(hide_bearing_tilt, "joint", POSES, _inner),
+    "bearing_tilt": Kind(hide_bearing_tilt, "joint", POSES, _tilted),
     "link_bending": Kind(hide_bending, "link", POSES, _beams),
     "coupling_ratio_error": Kind(hide_ratio, "joint", POSES, _wrist),
     "nonlinear_stiffness": Kind(hide_hardening, "joint", ("clamped", *POSES), _inner_loaded),

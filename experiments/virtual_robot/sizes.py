@@ -22,7 +22,7 @@ from experiments.virtual_robot.rotations import rotation_matrix
 from experiments.virtual_robot.sampling import Site
 
 VISIBLE = 1.5  # times the instrument's noise (one axis), rms of what a standard model leaves
-LARGEST = 4.0  # times the noise, rms before absorption: what is nearly absorbed is not blown up beyond this
+LARGEST = 8.0  # times the noise, rms before absorption: what is nearly absorbed is not blown up beyond this
 
 
 class Sight:
@@ -57,10 +57,10 @@ class Sight:
                 found.setdefault(family, []).append(column / length)
         return {family: np.array(columns).T for family, columns in found.items()}
 
-    def left(self, changed: Plant, spare: str = "") -> float:
-        """Return the rms, m, one axis, that the standard model without the family ``spare`` leaves of a change."""
+    def left(self, changed: Plant, *spare: str) -> float:
+        """Return the rms, m, one axis, that the standard model without the families ``spare`` leaves of a change."""
         change = self.points(changed) - self._here
-        A = np.hstack([columns for family, columns in self._columns.items() if family != spare])
+        A = np.hstack([columns for family, columns in self._columns.items() if family not in spare])
         u, s, _ = np.linalg.svd(A, full_matrices=False)
         Q = u[:, s > 1e-4 * s[0]]
         return float(np.sqrt(np.mean((change - Q @ (Q.T @ change)) ** 2)))
@@ -69,14 +69,14 @@ class Sight:
         """Return the rms, m, one axis, of the whole change between two plants."""
         return float(np.sqrt(np.mean((self.points(changed) - self.points(before)) ** 2)))
 
-    def factor(self, change: Callable[[Plant], Plant], spare: str = "") -> float:
+    def factor(self, change: Callable[[Plant], Plant], *spare: str) -> float:
         """Return the factor on a small change that makes it clearly visible; 0 where nothing of it can be seen."""
         changed = change(self.plant)
         whole = self.rms(changed, self.plant)
         if whole < 1e-9:
             return 0.0
         sigma = self.plant.instrument.sigma
-        return sigma * min(VISIBLE / max(self.left(changed, spare), 1e-12), LARGEST / whole)
+        return sigma * min(VISIBLE / max(self.left(changed, *spare), 1e-12), LARGEST / whole)
 
 
 def _small_changes(plant: Plant) -> Iterator[tuple[str, Plant]]:
