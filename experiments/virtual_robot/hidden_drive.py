@@ -15,6 +15,11 @@ from experiments.virtual_robot.sizes import Sight
 SMALL = 1e-4  # rad, a change to measure sizes with
 
 
+# Where no weight loads a joint, friction winds its spring like a gap: all three are one column, and none counts as
+# absorbed by the others.
+BY_DIRECTION = ("backlash", "joint_compliance", "wrist_coupling_friction")
+
+
 def _own_compliance(plant: Plant, i: int) -> float:
     return float(compliance_matrix(plant.drive)[i, i])
 
@@ -25,8 +30,7 @@ def hide_backlash(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
     def wider(p: Plant, gap: float) -> Plant:
         return replace(p, drive=replace(p.drive, gap=plus(p.drive.gap, i, gap)))
 
-    # Where no weight loads a joint, the arm side's friction holds it like a gap: neither hides the other here.
-    gap = m * SMALL * s.factor(lambda p: wider(p, SMALL), "backlash", "wrist_coupling_friction")
+    gap = m * SMALL * s.factor(lambda p: wider(p, SMALL), *BY_DIRECTION)
     return wider(plant, gap), {"gap_rad": gap}
 
 
@@ -38,7 +42,7 @@ def hide_compliance(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gen
         return replace(p, drive=replace(drive, extra_compliance=plus(drive.extra_compliance, i, extra)))
 
     own = _own_compliance(s.plant, i)
-    extra = m * own * max(0.17, 0.01 * min(s.factor(lambda p: softer(p, 0.01 * own), "joint_compliance"), 100.0))
+    extra = m * own * max(0.17, 0.01 * min(s.factor(lambda p: softer(p, 0.01 * own), *BY_DIRECTION), 100.0))
     return softer(plant, extra), {"compliance_rad_Nm": extra}
 
 
