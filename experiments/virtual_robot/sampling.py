@@ -57,7 +57,8 @@ class Site:
         weight = np.max(np.abs(self.bodies.gravity(q)) / self.rated, axis=1)
         scale = np.array([1.0, 1.0, 1.0, 0.4, 0.4, 0.4])[:, None]
         condition = np.array([np.linalg.cond(self.bodies.jacobian(row) * scale) for row in q])
-        good = q[np.argsort(condition * (1 + (weight / 0.3) ** 4))[:30]]
+        # Below a sixth of the rated torque, sweeps to not quite half of it cross zero, and with it the gap.
+        good = q[np.argsort(condition * (1 + (weight / 0.15) ** 6))[:30]]
         chosen = [good[0]]
         while len(chosen) < count:
             apart = np.min([np.linalg.norm((good - c) / self.half, axis=1) for c in chosen], axis=0)
