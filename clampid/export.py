@@ -1,0 +1,280 @@
+"""The compensated robot for others: Denavit–Hartenberg tables with uncertainties, and URDF.
+
+The calibrated chain (see :mod:`clampid.stages.poses`) is::
+
+    x = X_0 M_0 prod_i exp([xi_i] q_i) M_i F
+
+with F the flange's nominal home pose. Moving every M_i through the exponentials behind it gives screws
+xi'_i = Ad(M_1 … M_{i-1}) xi_i and a home pose M_1 … M_n F: a chain as any other. It holds what is static at 20 °C;
+effects that depend on posture, load, direction or temperature are no part of a table. Where a linkage couples joints,
+q are the joint values of the chain and not the controller's.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clampid.model import Model, ModelError, write_text
+from clampid.slots import Slot
+from clampid.stages.poses import link_points
+from clampid.stages.rows import Array
+from kinematics.description import load_robot
+from kinematics.dh import Convention, DHRow, DHTable
+from kinematics.dh import forward as dh_forward
+from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
+from kinematics.poe import forward
+from kinematics.robot import RobotDescription
+from kinematics.screws import adjoint, cayley, transform
+from kinematics.urdf import read_urdf, write_urdf
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["COLUMNS", "CalibratedChain", "calibrated_chain", "dh_table", "read_dh", "table_text", "urdf_text"]
+
+ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
+FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")))
+"""Columns of the table; a column that does not belong to a row is empty there."""
+
+STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
+EXACT = 1e-9  # m and rad: what an export may differ from the model, read back
+STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
+_AXES = ("rx", "ry", "rz", "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class CalibratedChain:
+    """The robot as it is: a product of exponentials.
+
+    Attributes
+    ----------
+    base
+        ``(4, 4)``: the base in the instrument's frame.
+    screws
+        ``(n, 6)``: (omega, v) in the base frame at the zero pose.
+    home
+        ``(4, 4)``: the flange at the zero pose, in the base frame.
+    """
+
+    robot: RobotDescription
+    base: Array
+    screws: Array
+    home: Array
+
+    def flange(self, q: Array) -> Array:
+        """Poses ``(..., 4, 4)`` of the flange in the instrument's frame at joint values ``(..., n)``."""
+        return np.asarray(self.base @ forward(self.screws, self.home, q))
+
+
+def calibrated_chain(
+    model: Model, *, session: int = 0, robot: RobotDescription | None = None, theta: Array | None = None
+) -> CalibratedChain:
+    """The static geometry of a model at 20 °C.
+
+    Parameters
+    ----------
+    session
+        Whose base and flange, from 0.
+    robot
+        The nominal robot, if the model's name for it is not that of a bundled one.
+    theta
+        Other values for the slots of the stage ``poses``.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry from a table of poses, or no such session.
+    """
+    stage = model.stages.get("poses")
+    if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
+        raise ModelError("expected a model with geometry identified from a table of poses, found none to export")
+    if not 0 <= session < len(model.sessions):
+        raise ModelError(f"session {session + 1}: the model has sessions 1 to {len(model.sessions)}")
+    reference = model.sessions[session].base_reference
+    if reference is None:
+        raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
+    nominal = load_robot(model.robot) if robot is None else robot
+    values = dict(zip(stage.slots, stage.theta if theta is None else theta, strict=True))
+    here = model.layout.sessions[session]
+
+    def twist(prefix: str, place: str) -> Array:
+        return np.array([values.get(Slot("geometry", prefix + axis, place), 0.0) for axis in _AXES])
+
+    base = np.asarray(reference) @ _motion(twist("base_", here), np.zeros(3))
+    moved, screws = np.eye(4), np.empty((nominal.n, 6))
+    for i, pivot in enumerate(link_points(nominal)):
+        screws[i] = adjoint(moved) @ nominal.screws[i]
+        far_end = twist("", f"link{i + 1}")
+        if i + 1 == nominal.n:
+            far_end = far_end + twist("flange_", here)
+        moved = moved @ _motion(far_end, pivot)
+    return CalibratedChain(nominal, base, screws, moved @ nominal.flange)
+
+
+def _motion(twist: Array, pivot: Array) -> Array:
+    """The small motion x -> pivot + v + C(w)(x - pivot), C Cayley's rotation, as in :mod:`clampid.stages.poses`."""
+    C = cayley(twist[:3])
+    return transform(C, pivot + twist[3:] - C @ pivot)
+
+
+def dh_table(
+    model: Model, convention: Convention, *, session: int = 0, robot: RobotDescription | None = None
+) -> pd.DataFrame:
+    """The compensated Denavit–Hartenberg table with standard errors.
+
+    Rows ``1`` … ``n`` have A_i = Rz(sign q_i + theta_offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); rows ``base`` and ``tool``
+    a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame.
+
+    Parameters
+    ----------
+    convention
+        ``hayati`` is exact; ``standard`` loses digits between nearly parallel axes.
+    session
+        Whose base and flange, from 0.
+    robot
+        The nominal robot, if the model's name for it is not that of a bundled one.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry.
+    DHError
+        Standard rows would lose more than a micrometre, or a joint is helical.
+    """
+    nominal = load_robot(model.robot) if robot is None else robot
+    chain = calibrated_chain(model, session=session, robot=nominal)
+    numbers, signs = _numbers(chain, convention)
+    stage = model.stages["poses"]
+    free = [k for k, slot in enumerate(stage.slots) if slot.effect == "geometry"]
+    columns = []
+    for k in free:
+        step = STEP * np.eye(len(stage.slots))[k]
+        sides = []
+        for theta in (stage.theta + step, stage.theta - step):
+            moved = calibrated_chain(model, session=session, robot=nominal, theta=theta)
+            sides.append(_numbers(moved, convention)[0])
+        columns.append(_difference(sides[0], sides[1], nominal.n) / (2 * STEP))
+    J = np.array(columns).T
+    std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, stage.covariance[np.ix_(free, free)], J), 0.0))
+    frame = _frame(numbers, std, signs)
+    _verify(frame, chain, STANDARD if convention == "standard" else EXACT)
+    return frame
+
+
+def table_text(frame: pd.DataFrame) -> str:
+    """The table as CSV with every digit: standard rows need them."""
+    return str(frame.to_csv(index=False, lineterminator="\n"))
+
+
+def read_dh(text: str, convention: Convention = "hayati") -> DHTable:
+    """A table as :func:`table_text` wrote it."""
+    import pandas as pd
+
+    frame = pd.read_csv(io.StringIO(text), dtype={"row": str}, float_precision="round_trip").set_index("row")
+    rows = []
+    for i in range(1, len(frame) - 1):
+        sign, *numbers = frame.loc[str(i), ["sign", *ROW_COLUMNS]].to_numpy(dtype=np.float64).tolist()
+        theta_offset, d, a, alpha, beta = numbers
+        rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
+    ends = [_pose(frame.loc[end, list(FRAME_COLUMNS)].to_numpy(dtype=np.float64)) for end in ("base", "tool")]
+    return DHTable(tuple(rows), ends[0], ends[1], convention)
+
+
+def _numbers(chain: CalibratedChain, convention: Convention) -> tuple[Array, list[int]]:
+    """All numbers of the table, flat: five per row, then six each for base and tool; and the signs."""
+    convert = hayati_from_poe if convention == "hayati" else standard_from_poe
+    table = convert(chain.screws, chain.home, chain.robot.dh)
+    if any(row.prismatic for row in table.rows):
+        raise DHError("a prismatic joint adds its value to d, which the exported columns cannot say; export URDF")
+    rows = [(r.theta_offset, r.d, r.a, r.alpha, r.beta) for r in table.rows]
+    ends = (_position_and_angles(chain.base @ table.base), _position_and_angles(table.tool))
+    return np.concatenate([np.ravel(rows), *ends]), [row.sign for row in table.rows]
+
+
+def _position_and_angles(T: Array) -> Array:
+    """Position and (rx, ry, rz) of a pose, R = Rz Ry Rx; rz = 0 where ry = ±90°, where only one of the two counts."""
+    R = T[:3, :3]
+    rz = np.arctan2(R[1, 0], R[0, 0]) if np.hypot(R[1, 0], R[0, 0]) > 1e-12 else 0.0
+    c, s = np.cos(rz), np.sin(rz)
+    M = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
+    return np.array([*T[:3, 3], np.arctan2(-M[1, 2], M[1, 1]), np.arctan2(-M[2, 0], M[0, 0]), rz])
+
+
+def _pose(numbers: Array) -> Array:
+    (cx, cy, cz), (sx, sy, sz) = np.cos(numbers[3:]), np.sin(numbers[3:])
+    Rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    Ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    Rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return transform(Rz @ Ry @ Rx, numbers[:3])
+
+
+def _difference(a: Array, b: Array, n: int) -> Array:
+    """A − b, with angles across ±180° taken the short way."""
+    angle = np.array([*[True, False, False, True, True] * n, *[False] * 3, *[True] * 3, *[False] * 3, *[True] * 3])
+    d = a - b
+    return np.asarray(np.where(angle, np.pi - np.remainder(np.pi - d, 2 * np.pi), d))
+
+
+def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
+    import pandas as pd
+
+    n = len(signs)
+    records: list[dict[str, object]] = []
+    for i, sign in enumerate(signs):
+        part = slice(5 * i, 5 * i + 5)
+        records.append({"row": str(i + 1), "sign": sign, **_named(ROW_COLUMNS, numbers[part], std[part])})
+    for k, end in enumerate(("base", "tool")):
+        part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
+        records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
+    frame = pd.DataFrame(records, columns=list(COLUMNS))
+    return frame.astype({"sign": "Int64"})
+
+
+def _named(columns: tuple[str, ...], numbers: Array, std: Array) -> dict[str, object]:
+    out: dict[str, object] = {}
+    for column, number, error in zip(columns, numbers.tolist(), std.tolist(), strict=True):
+        out |= {column: number, f"std_{column}": error}
+    return out
+
+
+def _postures(robot: RobotDescription) -> Array:
+    return np.random.default_rng(0).uniform(-np.pi, np.pi, (200, robot.n))
+
+
+def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> None:
+    """Read the table back and hold it against the chain."""
+    q = _postures(chain.robot)
+    difference = float(np.abs(dh_forward(read_dh(table_text(frame)), q) - chain.flange(q)).max())
+    if not difference <= allowed:
+        raise DHError(f"the table, read back, differs by {difference:.2g} m from the model, more than {allowed:g} m")
+
+
+def urdf_text(model: Model, *, session: int = 0, robot: RobotDescription | None = None) -> str:
+    """The calibrated chain as URDF; its frame ``world`` is the instrument's.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry, or the file, read back, is not the model.
+    DescriptionError
+        A joint is neither revolute nor prismatic.
+    """
+    import tempfile
+
+    chain = calibrated_chain(model, session=session, robot=robot)
+    text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.urdf"
+        write_text(path, text)
+        back = read_urdf(path, "flange")
+    q = _postures(chain.robot)
+    difference = float(np.abs(forward(back.screws, back.flange, q) - chain.flange(q)).max())
+    if not difference <= EXACT:
+        raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
+    return text

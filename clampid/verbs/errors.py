@@ -1,0 +1,29 @@
+"""Wrong calls, and which errors mean that the input or the call is wrong (exit code 2) and not the program (1)."""
+
+from __future__ import annotations
+
+import sys
+
+__all__ = ["CallError", "is_wrong_input"]
+
+
+class CallError(ValueError):
+    """A call that cannot be meant; the message says what was expected. Verbs of other packages may derive from it."""
+
+
+_WRONG_INPUT = (
+    ("experiments.errors", "CampaignError"),
+    ("experiments.simulate", "SimulationError"),
+    ("kinematics.robot", "DescriptionError"),
+    ("kinematics.dh_conversion", "DHError"),
+    ("clampid.effect", "EffectError"),
+    ("clampid.model", "ModelError"),
+    ("clampid.fit", "FitError"),
+)
+_WRONG_PLACE = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
+
+
+def is_wrong_input(error: BaseException) -> bool:
+    """Whether an error is the caller's. Looks only at modules already imported: one that raised has been."""
+    known = (getattr(sys.modules.get(module), name, None) for module, name in _WRONG_INPUT)
+    return isinstance(error, (CallError, *_WRONG_PLACE, *(kind for kind in known if isinstance(kind, type))))

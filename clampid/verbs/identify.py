@@ -1,0 +1,49 @@
+"""``clampid identify``: from campaigns to a model."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from clampid.verbs.errors import CallError
+from clampid.verbs.inputs import read_checked, split_effects
+from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed
+from clampid.verbs.options import Output as OutputFile
+from clampid.verbs.output import Output, output_file
+
+__all__ = ["identify"]
+
+
+def identify(
+    campaigns: Campaigns,
+    output: OutputFile,
+    effects: Effects = None,
+    holdout: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of whole poses, runs and sweeps that no fit sees.")
+    ] = 0.0,
+    seed: Seed = 0,
+    effects_from: EffectsFrom = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Fit a model, stage by stage: free air, clamped, filtered poses."""
+    out = Output(quiet, json)
+    output_file(output)
+    if not 0.0 <= holdout < 1.0:
+        raise CallError(f"--holdout: expected a share from 0 to below 1, found {holdout:g}")
+    chosen = split_effects(effects)
+
+    from clampid.catalogue import with_user_effects
+    from clampid.identify import identify as fit_model
+    from clampid.model import save_model
+    from clampid.verbs.show import model_json, show_model
+
+    with out.working("reading"):
+        read = read_checked(campaigns, out)
+    with out.working("identifying"):
+        model = fit_model(read, chosen, holdout=holdout, seed=seed, user_effects=effects_from)
+    save_model(model, output)
+    show_model(model, with_user_effects(effects_from), out)
+    out.say(f"model: {output}")
+    out.result({"model": str(output), **model_json(model)})

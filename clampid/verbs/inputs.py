@@ -1,0 +1,102 @@
+"""What verbs read: campaigns that have been looked at, lists of effects, terms to add."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from clampid.verbs.errors import CallError
+from clampid.verbs.output import Output
+
+if TYPE_CHECKING:
+    from clampid.effect import Stage
+    from experiments.campaign import Campaign
+    from experiments.finding import Finding
+
+__all__ = ["finding_text", "read_checked", "split_effects", "split_terms"]
+
+
+def read_checked(folders: Sequence[Path], out: Output) -> list[Campaign]:
+    """Read campaigns and look at them: warnings are printed, errors refuse the campaign.
+
+    Raises
+    ------
+    CampaignError
+        A folder does not follow the contract, or its numbers cannot mean what the contract says.
+    """
+    from experiments.campaign import CampaignError, read_campaign
+    from experiments.check import check_campaign
+
+    campaigns = []
+    for folder in folders:
+        campaign = read_campaign(folder)
+        findings = check_campaign(campaign)
+        for finding in findings:
+            if finding.severity == "warning":
+                out.warn(f"warning: {folder}: {finding_text(finding)}")
+        wrong = [finding_text(f) for f in findings if f.severity == "error"]
+        if wrong:
+            raise CampaignError(f"{folder}: {'; '.join(wrong)}")
+        campaigns.append(campaign)
+    return campaigns
+
+
+def finding_text(finding: Finding) -> str:
+    """``poses, row 3, column q1_rad: …``."""
+    where = finding.table
+    if finding.row is not None:
+        where += f", row {finding.row}"
+    if finding.column is not None:
+        where += f", column {finding.column}"
+    return f"{where}: {finding.message}"
+
+
+def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[str] | None:
+    """Turn ``--effects`` options into stage → names, or a plain list where none names a stage.
+
+    Raises
+    ------
+    CallError
+        Lists with and without a stage are mixed, a stage is unknown or named twice.
+    """
+    if not lists:
+        return None
+    from clampid.effect import Stage
+
+    plain: list[str] = []
+    staged: dict[Stage, list[str]] = {}
+    for text in lists:
+        head, equals, names = text.partition("=")
+        if not equals:
+            plain += _names(text, text)
+            continue
+        stage: Stage | None = next((s for s in get_args(Stage) if s == head.strip()), None)
+        if stage is None:
+            raise CallError(f"--effects {text}: no stage is called {head!r}; known: {', '.join(get_args(Stage))}")
+        if stage in staged:
+            raise CallError(f"--effects: the stage {stage} is given twice; expected one list for it")
+        staged[stage] = _names(names, text)
+    if plain and staged:
+        raise CallError("--effects: expected lists with a stage or one without, found both")
+    return plain or staged
+
+
+def split_terms(text: str) -> list[str]:
+    """Turn ``poses=a,b@joint3`` into ``poses=a`` and ``poses=b@joint3``: a stage holds until the next is named."""
+    stage, terms = "", []
+    for part in _names(text, text):
+        head, equals, name = part.partition("=")
+        if equals:
+            stage, part = f"{head.strip()}=", name.strip()  # noqa: PLW2901
+        if not part:
+            raise CallError(f"{text!r}: expected an effect after {stage!r}, found none")
+        terms.append(f"{stage}{part}")
+    return terms
+
+
+def _names(text: str, whole: str) -> list[str]:
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise CallError(f"{whole!r}: expected names of effects separated by commas, found an empty one")
+    return names

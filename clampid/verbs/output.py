@@ -1,0 +1,154 @@
+"""What verbs print: results on stdout (or, where that is for JSON, on stderr), progress and warnings on stderr."""
+
+from __future__ import annotations
+
+import json as json_module
+import math
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clampid.verbs.errors import CallError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["Output", "finite", "output_file"]
+
+WIDTH = 120  # of tables that go to a file or a pipe, where no terminal says
+
+
+class Output:
+    """Where a verb's words, tables, progress and JSON go.
+
+    Parameters
+    ----------
+    quiet
+        No progress.
+    json
+        File for the JSON, ``-`` for stdout (which then carries nothing else), or None.
+    """
+
+    def __init__(self, quiet: bool = False, json: str | None = None) -> None:
+        self.quiet, self.json = quiet, json
+        if json is not None and json != "-":
+            output_file(Path(json))
+
+    @cached_property
+    def console(self) -> Console:
+        """For people."""
+        return _console(stderr=self.json == "-")
+
+    @cached_property
+    def errors(self) -> Console:
+        """For progress and warnings."""
+        return _console(stderr=True)
+
+    def say(self, text: str = "") -> None:
+        """A line for people, as it is: no markup, no colours guessed."""
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def warn(self, text: str) -> None:
+        """A line on stderr that --quiet does not silence."""
+        self.errors.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def step(self, text: str) -> None:
+        """A plain line of progress."""
+        if not self.quiet:
+            self.errors.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    @contextmanager
+    def working(self, text: str) -> Iterator[None]:
+        """Progress of one long step: a moving line with the time on a terminal, else a plain line."""
+        if self.quiet:
+            yield
+            return
+        start = time.monotonic()
+        if self.errors.is_terminal:
+            from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+            columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+            with Progress(*columns, console=self.errors, transient=True) as progress:
+                progress.add_task(text)
+                yield
+        else:
+            self.step(f"{text} …")
+            yield
+        self.step(f"{text}: {time.monotonic() - start:.1f} s")
+
+    def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> None:
+        """A table for people; the first ``left`` columns are text, the others numbers."""
+        from rich import box
+        from rich.table import Table
+
+        table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+        for k, name in enumerate(columns):
+            table.add_column(name, justify="left" if k < left else "right", overflow="fold")
+        for row in rows:
+            table.add_row(*(_plain(cell) for cell in row))
+        self.console.print(table, highlight=False)
+
+    def result(self, data: Mapping[str, Any] | Sequence[Any]) -> None:
+        """The result for programs, where it was asked for; numbers that are not finite become null."""
+        if self.json is None:
+            return
+        text = json_module.dumps(finite(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        if self.json == "-":
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        else:
+            from clampid.model import write_text
+
+            write_text(self.json, text)
+
+
+def finite(data: Any) -> Any:
+    """The same data for JSON: tuples as lists, numpy scalars as numbers, what is not finite as None."""
+    match data:
+        case Mapping():
+            return {str(key): finite(value) for key, value in data.items()}
+        case str() | bool() | int() | None:
+            return data
+        case float():
+            return data if math.isfinite(data) else None
+        case Iterable():
+            return [finite(value) for value in data]
+        case _ if hasattr(data, "item"):
+            return finite(data.item())
+        case _:
+            raise TypeError(f"cannot write {type(data).__name__} as JSON")
+
+
+def output_file(path: Path) -> Path:
+    """The path, if a file can go there: said before the work, not after it.
+
+    Raises
+    ------
+    CallError
+        It is a folder, or lies in something that is none.
+    """
+    if path.is_dir():
+        raise CallError(f"{path}: expected a file to write to, found a folder")
+    for parent in path.absolute().parents:
+        if parent.exists():
+            if not parent.is_dir():
+                raise CallError(f"{path}: expected {parent} to be a folder, found a file")
+            break
+    return path
+
+
+def _plain(cell: str) -> Any:
+    from rich.text import Text
+
+    return Text(cell)
+
+
+def _console(stderr: bool) -> Console:
+    from rich.console import Console
+
+    console = Console(stderr=stderr)
+    return console if console.is_terminal else Console(stderr=stderr, width=WIDTH)

@@ -1,0 +1,80 @@
+"""Models and added effects as tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from clampid.verbs.output import Output
+from clampid.verbs.units import error_text, quantity
+
+if TYPE_CHECKING:
+    from clampid.effect import Effect
+    from clampid.model import Model, Round, StageModel
+
+__all__ = ["model_json", "parameter_rows", "show_model", "show_rounds", "stage_unit"]
+
+NOT_KNOWN = "not identifiable from these data"
+
+
+def stage_unit(stage: str) -> str:
+    """The unit of a stage's errors."""
+    return "m" if stage == "poses" else "sigma"
+
+
+def parameter_rows(stage: StageModel, effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:
+    """One row per parameter: name, place, value, standard error, unit, remark."""
+    units = {(e.name, p.name): p.unit for e in effects.values() for p in e.parameters}
+    rows: list[tuple[str, ...]] = []
+    for slot, value, std, known in zip(
+        stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True
+    ):
+        number, error, symbol = quantity(value, std, units.get((slot.effect, slot.parameter), ""))
+        name = f"{slot.effect}.{slot.parameter}"
+        rows.append((name, slot.place, number, error, symbol, "" if known else NOT_KNOWN))
+    return rows
+
+
+def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None:
+    """Every stage's parameters with standard errors, and what the data leave open."""
+    columns = ("parameter", "at", "value", "± std", "unit", "")
+    for name, stage in model.stages.items():
+        out.table(name, columns, parameter_rows(stage, effects), left=2)
+        if stage.outliers:
+            rows = ", ".join(f"{table} row {row}" for _, table, row in stage.outliers[:10])
+            more = f" and {len(stage.outliers) - 10} more" if len(stage.outliers) > 10 else ""
+            out.say(f"{name}: rejected as outliers: {rows}{more}")
+        for sentence in stage.null_directions:
+            out.say(f"{name}: {NOT_KNOWN}: {sentence}")
+    show_rounds(model.ledger, out)
+
+
+def show_rounds(rounds: Iterable[Round], out: Output) -> None:
+    """The ledger as a table."""
+    rows = []
+    for k, entry in enumerate(rounds, 1):
+        unit = stage_unit(entry.stage)
+        errors = (error_text(v, unit) for v in (entry.rms, entry.heldout_rms, entry.noise_floor))
+        what = "+ " + ", ".join(entry.added) if entry.added else ", ".join(entry.effects)
+        rows.append((str(k), entry.stage, what, *errors))
+    out.table("rounds", ("", "stage", "effects", "rms", "held out", "noise floor"), rows, left=3)
+
+
+def model_json(model: Model) -> dict[str, Any]:
+    """What ``identify`` and ``auto`` tell programs beside the model file."""
+    stages = {}
+    for name, stage in model.stages.items():
+        last = next((r for r in reversed(model.ledger) if r.stage == name), None)
+        stages[name] = {
+            "unit": stage_unit(name),
+            "effects": [term.label for term in stage.terms],
+            "parameters": len(stage.slots),
+            "not_identifiable": [s.label for s, known in zip(stage.slots, stage.identified, strict=True) if not known],
+            "open": list(stage.null_directions),
+            "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
+            "held_out": [list(folds) for folds in stage.held_out],
+            "rms": last and last.rms,
+            "heldout_rms": last and last.heldout_rms,
+            "noise_floor": last and last.noise_floor,
+        }
+    return {"robot": model.robot, "sessions": [s.name for s in model.sessions], "stages": stages}

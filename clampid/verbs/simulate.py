@@ -1,0 +1,51 @@
+"""``clampid simulate``: a campaign measured on the virtual robot."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from clampid.verbs.errors import CallError
+from clampid.verbs.options import Json, Quiet, Seed
+from clampid.verbs.output import Output
+
+__all__ = ["simulate"]
+
+
+class FileFormat(StrEnum):
+    """How the tables are stored."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+def simulate(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="CAMPAIGN", help="Folder to write.")],
+    robot: Annotated[str, typer.Option(help="A bundled robot, or the path of a description.")] = "kuka_kr20_r1810",
+    hide: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT[@jointN][:MAGNITUDE],…", help="What to hide.", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    poses: Annotated[int, typer.Option(help="Number of poses.")] = 250,
+    file_format: Annotated[FileFormat, typer.Option("--format", help="Of the tables.")] = FileFormat.PARQUET,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure a campaign on the virtual robot; what was hidden goes beside the folder, never into it."""
+    out = Output(quiet, json)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise CallError(f"{output}: expected a new or empty folder, found something there")
+
+    from experiments.simulate import hidden_file
+    from experiments.simulate import simulate as measure
+
+    items = [part.strip() for text in hide or () for part in text.split(",")]
+    with out.working("measuring on the virtual robot"):
+        measure(output, robot, items, seed=seed, poses=poses, file_format=file_format.value)
+    out.say(f"campaign: {output}")
+    out.say(f"what was hidden: {hidden_file(output)}")
+    out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), "robot": robot, "seed": seed})

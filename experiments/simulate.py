@@ -1,0 +1,97 @@
+"""A campaign measured on the virtual robot, as a folder; what was hidden in it goes to a file beside the folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from experiments.campaign import write_campaign
+from experiments.virtual_robot import Hidden, measure
+from kinematics.description import load_robot
+
+__all__ = ["SimulationError", "hidden_file", "simulate"]
+
+
+class SimulationError(ValueError):
+    """What was asked of the virtual robot cannot be; the message says what can."""
+
+
+def hidden_file(folder: str | Path) -> Path:
+    """Where :func:`simulate` tells what it hid: ``FOLDER.hidden.json`` beside the folder."""
+    path = Path(folder).resolve()
+    return path.with_name(f"{path.name}.hidden.json")
+
+
+def simulate(
+    folder: str | Path,
+    robot: str = "kuka_kr20_r1810",
+    hidden: Sequence[str | Hidden] = (),
+    *,
+    seed: int = 0,
+    poses: int = 250,
+    tables: Sequence[str] | None = None,
+    outliers: float = 0.0,
+    file_format: Literal["csv", "parquet"] = "parquet",
+) -> Path:
+    """Measure a campaign on the virtual robot and write it.
+
+    Parameters
+    ----------
+    folder
+        Where to; new or empty.
+    robot
+        Name of a bundled robot, or path of a description.
+    hidden
+        Effects to hide: ``effect``, ``effect@joint3``, ``effect@joint3:2.0``; the number is a factor on the default
+        size.
+    seed
+        Which individual, programs and noise.
+    poses
+        Number of poses in the table ``poses``.
+    tables
+        Which tables; by default all that the description allows.
+    outliers
+        Share of rows that are wrong.
+    file_format
+        How the tables are stored.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    SimulationError
+        An effect cannot be hidden, or there, or a number is out of range.
+    DescriptionError
+        There is no such robot.
+    CampaignError
+        The folder exists and is not empty.
+    """
+    description = load_robot(robot)
+    try:
+        asked = [Hidden.parse(item) if isinstance(item, str) else item for item in hidden]
+        measured = measure(description, asked, seed=seed, poses=poses, tables=tables, outliers=outliers)
+    except ValueError as error:
+        # The virtual robot imports nothing of ours, and so says every refusal as a plain ValueError.
+        raise SimulationError(str(error)) from error
+    header = dict(measured.header)
+    if Path(robot).suffix:  # a description of the user's own is found by its path only
+        header["robot"] = os.path.relpath(Path(robot).resolve(), Path(folder).resolve())
+    path = write_campaign(folder, header, measured.tables, file_format)
+    _write(hidden_file(folder), json.dumps(measured.hidden, indent=1) + "\n")
+    return path
+
+
+def _write(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
