@@ -36,6 +36,7 @@ def simulate(
     tables: Sequence[str] | None = None,
     outliers: float = 0.0,
     file_format: Literal["csv", "parquet"] = "parquet",
+    overwrite: bool = False,
 ) -> Path:
     """Measure a campaign on the virtual robot and write it.
 
@@ -58,6 +59,8 @@ def simulate(
         Share of rows that are wrong.
     file_format
         How the tables are stored.
+    overwrite
+        Replace an existing campaign.
 
     Returns
     -------
@@ -83,7 +86,7 @@ def simulate(
     header = dict(measured.header)
     if Path(robot).suffix:  # a description of the user's own is found by its path only
         header["robot"] = os.path.relpath(Path(robot).resolve(), Path(folder).resolve())
-    path = write_campaign(folder, header, measured.tables, file_format)
+    path = write_campaign(folder, header, measured.tables, file_format, overwrite=overwrite)
     _write(hidden_file(folder), json.dumps(measured.hidden, indent=1) + "\n")
     return path
 

@@ -1,0 +1,201 @@
+"""The main job with nothing to bring: measure, identify, compare, diagnose, add, verify; only then look what it was.
+
+The campaign comes from the virtual robot, which hides one effect that the standard model lacks. It shares no code with
+the effects. What was drawn is not shown before the end, and nothing here reads it before.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clampid.add import add
+from clampid.compare import compare
+from clampid.diagnose import diagnose
+from clampid.identify import identify
+from clampid.model import Model, save_model, write_text
+from clampid.verbs.units import error_text
+from experiments.campaign import Campaign, read_campaign
+from experiments.simulate import hidden_file, simulate
+
+__all__ = ["DRAWN", "DemoResult", "demo", "terms_to_add"]
+
+DRAWN = (
+    "gear_eccentricity", "thermal_expansion", "stribeck_friction", "fixture_compliance", "base_tilt", "torque_offset",
+    "payload",
+)  # fmt: skip
+"""What may be hidden: the catalogue knows it, the standard model lacks it. The order decides what a seed draws."""
+
+ROBOT = "kuka_kr20_r1810"
+Working = Callable[[str], AbstractContextManager[None]]
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What a demo found, and what was hidden.
+
+    Attributes
+    ----------
+    hidden
+        ``[{"effect", "where", "parameters"}]``, as the virtual robot tells it.
+    found
+        Stage → the effects added, as terms.
+    before, after, diagnosis
+        As ``compare`` and ``diagnose`` give them to programs.
+    named
+        Whether the hidden effect is among those added.
+    """
+
+    folder: Path
+    report: Path
+    hidden: Sequence[Mapping[str, Any]]
+    found: Mapping[str, Sequence[str]]
+    before: Mapping[str, Any]
+    after: Mapping[str, Any]
+    diagnosis: Mapping[str, Any]
+    named: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "folder": str(self.folder),
+            "report": str(self.report),
+            "hidden": list(self.hidden),
+            "found": {stage: list(terms) for stage, terms in self.found.items()},
+            "named": self.named,
+            "before": dict(self.before),
+            "after": dict(self.after),
+            "diagnosis": dict(self.diagnosis),
+        }
+
+
+def demo(
+    out: str | Path = "demo",
+    seed: int = 1,
+    *,
+    poses: int = 250,
+    say: Callable[[str], None] = print,
+    working: Working | None = None,
+) -> DemoResult:
+    """Run the whole loop on a virtual robot with one effect hidden.
+
+    Parameters
+    ----------
+    out
+        Folder for the campaign, the models, the JSON and the report; an older demo in it is replaced.
+    seed
+        Draws the effect, the individual robot, the programs and the noise.
+    poses
+        Number of poses measured.
+    say
+        Takes each sentence for people.
+    working
+        Wraps each long step, with its name.
+
+    Returns
+    -------
+    DemoResult
+        What was found and what was hidden.
+    """
+    folder = Path(out)
+    step: Working = working if working is not None else lambda _: nullcontext()
+    with step("measuring a campaign on the virtual robot"):
+        path = simulate(folder / "campaign", ROBOT, [_draw(seed)], seed=seed, poses=poses, overwrite=True)
+        campaign = read_campaign(path)
+    rows = ", ".join(f"{name} ({len(table)} rows)" for name, table in campaign.tables.items())
+    say(f"Measured on a virtual {campaign.robot.title}, one effect hidden in it: {rows}.")
+    with step("identifying the standard model"):
+        model = identify(campaign, seed=seed)
+    save_model(model, folder / "model_standard.json")
+    for stage, part in model.stages.items():
+        say(f"Standard model, {stage}: {', '.join(t.label for t in part.terms)}; {len(part.slots)} parameters.")
+    with step("comparing model and measurement"):
+        comparison = compare(model, campaign, seed=seed)
+    before = comparison.to_json()
+    _write(folder / "compare_standard.json", before)
+    with step("diagnosing"):
+        diagnosis = diagnose(model, campaign, seed=seed)
+    found = diagnosis.to_json()
+    _write(folder / "diagnose.json", found)
+    for stage, part in found["stages"].items():
+        say(f"Diagnosis, {stage}: {part['verdict']}. {part['summary']}")
+    terms = terms_to_add(found)
+    mended = model
+    if terms:
+        with step("adding what was found and fitting again"):
+            mended, addition = add(model, [campaign], [t for several in terms.values() for t in several], seed=seed)
+        _write(folder / "add.json", addition.to_json())
+    else:
+        say("Nothing was confirmed, so nothing is added.")
+    save_model(mended, folder / "model.json")
+    with step("comparing again"):
+        verified = compare(mended, campaign, seed=seed)
+    after = verified.to_json()
+    _write(folder / "compare.json", after)
+    for line in _errors(before, after):
+        say(line)
+    hidden: list[dict[str, Any]] = json.loads(hidden_file(path).read_text(encoding="utf-8"))
+    named = _named(hidden, terms)
+    for item in hidden:
+        say(f"What was hidden: {item['effect']} at {item['where']}. {'Found.' if named else 'It was not found.'}")
+    report = folder / "report.html"
+    with step("writing the report"):
+        _report(report, mended, campaign, (comparison, verified), diagnosis, hidden)
+    say(f"Report: {report}")
+    result = DemoResult(folder, report, tuple(hidden), terms, before, after, found, named)
+    _write(folder / "demo.json", result.to_json())
+    return result
+
+
+def _draw(seed: int) -> str:
+    return DRAWN[int(np.random.default_rng([seed, 20]).integers(len(DRAWN)))]
+
+
+def terms_to_add(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
+    """The terms that a diagnosis asks for, ``STAGE=EFFECT@PLACE``, stage by stage.
+
+    What is confirmed is added. Of alternatives that the data cannot tell apart the first is taken, because either
+    mends the prediction; what it is called stays open.
+    """
+    out: dict[str, list[str]] = {}
+    for stage, part in diagnosis["stages"].items():
+        chosen = [c for c in part["candidates"] if not c["alternative"]]
+        chosen += [c for c in part["candidates"] if c["alternative"]][:1]
+        terms = [f"{stage}={c['effect']}@{place}" for c in chosen for place in c["where"]]
+        if terms:
+            out[stage] = terms
+    return out
+
+
+def _errors(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+    """For each table what the held-out error was and is, and what noise alone would leave."""
+    lines = []
+    for name, table in after["tables"].items():
+        unit, was = table["unit"], before["tables"][name]
+        errors = (error_text(t["heldout"]["rms"], unit) for t in (was, table))
+        floor = error_text(table["noise_floor"], unit)
+        lines.append(f"Held-out error (rms), {name}: {next(errors)} before, {next(errors)} after; noise floor {floor}.")
+    return lines
+
+
+def _named(hidden: Sequence[Mapping[str, Any]], found: Mapping[str, Sequence[str]]) -> bool:
+    names = {term.partition("=")[2].partition("@")[0] for terms in found.values() for term in terms}
+    return all(item["effect"] in names for item in hidden)
+
+
+def _write(path: Path, data: Mapping[str, Any]) -> None:
+    write_text(path, json.dumps(data, indent=1) + "\n")
+
+
+def _report(
+    path: Path, model: Model, campaign: Campaign, comparisons: tuple[Any, Any], diagnosis: Any, hidden: Any
+) -> None:
+    from clampid.report import write_report  # plotly takes a while, and only the last step needs it
+
+    write_report(path, model, campaign, comparison=comparisons[1], diagnosis=diagnosis, truth=hidden)

@@ -1,0 +1,63 @@
+"""``clampid compare``: model against measurement."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from clampid.verbs.errors import CallError
+from clampid.verbs.inputs import read_checked
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, OneCampaign, Quiet, Seed
+from clampid.verbs.output import Output, output_file
+
+__all__ = ["compare"]
+
+
+def compare(
+    model: ModelFile,
+    campaign: OneCampaign,
+    refit: Annotated[str, typer.Option(metavar="base,tool", help="Fit only these anew.", show_default=False)] = "",
+    refit_fraction: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of whole poses that they are fitted on.")
+    ] = 0.2,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write the report too.", show_default=False)
+    ] = None,
+    seed: Seed = 0,
+    effects_from: EffectsFrom = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Hold a model against a campaign, table by table, fit rows and held-out rows apart."""
+    out = Output(quiet, json)
+    parts = tuple(part.strip() for part in refit.split(",") if part.strip())
+    for part in parts:
+        if part not in ("base", "tool"):
+            raise CallError(f"--refit: expected base, tool or both, found {part!r}")
+    if not 0.0 < refit_fraction < 1.0:
+        raise CallError(f"--refit-fraction: expected a share between 0 and 1, found {refit_fraction:g}")
+    if report is not None:
+        output_file(report)
+
+    from clampid.compare import compare as hold_against
+    from clampid.model import load_model
+    from clampid.verbs.findings import show_comparison
+
+    loaded = load_model(model)
+    with out.working("reading"):
+        (read,) = read_checked([campaign], out)
+    with out.working("comparing"):
+        comparison = hold_against(
+            loaded, read, refit=parts, refit_fraction=refit_fraction, seed=seed, user_effects=effects_from
+        )
+    data = {**comparison.to_json(), "model": str(model), "campaign": str(campaign)}
+    show_comparison(data, out)
+    if report is not None:
+        from clampid.report import write_report
+
+        with out.working("writing the report"):
+            write_report(report, loaded, read, comparison=comparison)
+        out.say(f"report: {report}")
+    out.result(data)

@@ -1,0 +1,31 @@
+"""``clampid demo``: the main job with nothing to bring."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from clampid.verbs.errors import CallError
+from clampid.verbs.options import Json, Quiet
+from clampid.verbs.output import Output
+
+__all__ = ["demo"]
+
+
+def demo(
+    seed: Annotated[int, typer.Option(min=0, help="Draws the hidden effect, the robot and the noise.")] = 1,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where everything goes.")] = Path("demo"),
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Run the whole loop on a virtual robot with an effect hidden, and write a report."""
+    output = Output(quiet, json)
+    if out.exists() and not out.is_dir():
+        raise CallError(f"{out}: expected a folder, found a file")
+
+    from clampid.demo import demo as run_demo
+
+    result = run_demo(out, seed, say=output.say, working=output.working)
+    output.result(result.to_json())

@@ -1,0 +1,105 @@
+"""Comparisons, diagnoses and additions as tables for people, from the same dictionaries that programs get."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clampid.verbs.output import Output
+from clampid.verbs.units import error_text, with_error
+
+__all__ = ["show_addition", "show_comparison", "show_diagnosis", "where_text"]
+
+WORDS = {
+    "adequate": "nothing is missing",
+    "missing": "an effect is missing",
+    "ambiguous": "two or more effects explain it equally well",
+    "unknown": "structure is left that no known effect explains",
+}
+
+
+def show_comparison(data: Mapping[str, Any], out: Output) -> None:
+    """Table by table: the error on all rows, on held-out rows, and the noise floor."""
+    rows, motors = [], []
+    for name, table in data["tables"].items():
+        unit, held = table["unit"], table.get("heldout") or {}
+        errors = [error_text(table.get(key), unit) for key in ("rms", "mean", "max")]
+        apart = [error_text(held.get(key), unit) for key in ("rms", "mean", "max")]
+        floor = error_text(table.get("noise_floor"), unit)
+        source = f" ({table['noise_source']})" if "noise_source" in table else ""
+        counts = f"{table.get('rows', '')}", f"{held.get('rows', '')}"
+        rows.append((name, counts[0], *errors, counts[1], *apart, floor + source))
+        for k, motor in enumerate(table.get("per_motor", ()), 1):
+            held_motor = motor.get("heldout") or {}
+            cells = (motor.get("rms_Nm"), held_motor.get("rms_Nm"), motor.get("noise_floor_Nm"))
+            shares = (motor.get("r2"), held_motor.get("r2"))
+            motors.append((name, f"motor {k}", *(_number(v) for v in cells), *(_number(v, 5) for v in shares)))
+    columns = ("table", "rows", "rms", "mean", "max", "held out", "rms", "mean", "max", "noise floor")
+    out.table("model against measurement", columns, rows)
+    if motors:
+        heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
+        out.table("motor torques", heads, motors, left=2)
+
+
+def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
+    """Stage by stage: the verdict in a sentence, the candidates with their evidence, what to measure next."""
+    for stage, part in data["stages"].items():
+        out.say(f"{stage}: {part['verdict']}: {part.get('summary') or WORDS.get(part['verdict'], '')}")
+        unit = part["unit"]
+        rows = [_candidate(candidate, unit) for candidate in part["candidates"]]
+        if rows:
+            columns = ("effect", "at", "parameters", "p", "p of the family", "held out, before", "after")
+            out.table("", columns, rows, left=3)
+        if part.get("depends_on"):
+            out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
+        if part.get("next_measurement"):
+            out.say(f"  next measurement: {part['next_measurement']}")
+        if part.get("outliers"):
+            listed = ", ".join(f"{o['table']} row {o['row']}" for o in part["outliers"][:8])
+            more = len(part["outliers"]) - 8
+            out.say(f"  rejected as outliers: {listed}{f' and {more} more' if more > 0 else ''}")
+
+
+def _candidate(candidate: Mapping[str, Any], unit: str) -> tuple[str, ...]:
+    parameters = [
+        f"{p['name']} {with_error(p['value'], _nan(p.get('std')), p['unit'])}" for p in candidate["parameters"][:6]
+    ]
+    more = len(candidate["parameters"]) - 6
+    shown = "; ".join(parameters) + (f"; and {more} more" if more > 0 else "")
+    return (
+        ("or " if candidate.get("alternative") else "") + candidate["effect"],
+        where_text(candidate["where"]),
+        shown,
+        _number(candidate.get("p_value"), 2),
+        _number(candidate.get("p_familywise"), 2),
+        error_text(candidate.get("heldout_rms_before"), unit),
+        error_text(candidate.get("heldout_rms_after"), unit),
+    )
+
+
+def show_addition(data: Mapping[str, Any], out: Output) -> None:
+    """Stage by stage: what was added, and what the error was and is."""
+    for stage, part in data["stages"].items():
+        unit = part["unit"]
+        before, after = (error_text(part[f"heldout_rms_{when}"], unit) for when in ("before", "after"))
+        floor = error_text(part["noise_floor"], unit)
+        out.say(f"{stage}: on held-out rows {before} before, {after} after; noise floor {floor}")
+        rows = []
+        for added in part["added"]:
+            for p in added["parameters"]:
+                value = with_error(p["value"], _nan(p.get("std")), p["unit"])
+                rows.append((added["effect"], where_text(added["where"]), p["name"], value))
+        out.table("", ("added", "at", "parameter", "value"), rows, left=3)
+
+
+def where_text(where: str | Sequence[str]) -> str:
+    """Places, as one reads them."""
+    return where if isinstance(where, str) else ", ".join(where)
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "–" if value is None else f"{value:.{digits}g}"
+
+
+def _nan(value: float | None) -> float:
+    return float("nan") if value is None else value
