@@ -158,10 +158,10 @@ class Effect:
         Keys of ``appendix_data/sources.bib``.
     at
         Name of the place of an effect that has just one, such as ``base``.
-    places
-        Which joints or links it can sit at, from 1; empty: all.
-    grouped
-        Candidates are tried at all places at once too, because such an effect seldom comes at one place alone.
+    coupled_only
+        Stages in which it can sit only at joints that the transmission couples with others.
+    tried
+        How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``.
     """
 
     name: str
@@ -173,8 +173,8 @@ class Effect:
     equation: str
     source: tuple[str, ...]
     at: str = "robot"
-    places: Literal["all", "wrist", "loaded"] = "all"
-    grouped: bool = True
+    coupled_only: tuple[Stage, ...] = ()
+    tried: Literal["places", "together", "both"] = "both"
     meaning: str = field(default="")
 
     def __post_init__(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from clampid.stages.clamped import loop_compliance
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Rows
 
-__all__ = ["Estimate", "FitError", "Prior", "fit", "solve"]
+__all__ = ["Estimate", "FitError", "Prior", "clamping_offsets", "fit", "solve"]
 
 PRIOR_SIZES = 10.0  # the weak prior's standard deviation, in reasonable sizes
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
@@ -92,7 +92,7 @@ class Estimate:
 
 def fit(
     experiment: Experiment,
-    prior: Prior | None = None,
+    priors: Sequence[Prior] = (),
     start: Mapping[Slot, float] | None = None,
     *,
     reject: bool = True,
@@ -110,8 +110,8 @@ def fit(
     """
     if not experiment.rows.used.any():
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
-    precision, mean = _prior(experiment, prior)
-    theta = _start(experiment, mean, start, prior)
+    precision, mean = _prior(experiment, priors)
+    theta = _start(experiment, start, priors)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
     estimate = solve(experiment, theta, model, precision, mean)
@@ -123,7 +123,7 @@ def fit(
         experiment = experiment.with_rows(experiment.rows.without(bad))
         estimate = solve(experiment, estimate.theta, model, precision, mean)
     if noise is None:
-        for _ in range(2 if experiment.stage == "free_air" else 1):
+        for _ in range(1 if experiment.stage == "poses" else 2):
             model = learn_noise(experiment.rows, estimate.residual)
             estimate = solve(experiment, estimate.theta, model, precision, mean)
     return replace(estimate, outliers=rejected)
@@ -146,7 +146,7 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
         new_cost = float(white.residual @ white.residual + (theta - mean) @ precision @ (theta - mean))
         if current is not None and new_cost > cost * (1 + 1e-9) + 1e-12:
             damping = max(10 * damping, 1e-3)
-            theta = theta_best + _step(A, g, size, damping)
+            theta = theta_best + _step(A, g, size, damping, free)
             theta = np.where(bounded, np.clip(theta, lower, upper), theta)
             if damping > 1e8:
                 break
@@ -155,7 +155,9 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
         damping = 0.0 if damping < 1e-3 else damping / 10
         A = white.jacobian.T @ white.jacobian + precision
         g = white.jacobian.T @ white.residual - precision @ (theta - mean)
-        step = _step(A, g, size, damping)
+        # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
+        free = ~(bounded & (((theta <= lower) & (g < 0)) | ((theta >= upper) & (g > 0))))
+        step = _step(A, g, size, damping, free)
         if float(g @ step) < NEGLIGIBLE:
             break
         theta = theta + step
@@ -184,25 +186,28 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     )
 
 
-def _step(A: Array, g: Array, size: Array, damping: float) -> Array:
-    """Solve the scaled normal equations; the scale is what each parameter may amount to, further balanced by its column."""
+def _step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:
+    """Solve the normal equations of the free parameters, scaled by what each may amount to and by its column."""
+    out = np.zeros_like(g)
+    A, g, size = A[np.ix_(free, free)], g[free], size[free]
     balance = size / np.sqrt(np.maximum(np.diag(A) * size**2, 1e-300))
     scaled = A * np.outer(balance, balance) + damping * np.eye(len(g))
     try:
         step = linalg.cho_solve(linalg.cho_factor(scaled), g * balance)
     except linalg.LinAlgError:
         step = linalg.pinvh(scaled) @ (g * balance)
-    return np.asarray(step * balance)
+    out[free] = step * balance
+    return out
 
 
-def _prior(experiment: Experiment, prior: Prior | None) -> tuple[Array, Array]:
+def _prior(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: the weak prior everywhere, what earlier stages know where they know it."""
     size, start = experiment.sizes(), experiment.start()
     precision = np.diag(1.0 / (PRIOR_SIZES * size) ** 2)
     shapes = experiment.shapes()
     precision[shapes, shapes] = 1.0 / size[shapes] ** 2  # a shape is known up to its own size
     mean = np.where(shapes, start, 0.0)
-    if prior is not None and prior.slots:
+    for prior in priors:
         index = {slot: k for k, slot in enumerate(experiment.slots)}
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]
         where = [index[prior.slots[k]] for k in shared]
@@ -212,9 +217,9 @@ def _prior(experiment: Experiment, prior: Prior | None) -> tuple[Array, Array]:
     return precision, mean
 
 
-def _start(experiment: Experiment, mean: Array, start: Mapping[Slot, float] | None, prior: Prior | None) -> Array:
+def _start(experiment: Experiment, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
     theta = experiment.start()
-    known = {slot: float(v) for slot, v in zip(prior.slots, prior.mean, strict=True)} if prior is not None else {}
+    known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
     known |= dict(start or {})
     # A drive without spring would be infinitely stiff, and its torque undefined: the loops' slopes are the start.
     stiffness = loop_compliance(experiment.rows) if experiment.stage == "clamped" else np.zeros(0)
@@ -224,18 +229,18 @@ def _start(experiment: Experiment, mean: Array, start: Mapping[Slot, float] | No
         elif experiment.stage == "clamped" and slot.effect == "joint_compliance":
             theta[k] = stiffness[int(slot.place.removeprefix("joint")) - 1]
     if experiment.stage == "clamped":
-        theta[len(experiment.slots) :] = _clamping_offsets(experiment, theta)
+        theta[len(experiment.slots) :] = clamping_offsets(experiment, theta)
     return theta
 
 
-def _clamping_offsets(experiment: Experiment, theta: Array) -> Array:
+def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
     """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds."""
     rows, n = experiment.rows, experiment.rows.robot.n
     torque = rows.constants["start_torque"]
     d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
     wound = rows.constants["wound"] + d.values[:, :n]
-    sweep = rows.constants["sweep"]
-    return np.concatenate([wound[sweep == s].mean(axis=0) for s in range(rows.constants["sweeps"])])
+    run = rows.constants["run"]
+    return np.array([wound[run == sweep, joint].mean() for sweep, joint in rows.constants["offset_keys"]])
 
 
 def _outliers(rows: Rows, residual: Array) -> Bools:

@@ -1,8 +1,8 @@
 """Noise: what the residual of a right model looks like, and how to make it white.
 
-Poses and clamped sweeps: independent numbers of known relative size. Logs: torques that follow each other within a
-tenth of a second are strongly correlated, so that residual and columns alike pass an autoregressive filter, restarted
-at every contiguous stretch; unwhitened, ordinary tests fire on any clean log.
+Poses: independent numbers of known relative size. Torques, whether of a log or of a sweep, follow each other closely and
+are correlated, so that residual and columns alike pass an autoregressive filter, restarted at every contiguous stretch;
+unwhitened, ordinary tests fire on any clean log.
 """
 
 from __future__ import annotations
@@ -58,12 +58,10 @@ class Noise:
             index = np.flatnonzero(used)
             if not len(index):
                 continue
-            scale = 1.0 / self.sigma[index, c]
-            r, j = residual[index, c] * scale, jacobian[index, c] * scale[:, None]
-            if self.filters:
-                stretch = segments(rows.constants["run"], rows.constants["time"], used)[index]
-                W = _whitener(stretch, self.filters[c])
-                r, j = W @ r, W @ j
+            touched = np.any(jacobian[index, c], axis=0)  # most columns of a log touch one motor only
+            both = self.whiten_channel(rows, c, np.c_[residual[:, c], jacobian[:, c, touched]])
+            r, j = both[:, 0], np.zeros((len(index), jacobian.shape[2]))
+            j[:, touched] = both[:, 1:]
             parts_r.append(r)
             parts_j.append(j)
             entries.append(index)
@@ -73,6 +71,16 @@ class Noise:
         return Whitened(
             np.concatenate(parts_r), np.concatenate(parts_j), np.concatenate(entries), np.concatenate(channels)
         )
+
+    def whiten_channel(self, rows: Rows, channel: int, columns: Array) -> Array:
+        """Whiten columns ``(N, k)`` of one channel: ``(used rows, k)``."""
+        used = rows.used[:, channel]
+        index = np.flatnonzero(used)
+        out = columns[index] / self.sigma[index, channel][:, None]
+        if not self.filters:
+            return np.asarray(out)
+        stretch = segments(rows.constants["run"], rows.constants["time"], used)[index]
+        return np.asarray(_whitener(stretch, self.filters[channel]) @ out)
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
@@ -98,7 +106,7 @@ def learn_noise(rows: Rows, residual: Array) -> Noise:
         if inside and used.any():
             white = (residual[:, inside] / rows.sigma[:, inside])[used]
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
-    if rows.stage != "free_air":
+    if rows.stage == "poses":
         return Noise(sigma)
     filters = []
     for c in range(residual.shape[1]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from clampid.effect import Effect, EffectError, Parameter, Stage
 
-__all__ = ["Layout", "Slot", "Term", "find_parameter", "parse_term", "slots_of", "terms_of"]
+__all__ = ["Layout", "Slot", "Term", "find_parameter", "parse_term", "slots_of", "slots_of_terms"]
 
 
 @dataclass(frozen=True, order=True)
@@ -39,7 +39,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Layout:
-    """How many of everything there are: the names of joints, links, targets and sessions, in order."""
+    """How many of everything there are: joints, targets and sessions; which joints are coupled."""
 
     joints: int
     targets: tuple[str, ...] = ()
@@ -60,17 +60,19 @@ class Layout:
             case _:
                 return (effect.at,)
 
-    def allowed(self, effect: Effect) -> tuple[str, ...]:
-        """Where an effect can sit: joints or links, or its one place."""
+    def allowed(self, effect: Effect, stage: Stage | None = None) -> tuple[str, ...]:
+        """Where an effect can sit (in a stage): joints or links, or its one place."""
         if effect.per == "robot":
             return (effect.at,)
-        chosen = self.wrist if effect.places == "wrist" else tuple(range(self.joints))
+        chosen = self.wrist if stage in effect.coupled_only else tuple(range(self.joints))
         return tuple(f"{effect.per}{i + 1}" for i in chosen)
 
 
-def slots_of(effect: Effect, layout: Layout, places: Sequence[str] | None = None) -> tuple[Slot, ...]:
+def slots_of(
+    effect: Effect, layout: Layout, stage: Stage | None = None, places: Sequence[str] | None = None
+) -> tuple[Slot, ...]:
     """All slots of an effect, or those at the given joints or links (with what belongs to no place of its own)."""
-    wanted = layout.allowed(effect) if places is None else tuple(places)
+    wanted = layout.allowed(effect, stage) if places is None else tuple(places)
     found: list[Slot] = []
     for parameter in effect.parameters:
         for place in layout.places(effect, parameter):
@@ -78,11 +80,6 @@ def slots_of(effect: Effect, layout: Layout, places: Sequence[str] | None = None
                 continue
             found.append(Slot(effect.name, parameter.name, place))
     return tuple(found)
-
-
-def terms_of(effect: Effect, layout: Layout) -> tuple[Term, ...]:
-    """The terms of an effect, place by place."""
-    return tuple(Term(effect.name, place) for place in layout.allowed(effect))
 
 
 def parse_term(text: str, catalogue: Mapping[str, Effect], layout: Layout) -> Term:
@@ -114,11 +111,13 @@ def find_parameter(slot: Slot, catalogue: Mapping[str, Effect]) -> Parameter:
     raise EffectError(f"effect {slot.effect} has no parameter {slot.parameter!r}")
 
 
-def slots_of_terms(terms: Iterable[Term], catalogue: Mapping[str, Effect], layout: Layout) -> tuple[Slot, ...]:
+def slots_of_terms(
+    terms: Iterable[Term], catalogue: Mapping[str, Effect], layout: Layout, stage: Stage | None = None
+) -> tuple[Slot, ...]:
     """The slots of several terms, each once, in order."""
     found: dict[Slot, None] = {}
     for term in terms:
         places = None if term.place is None or catalogue[term.effect].per == "robot" else (term.place,)
-        for slot in slots_of(catalogue[term.effect], layout, places):
+        for slot in slots_of(catalogue[term.effect], layout, stage, places):
             found[slot] = None
     return tuple(found)

@@ -26,5 +26,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1, 2",
     source=("UniversalModel",),
-    grouped=False,
+    tried="places",
 )

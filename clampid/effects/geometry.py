@@ -52,4 +52,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="T = B prod exp([xi_i] q_i) M_i; M_i the motion of link i's far end",
     source=("UniversalModel", "LynchPark2017"),
+    tried="together",
 )

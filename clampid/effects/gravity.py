@@ -1,4 +1,8 @@
-"""Masses and centres of mass of the links, other than described."""
+"""Masses and centres of mass of the links, other than described.
+
+How far they may be from the description is its tolerance (clampid.priors); that alone tells the last link's mass from a
+tool other than declared, whose torques are the same: see payload.
+"""
 
 from __future__ import annotations
 
@@ -27,4 +31,5 @@ EFFECT = Effect(
     stages=("free_air", "poses"),
     equation="d tau = Y(q) d(m, m c), Y = d(dV/dq)/d(m, m c)",
     source=("Thesis", "LynchPark2017"),
+    tried="together",
 )

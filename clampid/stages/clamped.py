@@ -21,15 +21,11 @@ from clampid.stages.torques import temperatures
 from experiments.campaign import Campaign
 from kinematics.poe import forward, space_jacobian
 
-__all__ = ["clamped_rows", "loop_compliance", "offset_count", "residual"]
+__all__ = ["clamped_rows", "loop_compliance", "residual"]
 
+BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 NEWTON_STEPS = 60
 GAP_SOFTNESS = 2e-3  # of a joint's rated torque: how sharply a gap closes, far below the noise of a torque
-
-
-def offset_count(rows: Rows) -> int:
-    """How many clamping offsets the rows have: one per joint and sweep."""
-    return int(rows.constants["sweeps"]) * rows.robot.n
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
@@ -38,12 +34,12 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     Parameters
     ----------
     offsets
-        ``(sweeps * n,)``, rad: see the module.
+        ``(K,)``, rad: one per joint and sweep, see the module.
     """
     n, count = rows.robot.n, len(rows)
     T = np.asarray(rows.robot.transmission)
-    sweep = rows.constants["sweep"]
-    shift = rows.constants["wound"] - offsets.reshape(-1, n)[sweep]
+    run, keys = rows.constants["run"], rows.constants["offset_keys"]
+    shift = rows.constants["wound"] - rows.offset_table(offsets)
     inverse = rows.constants["inverse_jacobian"]
     torque, deviations, slope = _equilibrium(rows, chain, theta, shift, inverse)
     motor = slice(chain.offsets["motor_torque"].start, chain.offsets["motor_torque"].stop)
@@ -59,8 +55,8 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
             direct[:, station - motor.start, parameter] += part
         else:
             balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
-    for j in range(n):
-        balance[np.arange(count), j, len(chain.slots) + sweep * n + j] = -1.0
+    for k, (sweep, joint) in enumerate(keys):
+        balance[run == sweep, joint, len(chain.slots) + k] = -1.0
     tau = -np.linalg.solve(slope, balance)
     return rows.measured - predicted, np.einsum("ij,njp->nip", T, tau) + direct
 
@@ -159,6 +155,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "sweep_fraction": fraction,
         **temperatures(joined, n),
     }
+    _, blocks = np.unique(np.c_[sweep, np.arange(count) // BLOCK_ROWS], axis=0, return_inverse=True)
     return Rows(
         stage="clamped",
         robot=robot,
@@ -167,14 +164,15 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         measured=measured,
         sigma=np.tile(step_noise(measured, motion, sweep), (count, 1)),
         used=used,
-        unit=np.arange(count),
+        unit=blocks.astype(np.int64),
         fold=sweep,
         table=np.full(count, "clamped"),
         row=np.concatenate([np.arange(1, len(f) + 1) for f in frames]),
         session=session,
         constants={
-            "sweep": sweep,
-            "sweeps": sweeps,
+            "run": sweep,
+            "time": time,
+            "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)]),
             "driven": driven,
             "wound": q - reference[sweep],
             "reference": reference,
@@ -182,14 +180,14 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             "start_torque": measured @ np.linalg.inv(T).T,
             "rated": rated,
         },
-        per_row=("sweep", "driven", "wound", "inverse_jacobian", "start_torque"),
+        per_row=("run", "time", "driven", "wound", "inverse_jacobian", "start_torque"),
     )
 
 
 def loop_compliance(rows: Rows) -> Array:
     """A rough compliance of each drive at its motor ``(n,)``, rad/Nm: the slope of its own loops, direction by direction."""
     n = rows.robot.n
-    motion, driven, sweep = rows.signals["motor_motion"], rows.constants["driven"], rows.constants["sweep"]
+    motion, driven, sweep = rows.signals["motor_motion"], rows.constants["driven"], rows.constants["run"]
     out = np.full(n, 0.3)
     for j in range(n):
         angle, torque = [], []

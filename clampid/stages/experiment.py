@@ -16,19 +16,26 @@ from clampid.stages.rows import Array, Rows
 __all__ = ["Experiment", "experiment"]
 
 
+OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
+
+
 @dataclass(frozen=True)
 class Experiment:
     """Rows and active slots of one stage.
 
-    The parameter vector is ``(P + K,)``: the slots, then K offsets that belong to the experiment alone (in ``clamped``
-    the posture at which each sweep was clamped; elsewhere none).
+    The parameter vector is ``(P + K,)``: the slots, then K offsets that belong to single runs or sweeps (in ``clamped``
+    the posture at which each sweep was clamped, in ``free_air`` the friction of joints that stood still; in ``poses`` none).
     """
 
     rows: Rows
     effects: Mapping[str, Effect]
     slots: tuple[Slot, ...]
     chain: Chain
-    offsets: int
+
+    @property
+    def offsets(self) -> int:
+        """K."""
+        return self.rows.offsets
 
     @property
     def stage(self) -> Stage:
@@ -42,7 +49,7 @@ class Experiment:
             case "poses":
                 return poses.residual(self.rows, self.chain, own)
             case "free_air":
-                return torques.residual(self.rows, self.chain, own)
+                return torques.residual(self.rows, self.chain, own, extra)
             case _:
                 return clamped.residual(self.rows, self.chain, own, extra)
 
@@ -66,7 +73,7 @@ class Experiment:
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
         own = [find_parameter(slot, self.effects).size for slot in self.slots]
-        return np.array([*own, *([1e-3] * self.offsets)])
+        return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def bounds(self) -> tuple[Array, Array]:
         """Physical limits ``(P + K,)`` each."""
@@ -92,5 +99,4 @@ def experiment(rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot])
     chain = build_chain(
         rows.stage, slots, effects, rows.layout, np.asarray(robot.transmission), poses.link_vectors(robot)
     )
-    offsets = clamped.offset_count(rows) if rows.stage == "clamped" else 0
-    return Experiment(rows, effects, tuple(slots), chain, offsets)
+    return Experiment(rows, effects, tuple(slots), chain)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -43,7 +43,10 @@ class Rows:
     session
         ``(N,)``: index of the session.
     constants
-        What belongs to the experiment and not to a row, such as reference frames.
+        What the experiment needs beside signals, such as reference frames. ``offset_keys`` ``(K, 2)``, (run or sweep,
+        joint): an unknown constant of that joint in that run, which no other run shares; ``run`` ``(N,)``.
+    per_row
+        The constants that are ``(N, …)``.
     """
 
     stage: Stage
@@ -67,6 +70,9 @@ class Rows:
     def take(self, chosen: npt.NDArray[Any]) -> Rows:
         """The chosen rows (indices or mask)."""
         constants = {k: (v[chosen] if k in self.per_row else v) for k, v in self.constants.items()}
+        if "offset_keys" in constants:
+            keys = constants["offset_keys"]
+            constants["offset_keys"] = keys[np.isin(keys[:, 0], constants["run"])]
         return replace(
             self,
             signals={k: v[chosen] for k, v in self.signals.items()},
@@ -80,6 +86,33 @@ class Rows:
             session=self.session[chosen],
             constants=constants,
         )
+
+    @property
+    def local_fold(self) -> Integers:
+        """Folds numbered from 0 within each session ``(N,)``: numbers that mean the same whichever sessions are read."""
+        out = self.fold.copy()
+        for s in np.unique(self.session):
+            _, out[self.session == s] = np.unique(self.fold[self.session == s], return_inverse=True)
+        return out
+
+    def in_folds(self, held: Sequence[Sequence[int]]) -> Bools:
+        """Which rows ``(N,)`` are in the given folds (per session their local numbers)."""
+        out, local = np.zeros(len(self), dtype=bool), self.local_fold
+        for s, folds in enumerate(held):
+            out |= (self.session == s) & np.isin(local, list(folds))
+        return out
+
+    @property
+    def offsets(self) -> int:
+        """K: how many unknown constants the runs or sweeps have."""
+        return len(self.constants["offset_keys"]) if "offset_keys" in self.constants else 0
+
+    def offset_table(self, offsets: Array) -> Array:
+        """Offsets ``(K,)`` as a value per row and joint ``(N, n)``."""
+        keys, run = self.constants["offset_keys"], self.constants["run"]
+        table = np.zeros((int(run.max(initial=0)) + 1, self.robot.n))
+        table[keys[:, 0], keys[:, 1]] = offsets
+        return np.asarray(table[run])
 
     def without(self, bad: Bools) -> Rows:
         """The same rows, those marked ``(N,)`` no longer used."""

@@ -1,7 +1,8 @@
 """The torque experiments, free air and wrist: motor torques of an arm that moves and stops.
 
 tau_motor = T tau_joint + motor friction. Static friction is indeterminate, so that a motor at rest says nothing here;
-its rows are predicted but not used.
+its rows are predicted but not used. Where a motor turns while a joint that it is coupled with has not moved in the whole
+run, the dry friction of that joint's arm side is an unknown constant of the run.
 """
 
 from __future__ import annotations
@@ -19,23 +20,31 @@ from experiments.signals import acceleration, held_sign, rest_threshold, segment
 
 __all__ = ["residual", "torque_rows"]
 
+FIFTHS = 5  # a log of one run is held out by contiguous fifths
+CLEAR_MOTION = 0.02  # of the top speed of the log
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
 
 
-def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
-    """Measured less predicted motor torques ``(N, n)``, Nm, and the prediction's derivative ``(N, n, P)``."""
+def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
+    """Measured less predicted motor torques ``(N, n)``, Nm, and the prediction's derivative ``(N, n, P + K)``.
+
+    ``offsets`` ``(K,)``, Nm at the joint: the friction of joints that stood still for a whole run.
+    """
     deviations = chain.evaluate(theta, rows.signals)
     T = np.asarray(rows.robot.transmission)
     n = rows.robot.n
     joint = rows.signals["gravity_torque"] + rows.signals["inertia_torque"] + deviations.values[:, chain.offsets["joint_torque"]]
+    joint = joint + rows.offset_table(offsets)
     predicted = joint @ T.T + deviations.values[:, chain.offsets["motor_torque"]]
     sensitivity = np.concatenate([T, np.eye(n)], axis=1)  # (n, 2n): joint torques, then motor torques
-    jacobian = np.zeros((len(rows), n, len(chain.slots)))
+    jacobian = np.zeros((len(rows), n, len(chain.slots) + len(offsets)))
     for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
         for motor in np.flatnonzero(sensitivity[:, station]):
             jacobian[:, motor, parameter] += sensitivity[motor, station] * deviations.partials[:, k]
+    for k, (run, still) in enumerate(rows.constants["offset_keys"]):
+        jacobian[rows.constants["run"] == run, :, len(chain.slots) + k] = T[:, still]
     return rows.measured - predicted, jacobian
 
 
@@ -69,7 +78,9 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     to_motor = np.linalg.inv(T)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
     wm = qd @ to_motor
     rest, rest_m = rest_threshold(qd), rest_threshold(wm)
-    moving = np.abs(wm) > rest_m
+    # Dry friction takes a distance to build up: between rest and clear motion its torque is not known.
+    clear, clear_m = CLEAR_MOTION * np.abs(qd).max(axis=0), CLEAR_MOTION * np.abs(wm).max(axis=0)
+    moving = np.abs(wm) > np.maximum(rest_m, clear_m)
     motion, motion_m = held_sign(qd, rest, run), held_sign(wm, rest_m, run)
     session = np.repeat(np.array(sessions), lengths)
     signals = {
@@ -93,14 +104,25 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             signals.setdefault(name, np.zeros((len(q), *values.shape[1:])))[chosen] = values
     signals["rest_direction"] = np.zeros_like(q)
     measured = joined[[f"tau{i + 1}_Nm" for i in range(n)]].to_numpy(float)
+    still, unknown = [], np.zeros(q.shape, dtype=bool)
+    for j in layout.wrist:
+        for r in np.unique(run):
+            inside = run == r
+            if not motion[inside, j].any():
+                still.append((int(r), j))
+            else:
+                slow = (np.abs(qd[:, j]) > rest[j]) & (np.abs(qd[:, j]) <= clear[j])
+                unknown[inside, j] = slow[inside] | (motion[inside, j] == 0)  # creeping, or not moved yet in this run
+    undecided = (unknown.astype(float) @ (T != 0).T.astype(float)) > 0
     # Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
     # and where that is more than a fraction of the noise, the row is left out.
     inertial = np.abs(signals["inertia_torque"] @ T.T)
     noise = NORMAL * np.median(np.abs(np.diff(measured, axis=0)), axis=0) / np.sqrt(2.0)
-    used = moving & (inertial <= INERTIA_SHARE * noise)
+    used = moving & ~undecided & (inertial <= INERTIA_SHARE * noise)
     signals["torque_rate"] = np.gradient(measured, axis=0)
     stretch = segments(run, time, np.ones(len(run), dtype=bool))
     _, unit = np.unique(np.c_[stretch, np.floor(time / BLOCK_S)], axis=0, return_inverse=True)
+    fold = run if run.max() > 0 else (np.arange(len(run)) * FIFTHS // len(run)).astype(np.int64)
     return Rows(
         stage="free_air",
         robot=robot,
@@ -110,11 +132,11 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         sigma=np.ones_like(measured),
         used=used,
         unit=unit.astype(np.int64),
-        fold=run,
+        fold=fold,
         table=np.repeat(np.array(names), lengths),
         row=np.concatenate([np.arange(1, k + 1) for k in lengths]),
         session=session,
-        constants={"time": time, "run": run},
+        constants={"time": time, "run": run, "offset_keys": np.array(still, dtype=np.int64).reshape(-1, 2)},
         per_row=("time", "run"),
     )
 

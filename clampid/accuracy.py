@@ -1,0 +1,173 @@
+"""How far model and measurement are apart, on fitted and on held-out rows, and how far noise alone would put them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from clampid.fit import Estimate, clamping_offsets, solve
+from clampid.noise import Noise
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Bools, Integers, Rows
+
+__all__ = ["Floor", "StageErrors", "cross_validated", "noise_floor", "predicted", "stage_errors"]
+
+FOLDS = 5
+QUIET_S = 2.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
+QUIET_ROWS = 6  # the same for sweeps of single steps
+SAME_TEMPERATURE_K = 0.5
+ENOUGH_RETURNS = 8  # degrees of freedom below which replicates say less than the instrument's maker
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The error that noise alone leaves: per channel ``(m,)`` SI, and where that is known from."""
+
+    sigma: Array
+    source: Literal["replicates", "instrument", "log"]
+
+    @property
+    def norm(self) -> float:
+        """Root sum of squares over a point's three coordinates, m."""
+        return float(np.sqrt(np.sum(self.sigma[:3] ** 2)))
+
+
+@dataclass(frozen=True)
+class StageErrors:
+    """Root mean square errors of a stage: metres in ``poses``, units of the motors' noise elsewhere."""
+
+    rms: float
+    heldout_rms: float
+    noise_floor: float
+    heldout_rows: int
+
+
+def noise_floor(rows: Rows, residual: Array) -> Floor:
+    """What noise alone leaves.
+
+    Poses: from returns to a pose that share directions and, within 0.5 K, temperatures, where there are enough; else
+    what the instrument's maker states. Torques: from how the residual changes within a few rows, so that neither a
+    missing effect that varies with posture nor the fit's quality counts as noise.
+    """
+    if rows.stage == "poses":
+        spread = _returns(rows)
+        if spread is not None:
+            return Floor(spread, "replicates")
+        return Floor(np.sqrt(np.mean(rows.sigma[:, :3] ** 2, axis=0)), "instrument")
+    run, time = rows.constants["run"], rows.constants["time"]
+    lag = QUIET_ROWS
+    if rows.stage == "free_air" and len(time) > 1:
+        lag = max(1, round(QUIET_S / max(float(np.median(np.diff(time))), 1e-9)))
+    out = np.zeros(residual.shape[1])
+    for c in range(residual.shape[1]):
+        used = rows.used[:, c]
+        same = (run[2 * lag :] == run[: -2 * lag]) & used[2 * lag :] & used[lag:-lag] & used[: -2 * lag]
+        # Off the middle of its neighbours: a smooth misfit cancels, noise that is forgotten by then has 3/2 its variance.
+        bent = (residual[lag:-lag, c] - 0.5 * (residual[2 * lag :, c] + residual[: -2 * lag, c]))[same]
+        spread = np.sqrt(np.mean(bent**2) / 1.5) if len(bent) > 20 else np.sqrt(np.mean(residual[used, c] ** 2))
+        out[c] = spread if used.any() else 1.0
+    return Floor(np.maximum(out, 1e-12), "log")
+
+
+def _returns(rows: Rows) -> Array | None:
+    """Pooled standard deviation ``(3,)`` of positions over comparable returns, or None if there are too few."""
+    key = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["direction"]]
+    warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
+    known = np.all(rows.signals["direction"] != 0, axis=1)
+    _, group = np.unique(key, axis=0, return_inverse=True)
+    squares, freedom = np.zeros(3), 0
+    for g in np.unique(group[known]):
+        members = np.flatnonzero((group == g) & known)
+        if len(members) < 2 or np.max(np.ptp(warm[members], axis=0)) > SAME_TEMPERATURE_K:
+            continue
+        x = rows.measured[members, :3]
+        squares += ((x - x.mean(axis=0)) ** 2).sum(axis=0)
+        freedom += len(members) - 1
+    return np.sqrt(squares / freedom) if freedom >= ENOUGH_RETURNS else None
+
+
+def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:
+    """Errors as the stage counts them: norms in metres ``(N,)``, or ``(N, n)`` in units of noise; and which count."""
+    if rows.stage == "poses":
+        return np.linalg.norm(residual[:, :3], axis=1), rows.used[:, 0]
+    return residual / floor.sigma, rows.used
+
+
+def rms_of(rows: Rows, residual: Array, floor: Floor) -> float:
+    """Root mean square of the errors of the rows that count."""
+    size, counts = size_of(rows, residual, floor)
+    return float(np.sqrt(np.mean(size[counts] ** 2))) if counts.any() else float("nan")
+
+
+def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) -> Array:
+    """Residuals ``(N, m)`` of rows that were not fitted, at given slot values ``(P,)``.
+
+    The unknown constants of a run or sweep are found from it, all else fixed.
+    """
+    if not experiment.offsets:
+        return experiment.residual(theta)[0]
+    count = len(experiment.slots)
+    full = np.r_[theta, np.zeros(experiment.offsets)]
+    if experiment.stage == "clamped":
+        full[count:] = clamping_offsets(experiment, full)
+    size = experiment.sizes()
+    precision = np.diag(np.r_[1e12 / size[:count] ** 2, 1e-2 / size[count:] ** 2])
+    estimate = solve(experiment, full, noise or Noise(experiment.rows.sigma), precision, full)
+    return estimate.residual
+
+
+def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Array]:
+    """Residuals of all rows, each predicted by a fit without its fold (whole poses, runs or sweeps; five parts)."""
+    folds = np.unique(rows.fold)
+    part_of = dict(zip(folds.tolist(), (np.random.default_rng(seed).permutation(len(folds)) % FOLDS).tolist(), strict=True))
+    part = np.array([part_of[f] for f in rows.fold.tolist()])
+    residual = np.zeros_like(rows.measured)
+    for k in np.unique(part):
+        out, keep = np.flatnonzero(part == k), np.flatnonzero(part != k)
+        if not len(keep) or not rows.used[keep].any():
+            keep = np.arange(len(rows))
+        residual[out] = _predict_fold(estimate, rows, keep, out)
+    return rows, residual
+
+
+def _predict_fold(estimate: Estimate, rows: Rows, keep: Integers, out: Integers) -> Array:
+    train = estimate.experiment.with_rows(rows.take(keep))
+    count = len(estimate.slots)
+    chosen = np.r_[np.arange(count), count + _kept_offsets(rows, train.rows)]
+    precision, mean = estimate.prior_precision[np.ix_(chosen, chosen)], estimate.prior_mean[chosen]
+    fitted = solve(train, estimate.theta[chosen], estimate.noise.at(keep), precision, mean)
+    return predicted(estimate.experiment.with_rows(rows.take(out)), fitted.theta[:count], estimate.noise.at(out))
+
+
+def _kept_offsets(rows: Rows, part: Rows) -> Integers:
+    """Which of the offsets ``(K,)`` of some rows a part of them still has."""
+    if not rows.offsets:
+        return np.zeros(0, dtype=np.int64)
+    kept = {tuple(k) for k in part.constants["offset_keys"].tolist()}
+    return np.array([k for k, key in enumerate(rows.constants["offset_keys"].tolist()) if tuple(key) in kept], dtype=np.int64)
+
+
+def stage_errors(
+    estimate: Estimate, rows: Rows, held: Sequence[Sequence[int]], verification: Rows | None, seed: int
+) -> StageErrors:
+    """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation."""
+    fitted = estimate.experiment.rows
+    floor = noise_floor(fitted, estimate.residual)
+    count = len(estimate.slots)
+    if verification is not None:
+        test, residual = verification, predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
+    elif held and any(held):
+        test = rows.take(np.flatnonzero(rows.in_folds(held)))
+        residual = predicted(estimate.experiment.with_rows(test), estimate.theta[:count])
+    else:
+        test, residual = cross_validated(estimate, fitted, seed)
+    level = floor.norm if rows.stage == "poses" else 1.0
+    return StageErrors(
+        rms=rms_of(fitted, estimate.residual, floor),
+        heldout_rms=rms_of(test, residual, floor),
+        noise_floor=level,
+        heldout_rows=int(test.used.any(axis=1).sum()),
+    )

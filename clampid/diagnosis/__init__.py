@@ -1,0 +1,1 @@
+"""Diagnosis: where a model fails, and which physical effect is missing."""

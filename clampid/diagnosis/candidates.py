@@ -1,0 +1,150 @@
+"""Candidates: every absent effect at every place it could sit, and physics-free probes, as columns of one table.
+
+A candidate is *location × covariate function*, so that named physics and probes share one code path: their columns say
+what a unit of each parameter would do to the measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clampid.diagnosis.columns import Columns, columns_from
+from clampid.effect import Effect, Parameter
+from clampid.fit import Estimate
+from clampid.gauge import independent_geometry
+from clampid.noise import Whitened
+from clampid.slots import Slot, Term, find_parameter, slots_of
+
+__all__ = ["Candidate", "named_candidates", "terms_not_active"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Columns that might be missing from the model.
+
+    Attributes
+    ----------
+    name
+        The effect's name, or a sentence for a probe.
+    terms
+        What would be added; empty for a probe.
+    slots
+        The amplitudes behind the columns; empty for a probe.
+    shapes
+        Values of shape parameters at which the columns were taken.
+    columns
+        Whitened, one a slot.
+    depends_on
+        Recorded variables it depends on, by column name without unit.
+    place
+        Where it acts: ``joint3``, ``base`` …
+    """
+
+    name: str
+    family: str
+    terms: tuple[Term, ...]
+    slots: tuple[Slot, ...]
+    shapes: Mapping[Slot, float]
+    columns: Columns
+    depends_on: tuple[str, ...]
+    places: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """For people: the effect and where it is."""
+        return f"{self.name}@{','.join(self.places)}" if self.places else self.name
+
+
+def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
+    """Every effect that acts in this stage, at every place where it is not active yet."""
+    active = {(s.effect, s.place) for s in estimate.slots}
+    layout = estimate.experiment.rows.layout
+    out = []
+    for effect in effects.values():
+        if estimate.experiment.stage not in effect.stages:
+            continue
+        if effect.tried == "together" or effect.per == "robot":
+            if not any(name == effect.name for name, _ in active):
+                out.append(Term(effect.name, None if effect.per != "robot" else effect.at))
+            continue
+        out += [Term(effect.name, p) for p in layout.allowed(effect, estimate.experiment.stage) if (effect.name, p) not in active]
+    return out
+
+
+def named_candidates(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Candidate]:
+    """The absent effects as candidates: place by place, and at all remaining places at once where that is usual."""
+    rows = estimate.experiment.rows
+    terms = terms_not_active(estimate, effects)
+    slots: dict[Slot, None] = {}
+    of_term: dict[Term, tuple[Slot, ...]] = {}
+    for term in terms:
+        effect = effects[term.effect]
+        if effect.family == "geometry":
+            found = independent_geometry(rows, effects)
+        else:
+            alone = term.place is not None and effect.per != "robot"
+            found = slots_of(effect, rows.layout, rows.stage, (term.place,) if alone and term.place else None)
+        of_term[term] = found
+        slots |= dict.fromkeys(found)
+    every = [s for s in slots if s not in estimate.slots]
+    parameters = {s: find_parameter(s, effects) for s in every}
+    grids = max((len(p.grid) for p in parameters.values() if p.shape), default=1)
+    out: list[Candidate] = []
+    for level in range(grids):
+        # Only effects with a shape look different at the further values of its grid.
+        deep = {s.effect for s in every if level < len(parameters[s].grid)}
+        extra = [s for s in every if level == 0 or s.effect in deep]
+        values = [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
+        white = _whitened_columns(estimate, extra, values)
+        index = {s: k for k, s in enumerate(extra)}
+        for name in dict.fromkeys(t.effect for t in terms):
+            if level > 0 and name not in deep:
+                continue
+            effect = effects[name]
+            own = [t for t in terms if t.effect == name]
+            groups: list[Sequence[Term]] = []
+            if effect.tried in ("places", "both") or effect.per == "robot":
+                groups += [(t,) for t in own]
+            if effect.tried in ("together", "both") and (len(own) > 1 or effect.tried == "together"):
+                groups.append(own)
+            for group in groups:
+                members = list(dict.fromkeys(s for t in group for s in of_term[t] if s in index))
+                if members:
+                    out.append(_candidate(effect, group, members, parameters, index, values, white))
+    return out
+
+
+def _whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float]) -> Whitened:
+    """What a unit of each further slot would do, at the given values of the shapes and zero amplitudes."""
+    count = len(estimate.slots)
+    trial = estimate.experiment.with_slots((*estimate.slots, *extra))
+    theta = np.r_[estimate.theta[:count], values, estimate.theta[count:]]
+    residual, jacobian = trial.residual(theta)
+    return estimate.noise.whiten(estimate.experiment.rows, residual, jacobian[:, :, count : count + len(extra)])
+
+
+def _candidate(
+    effect: Effect,
+    group: Sequence[Term],
+    members: Iterable[Slot],
+    parameters: Mapping[Slot, Parameter],
+    index: Mapping[Slot, int],
+    values: Sequence[float],
+    white: Whitened,
+) -> Candidate:
+    members = list(members)
+    amplitudes = tuple(s for s in members if not parameters[s].shape)
+    shapes = {s: values[index[s]] for s in members if parameters[s].shape}
+    return Candidate(
+        name=effect.name,
+        family=effect.family,
+        terms=tuple(group),
+        slots=amplitudes,
+        shapes=shapes,
+        columns=columns_from(white, [index[s] for s in amplitudes]),
+        depends_on=(),
+        places=tuple(t.place for t in group if t.place is not None),
+    )

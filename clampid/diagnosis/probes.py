@@ -1,0 +1,182 @@
+"""Probes: physics-free candidates, each joint's, frame's or motor's error against each recorded variable.
+
+Where probes fire and no effect does, structure is left that the catalogue does not explain; the probe says where it sits
+and on what it depends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.columns import Columns, channel_starts, columns_from
+from clampid.fit import Estimate
+from clampid.stages import poses
+from clampid.stages.rows import Array, Rows
+
+__all__ = ["probes"]
+
+Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
+HARMONICS = 3
+
+
+def probes(estimate: Estimate) -> list[Candidate]:
+    """All probes of the estimate's stage."""
+    match estimate.experiment.stage:
+        case "poses":
+            return _pose_probes(estimate)
+        case "free_air":
+            return _motor_probes(estimate, _log_covariates(estimate.experiment.rows))
+        case _:
+            return _motor_probes(estimate, _sweep_covariates(estimate.experiment.rows))
+
+
+def _probe(estimate: Estimate, place: str, what: str, variables: Sequence[str], columns: Array) -> Candidate | None:
+    """A probe from its columns ``(N, m, k)``, SI per unit of covariate."""
+    if not np.any(columns):
+        return None
+    rows = estimate.experiment.rows
+    white = estimate.noise.whiten(rows, np.zeros(columns.shape[:2]), columns)
+    kept = columns_from(white, list(range(columns.shape[2])))
+    return Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
+
+
+def _harmonics(angle: Array, orders: int) -> Array:
+    return np.column_stack([f(k * angle) for k in range(1, orders + 1) for f in (np.sin, np.cos)])
+
+
+def _scaled(x: Array) -> Array:
+    """A covariate less its mean, over its spread; zeros if it does not vary."""
+    spread = float(np.std(x))
+    return (x - np.mean(x)) / spread if spread > 1e-12 * (1 + float(np.max(np.abs(x), initial=0.0))) else np.zeros_like(x)
+
+
+def _pose_probes(estimate: Estimate) -> list[Candidate]:
+    experiment = estimate.experiment
+    rows, n = experiment.rows, experiment.rows.robot.n
+    theta = estimate.theta[: len(experiment.slots)]
+    deviations = experiment.chain.evaluate(theta, rows.signals)
+    _, _, sensitivity = poses.predict(rows, deviations, experiment.chain.offsets)
+    width = rows.measured.shape[1]
+    offsets = experiment.chain.offsets
+    s = rows.signals
+    elapsed = _scaled(s["elapsed"])
+    slow = np.column_stack([elapsed, elapsed**2])
+    found: list[Candidate | None] = []
+    for j in range(n):
+        unit = sensitivity[:, :width, offsets["joint_angle"].start + j]
+        q, d, load = s["q"][:, j], s["direction"][:, j], s["gravity_torque"][:, j]
+        own: list[Covariate] = [
+            (f"harmonics of q{j + 1}", (f"q{j + 1}",), _harmonics(q, HARMONICS)),
+            (f"q{j + 1} times dir{j + 1}", (f"q{j + 1}", f"dir{j + 1}"), np.column_stack([_scaled(q) * d])),
+            (f"load of joint {j + 1}", (f"tau{j + 1}",), np.column_stack([_scaled(load), _scaled(load) ** 2, _scaled(load) ** 3])),
+            ("time", ("time",), slow),
+        ]
+        for k in range(n):
+            if k != j:
+                own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], 1)))
+            own.append((f"dir{k + 1}", (f"dir{k + 1}",), s["direction"][:, k, None]))
+        for kind in ("link", "motor"):
+            own.append((f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), _scaled(s[f"{kind}_temperature"][:, j])[:, None]))
+        found += [
+            _probe(estimate, f"joint{j + 1}", what, variables, unit[:, :, None] * x[:, None, :]) for what, variables, x in own
+        ]
+    frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
+    frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
+    for name, start in frames:
+        frame = sensitivity[:, :width, start : start + 6]
+        found.append(_probe(estimate, name, "time", ("time",), frame * elapsed[:, None, None]))
+        link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
+        warm = _scaled(s["link_temperature"][:, link - 1])
+        found.append(_probe(estimate, name, f"temp_link{link}", (f"temp_link{link}",), frame * warm[:, None, None]))
+    place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
+    for k, axis in enumerate("xyz"):
+        columns = np.zeros((len(rows), width, 3))
+        columns[:, np.arange(3), np.arange(3)] = place[:, k, None]
+        found.append(_probe(estimate, "instrument", f"position along {axis}", (axis,), columns))
+    return [p for p in found if p is not None]
+
+
+def _log_covariates(rows: Rows) -> list[list[Covariate]]:
+    s, n = rows.signals, rows.robot.n
+    T = np.asarray(rows.robot.transmission)
+    elapsed = _scaled(s["elapsed"])
+    out = []
+    for i in range(n):
+        w, sign, q = _scaled(s["motor_speed"][:, i]), s["motor_motion"][:, i], s["q"][:, i]
+        load = _scaled((s["gravity_torque"] @ T.T)[:, i])
+        warm = _scaled(s["motor_temperature"][:, i])
+        speed = np.abs(w)
+        name = i + 1
+        own: list[Covariate] = [
+            (f"speed of motor {name}", (f"qd{name}",), np.column_stack([sign * np.exp(-4 * speed), sign * np.exp(-speed), w * speed])),
+            (f"harmonics of q{name}", (f"q{name}",), _harmonics(q, HARMONICS)),
+            (f"motion times load of motor {name}", (f"qd{name}", f"tau{name}"), np.column_stack([sign * load, sign * np.abs(load)])),
+            (f"load of motor {name}", (f"tau{name}",), np.column_stack([load**2, load**3])),
+            (f"motion times q{name}", (f"qd{name}", f"q{name}"), np.column_stack([sign * np.sin(q), sign * np.cos(q)])),
+            (f"motion times temperature of motor {name}", (f"qd{name}", f"temp_motor{name}"), np.column_stack([sign * warm, w * warm])),
+            (f"temperature of motor {name}", (f"temp_motor{name}",), warm[:, None]),
+            ("constant", (f"tau{name}",), np.ones((len(rows), 1))),
+            ("time", ("time",), np.column_stack([elapsed, elapsed**2])),
+            ("motion times time", (f"qd{name}", "time"), np.column_stack([sign * elapsed, w * elapsed])),
+        ]
+        for k in range(n):
+            if k != i:
+                own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], 1)))
+                own.append((f"motion of motor {k + 1}", (f"qd{k + 1}",), s["motor_motion"][:, k, None]))
+        out.append(own)
+    return out
+
+
+def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
+    s, n = rows.signals, rows.robot.n
+    T = np.asarray(rows.robot.transmission)
+    elapsed, fraction = _scaled(s["elapsed"]), s["sweep_fraction"] - 0.5
+    out = []
+    for i in range(n):
+        sign, mine = s["motor_motion"][:, i], (rows.constants["driven"] == i).astype(float)
+        stiff = 1.0 / max(float(T[i, i] ** 2), 1e-12)
+        name = i + 1
+        own: list[Covariate] = [
+            ("constant", (f"tau{name}",), mine[:, None]),
+            ("time", ("time",), np.column_stack([elapsed, fraction])),
+            (f"motion times time of motor {name}", (f"motor{name}", "time"), np.column_stack([sign * elapsed, sign * fraction])),
+        ]
+        for k in range(n):
+            x = rows.constants["wound"][:, k] * np.sqrt(stiff)
+            x = x / max(float(np.std(x)), 1e-12)
+            driven = rows.constants["driven"] == k
+            moved = np.where(driven, x, 0.0)
+            powers = (moved**2, moved**3) if k == i else (moved, moved**2, moved**3)
+            own.append((f"motor angle {k + 1}", (f"motor{k + 1}",), np.column_stack(powers)))
+            turned = s["motor_motion"][:, k]
+            if k != i:
+                own.append((f"motion of motor {k + 1}", (f"motor{k + 1}",), turned[:, None]))
+            else:
+                own.append((f"motion times angle of motor {k + 1}", (f"motor{k + 1}",), np.column_stack([turned * moved, turned * np.abs(moved)])))
+        out.append(own)
+    return out
+
+
+def _motor_probes(estimate: Estimate, covariates: Sequence[Sequence[Covariate]]) -> list[Candidate]:
+    """Probes of torques: each motor's error against its covariates."""
+    rows, white = estimate.experiment.rows, estimate.whitened
+    found = []
+    for start, stop in channel_starts(white):
+        i = int(white.channel[start])
+        own = covariates[i]
+        stacked = np.concatenate([x for _, _, x in own], axis=1)
+        block = estimate.noise.whiten_channel(rows, i, stacked)
+        first = 0
+        for what, variables, x in own:
+            part = np.ascontiguousarray(block[:, first : first + x.shape[1]])
+            first += x.shape[1]
+            if np.any(part):
+                kept = Columns(((start, part),), x.shape[1])
+                place = f"motor{i + 1}"
+                found.append(Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,)))
+        if stop - start != len(block):
+            raise ValueError(f"motor {i + 1}: expected {stop - start} whitened rows, found {len(block)}")
+    return found

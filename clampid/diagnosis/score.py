@@ -1,0 +1,217 @@
+"""The score test: what candidates explain of a residual, beyond what the active parameters could still absorb.
+
+Residual and columns are whitened; the columns are projected off the span of the active parameters' Jacobian (prior rows
+included), so that what the model could take up is not evidence. No candidate is refitted. The null is a sign flip of the
+residual by pose or block: the maximum of -ln p over the whole dictionary (Westfall-Young) controls false alarms over
+everything that was looked at. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse, stats
+
+from clampid.diagnosis.candidates import Candidate
+from clampid.fit import Estimate
+from clampid.stages.rows import Array, Integers
+
+__all__ = ["Flips", "Scored", "Space", "canonical", "explained_together", "flip_maxima", "score", "space_of"]
+
+ABSORBED = 1e-6
+WEAK = 0.05
+
+
+@dataclass(frozen=True)
+class Space:
+    """The whitened residual of a fit, and the span that its active parameters can absorb.
+
+    Attributes
+    ----------
+    residual
+        ``(M + p,)``: rows, then the prior's pseudo-rows; orthogonal to ``basis``.
+    basis
+        ``(M + p, r)``: orthonormal.
+    unit
+        ``(M + p,)``: entries with the same number are flipped together.
+    scale
+        Standard deviation of the residual, about 1.
+    rows
+        M.
+    """
+
+    residual: Array
+    basis: Array
+    unit: Integers
+    scale: float
+    freedom: int
+    rows: int
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A candidate with its score.
+
+    Attributes
+    ----------
+    absorbed
+        ``(r, k)``: Q'D.
+    weights
+        ``(k, f)``: Z times these is orthonormal.
+    amplitude
+        ``(f,)``: the residual's components in these directions.
+    explained
+        Sum of squares that it explains, in units of the residual's variance.
+    log_p
+        Natural logarithm of the asymptotic p-value.
+    bic
+        Score-BIC: explained less f ln(rows); the larger the better.
+    retained
+        Share of the columns that the active parameters cannot absorb.
+    state
+        ``absent``, ``absorbed``, ``weak`` or ``testable``.
+    unit_limit
+        ``(k,)``: the residual's scale over each projected column's length, parameter units.
+    """
+
+    candidate: Candidate
+    absorbed: Array
+    weights: Array
+    amplitude: Array
+    explained: float
+    log_p: float
+    bic: float
+    retained: float
+    state: str
+    unit_limit: Array
+
+    @property
+    def freedom(self) -> int:
+        """Independent directions of the candidate in these rows."""
+        return int(self.weights.shape[1])
+
+
+def space_of(estimate: Estimate) -> Space:
+    """The residual and absorbed span of an estimate."""
+    white = estimate.whitened
+    size = estimate.experiment.sizes()
+    values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size  # root' root = precision
+    residual = np.r_[white.residual, root @ (estimate.prior_mean - estimate.theta)]
+    jacobian = np.vstack([white.jacobian, root])
+    norms = np.linalg.norm(jacobian, axis=0)
+    Q, R, _ = linalg.qr(jacobian / np.where(norms > 0, norms, 1.0), mode="economic", pivoting=True)
+    size_R = np.abs(np.diag(R))
+    basis = Q[:, : int(np.sum(size_R > 1e-10 * size_R.max(initial=0.0)))]
+    residual = residual - basis @ (basis.T @ residual)
+    count = len(white.residual)
+    unit = estimate.experiment.rows.unit[white.entry]
+    units = np.r_[unit, unit.max(initial=0) + 1 + np.arange(len(root))]
+    freedom = max(count - basis.shape[1], 1)
+    scale = float(np.sqrt(residual @ residual / freedom))
+    return Space(residual, basis, units, max(scale, 1e-12), freedom, count)
+
+
+def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
+    """Score every candidate; those without any effect on these rows come back as ``absent``."""
+    return [_score_one(space, c) for c in candidates]
+
+
+def _score_one(space: Space, c: Candidate) -> Scored:
+    k = c.columns.width
+    gram = c.columns.gram()
+    length = np.sqrt(np.diag(gram))
+    absorbed = c.columns.times(space.basis).T
+    Z2 = gram - absorbed.T @ absorbed
+    left = np.sqrt(np.maximum(np.diag(Z2), 0.0))
+    unit_limit = np.where(left > 0, space.scale / np.where(left > 0, left, 1.0), np.inf)
+    seen = length > 0
+    none = np.zeros((k, 0))
+
+    def nothing(retained: float, state: str) -> Scored:
+        return Scored(c, absorbed, none, np.zeros(0), 0.0, 0.0, -np.inf, retained, state, unit_limit)
+
+    if not seen.any():
+        return nothing(0.0, "absent")
+    # Columns of unit length before the projection: a direction that keeps less than a millionth of itself is absorbed.
+    inverse = np.where(seen, 1.0 / np.where(seen, length, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(Z2 * np.outer(inverse, inverse))
+    retained = float(np.clip(np.sum(left[seen] ** 2 * inverse[seen] ** 2) / seen.sum(), 0.0, 1.0))
+    keep = values > ABSORBED
+    if not keep.any():
+        return nothing(retained, "absorbed")
+    weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values[keep])
+    amplitude = weights.T @ c.columns.times(space.residual)
+    explained = float(amplitude @ amplitude) / space.scale**2
+    freedom = int(keep.sum())
+    return Scored(
+        candidate=c,
+        absorbed=absorbed,
+        weights=weights,
+        amplitude=amplitude,
+        explained=explained,
+        log_p=float(stats.chi2.logsf(explained, freedom)),
+        bic=explained - freedom * float(np.log(max(space.rows, 2))),
+        retained=retained,
+        state="weak" if retained < WEAK else "testable",
+        unit_limit=unit_limit,
+    )
+
+
+def _overlap(a: Scored, b: Scored) -> Array:
+    """Inner products ``(f_a, f_b)`` of the orthonormal directions of two candidates."""
+    cross = a.candidate.columns.cross(b.candidate.columns) - a.absorbed.T @ b.absorbed
+    return np.asarray(a.weights.T @ cross @ b.weights)
+
+
+def canonical(a: Scored, b: Scored) -> float:
+    """Largest squared canonical correlation of two candidates, 0 to 1."""
+    if not a.freedom or not b.freedom:
+        return 0.0
+    return float(min(np.linalg.norm(_overlap(a, b), 2) ** 2, 1.0))
+
+
+def explained_together(space: Space, a: Scored, b: Scored) -> float:
+    """What two candidates explain together, in units of the residual's variance."""
+    cross = _overlap(a, b)
+    amplitude = np.r_[a.amplitude, b.amplitude]
+    gram = np.block([[np.eye(a.freedom), cross], [cross.T, np.eye(b.freedom)]])
+    return float(amplitude @ np.linalg.pinv(gram, rcond=1e-6, hermitian=True) @ amplitude) / space.scale**2
+
+
+@dataclass(frozen=True)
+class Flips:
+    """Maxima of -ln p over a dictionary for sign-flipped residuals ``(flips,)``."""
+
+    maxima: Array
+
+    def p_familywise(self, log_p: float) -> float:
+        """Chance of as small a p-value anywhere in the dictionary if nothing is missing; at least 1/(flips + 1)."""
+        return float((1 + np.sum(self.maxima >= -log_p)) / (len(self.maxima) + 1))
+
+    def critical_log_p(self, rate: float) -> float:
+        """The ln p that a candidate must undercut to be confirmed at this false-alarm rate."""
+        return -float(np.quantile(self.maxima, 1 - rate))
+
+
+def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> Flips:
+    """Sign-flip null over a dictionary: one matrix product."""
+    chosen = [s for s in scored if s.freedom]
+    if not chosen:
+        return Flips(np.zeros(flips))
+    _, unit = np.unique(space.unit, return_inverse=True)
+    units = int(unit.max()) + 1
+    shape = (units, len(unit))
+    by_unit = sparse.csc_matrix((space.residual, (unit, np.arange(len(unit)))), shape=shape)
+    absorbed = by_unit @ space.basis
+    parts = np.hstack([(s.candidate.columns.summed(by_unit) - absorbed @ s.absorbed) @ s.weights for s in chosen])
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(flips, units))
+    amplitude = signs @ parts
+    maxima, start = np.zeros(flips), 0
+    for s in chosen:
+        explained = np.sum(amplitude[:, start : start + s.freedom] ** 2, axis=1) / space.scale**2
+        start += s.freedom
+        maxima = np.maximum(maxima, -stats.chi2.logsf(explained, s.freedom))
+    return Flips(maxima)

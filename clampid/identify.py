@@ -1,0 +1,291 @@
+"""Identification: from campaigns to a model, stage by stage: free air, clamped, filtered poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clampid.catalogue import with_user_effects
+from clampid.effect import STAGES, Effect, EffectError, Stage
+from clampid.accuracy import stage_errors
+from clampid.fit import Estimate, Prior, fit
+from clampid.gauge import independent_geometry
+from clampid.layout import layout_of
+from clampid.model import Model, Round, Session, StageModel
+from clampid.nulls import null_directions
+from clampid.priors import description_priors
+from clampid.slots import Layout, Slot, Term, parse_term, slots_of_terms
+from clampid.stages.clamped import clamped_rows
+from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.pose_rows import pose_rows
+from clampid.stages.rows import Array, Rows
+from clampid.stages.torques import torque_rows
+from experiments.campaign import Campaign, CampaignError
+
+__all__ = ["TABLES_OF", "fit_stage", "identify", "stage_rows", "stages_of", "standard_effects"]
+
+TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
+    "free_air": ("free_air", "wrist"),
+    "clamped": ("clamped",),
+    "poses": ("poses",),
+}
+SHARED = ("gravity", "payload", "wrist_coupling_friction", "joint_compliance", "backlash")
+"""Effects whose values a later stage takes over as its start, or as its prior where the stage knew them for certain."""
+AS_PRIOR = ("gravity", "wrist_coupling_friction")
+"""Effects that enter the pose stage with their covariance from the torque stage: loads and flanks."""
+
+
+@dataclass(frozen=True)
+class FittedStage:
+    """A stage's model with the estimate it came from."""
+
+    model: StageModel
+    estimate: Estimate
+    base_reference: Mapping[int, Array]
+
+
+def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
+    """The stages that the campaigns' tables feed, in order."""
+    return tuple(s for s in STAGES if any(t in c.tables for c in campaigns for t in TABLES_OF[s]))
+
+
+def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
+    """The standard set for the tables present.
+
+    Poses alone, without a torque log to say what the links weigh, get geometry, and backlash where approach directions
+    were recorded; everything else is for diagnosis to find.
+    """
+    found = stages_of(campaigns)
+    names: dict[Stage, tuple[str, ...]] = {
+        "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
+        "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
+        "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
+    }
+    if "free_air" not in found and "clamped" not in found:
+        n = campaigns[0].robot.n
+        columns = [f"dir{i + 1}" for i in range(n)]
+        directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
+        names["poses"] = ("geometry", "backlash") if directed else ("geometry",)
+    return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
+
+
+def stage_rows(
+    campaigns: Sequence[Campaign],
+    layout: Layout,
+    stage: Stage,
+    base: Mapping[int, Array] | None = None,
+    table: str = "poses",
+) -> Rows:
+    """The rows of a stage, or of the table ``verification``."""
+    match stage:
+        case "free_air":
+            return torque_rows(campaigns, layout)
+        case "clamped":
+            return clamped_rows(campaigns, layout)
+        case _:
+            return pose_rows(campaigns, layout, table, base)
+
+
+def resolve_terms(
+    wanted: Mapping[Stage, Sequence[str]] | Sequence[str] | None,
+    campaigns: Sequence[Campaign],
+    effects: Mapping[str, Effect],
+    layout: Layout,
+) -> dict[Stage, tuple[Term, ...]]:
+    """The terms of every stage from what the user asked for; stages not named keep their standard set.
+
+    Raises
+    ------
+    EffectError
+        An effect is unknown, cannot sit there or does not act in that stage; a list without a stage, where the
+        campaigns have tables of several.
+    """
+    terms = standard_effects(campaigns)
+    if wanted is None:
+        return terms
+    if not isinstance(wanted, Mapping):
+        if len(terms) > 1:
+            raise EffectError(
+                f"--effects: expected STAGE=a,b,…, because the campaign has tables of {', '.join(terms)}; found a list "
+                "without a stage"
+            )
+        wanted = {next(iter(terms)): wanted}
+    for stage, names in wanted.items():
+        if stage not in STAGES:
+            raise EffectError(f"stage {stage!r} is not known; known: {', '.join(STAGES)}")
+        if stage not in terms:
+            raise EffectError(f"the campaign has no table of the stage {stage}; it has: {', '.join(terms)}")
+        chosen = tuple(parse_term(name, effects, layout) for name in names if name.strip())
+        if not chosen:
+            raise EffectError(f"stage {stage}: expected at least one effect, found none")
+        for term in chosen:
+            if stage not in effects[term.effect].stages:
+                acts = ", ".join(effects[term.effect].stages)
+                raise EffectError(f"effect {term.effect} does not act in {stage}; it does in: {acts}")
+        terms[stage] = tuple(dict.fromkeys(chosen))
+    return terms
+
+
+def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
+    """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
+    geometry = independent_geometry(rows, effects) if any(t.effect == "geometry" for t in terms) else ()
+    rest = slots_of_terms([t for t in terms if t.effect != "geometry"], effects, rows.layout, rows.stage)
+    return (*geometry, *rest)
+
+
+def carried_over(rows: Rows, stages: Mapping[Stage, StageModel]) -> tuple[tuple[Prior, ...], dict[Slot, float]]:
+    """What a stage knows before it sees its rows: priors with covariance, and start values.
+
+    Gravity has the description's tolerances; the pose stage takes what the torque stage found instead.
+    """
+    start: dict[Slot, float] = {}
+    if rows.stage != "poses":
+        return description_priors(rows), start
+    for stage in stages.values():
+        start |= {slot: v for slot, v in stage.values().items() if slot.effect in SHARED}
+    torque = stages.get("free_air")
+    if torque is None:
+        return description_priors(rows), start
+    keep = [k for k, slot in enumerate(torque.slots) if slot.effect in AS_PRIOR]
+    slots = tuple(torque.slots[k] for k in keep)
+    return (Prior(slots, torque.theta[keep], torque.covariance[np.ix_(keep, keep)]),), start
+
+
+def held_out_folds(rows: Rows, share: float, seed: int) -> tuple[tuple[int, ...], ...]:
+    """Whole poses, runs or sweeps to keep out of a fit: per session their fold numbers."""
+    if share <= 0:
+        return ()
+    out = []
+    rng = np.random.default_rng(seed)
+    for s in range(len(rows.layout.sessions)):
+        folds = np.unique(rows.local_fold[rows.session == s])
+        count = min(round(share * len(folds)), len(folds) - 1)
+        out.append(tuple(sorted(int(f) for f in rng.permutation(folds)[:count])))
+    return tuple(out)
+
+
+def fit_stage(
+    rows: Rows,
+    effects: Mapping[str, Effect],
+    terms: Sequence[Term],
+    before: Mapping[Stage, StageModel],
+    start: Mapping[Slot, float] | None = None,
+    held: Sequence[Sequence[int]] = (),
+) -> FittedStage:
+    """Fit one stage on all rows but those held out.
+
+    Parameters
+    ----------
+    before
+        The stages already fitted, whose values this one takes over.
+    """
+    fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
+    slots = active_slots(rows, effects, terms)
+    priors, carried = carried_over(rows, before)
+    estimate = fit(experiment(fitted_rows, effects, slots), priors, {**carried, **(start or {})})
+    count = len(slots)
+    listed = [
+        (int(fitted_rows.session[i]), str(fitted_rows.table[i]), int(fitted_rows.row[i]))
+        for i in np.flatnonzero(estimate.outliers)
+    ]
+    reference = {}
+    if rows.stage == "poses":
+        for s in np.unique(rows.session):
+            reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
+    stage = StageModel(
+        stage=rows.stage,
+        terms=tuple(terms),
+        slots=slots,
+        theta=estimate.theta[:count],
+        covariance=estimate.covariance[:count, :count],
+        identified=tuple(bool(b) for b in estimate.identified[:count]),
+        held_out=tuple(tuple(f) for f in held),
+        outliers=tuple(listed),
+        null_directions=null_directions(estimate),
+    )
+    return FittedStage(stage, estimate, reference)
+
+
+def identify(
+    campaigns: Sequence[Campaign] | Campaign,
+    effects: Mapping[Stage, Sequence[str]] | Sequence[str] | None = None,
+    *,
+    holdout: float = 0.0,
+    seed: int = 0,
+    user_effects: Path | None = None,
+) -> Model:
+    """Fit a model to one or several campaigns of one robot.
+
+    Parameters
+    ----------
+    effects
+        Stage → names of effects (``effect`` or ``effect@joint3``); a plain list if there is just one stage; None for
+        the standard set.
+    holdout
+        Share of whole poses, runs and sweeps that no fit sees.
+
+    Raises
+    ------
+    CampaignError
+        The campaigns are of different robots or hold nothing to fit.
+    EffectError
+        An effect does not exist or does not act there.
+    """
+    several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
+    _same_robot(several)
+    catalogue = with_user_effects(user_effects)
+    layout = layout_of(several)
+    terms = resolve_terms(effects, several, catalogue, layout)
+    stages: dict[Stage, StageModel] = {}
+    ledger: list[Round] = []
+    reference: dict[int, Array] = {}
+    for stage, wanted in terms.items():
+        rows = stage_rows(several, layout, stage)
+        held = held_out_folds(rows, holdout, seed)
+        fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
+        stages[stage] = fitted.model
+        reference |= fitted.base_reference
+        verification = _verification(several, layout, stage, fitted.base_reference)
+        errors = stage_errors(fitted.estimate, rows, held, verification, seed)
+        labels = tuple(t.label for t in wanted)
+        ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor))
+    sessions = tuple(_session(c, reference.get(s)) for s, c in enumerate(several))
+    path = None if user_effects is None else str(user_effects)
+    return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path)
+
+
+def _verification(
+    campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
+) -> Rows | None:
+    if stage != "poses" or not any("verification" in c.tables for c in campaigns):
+        return None
+    return pose_rows(campaigns, layout, "verification", base)
+
+
+def _same_robot(campaigns: Sequence[Campaign]) -> None:
+    if not campaigns:
+        raise CampaignError("expected at least one campaign, found none")
+    first = campaigns[0]
+    for other in campaigns[1:]:
+        if other.robot.name != first.robot.name:
+            raise CampaignError(
+                f"{other.name}: expected the robot of {first.name}, {first.robot.name}, found {other.robot.name}; "
+                "several campaigns are sessions of one robot"
+            )
+    if not stages_of(campaigns):
+        raise CampaignError(f"{first.name}: expected a table free_air, wrist, clamped or poses to fit, found none")
+
+
+def _session(campaign: Campaign, reference: Array | None) -> Session:
+    temperature = None
+    for table in ("poses", "free_air", "clamped"):
+        columns = [c for c in campaign.tables.get(table, ()) if c.startswith("temp_")]
+        if columns and temperature is None:
+            values = campaign.tables[table][columns].to_numpy(float)
+            temperature = (float(np.nanmin(values)), float(np.nanmax(values)))
+    return Session(
+        campaign.name, campaign.fingerprint, reference, tuple(campaign.targets), campaign.tool.mass, temperature
+    )

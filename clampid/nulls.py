@@ -1,0 +1,49 @@
+"""What these data cannot tell: directions in parameter space without information, named in physical words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clampid.fit import Estimate
+
+__all__ = ["null_directions"]
+
+WEAK = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
+
+
+def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
+    """Sentences for the combinations of parameters that the data leave open, the most open first.
+
+    In units of reasonable sizes the information of the data has eigenvalues; one below 1 means that the combination is
+    not known to within such a size. Parameters with no information at all are named alone.
+    """
+    count = len(estimate.slots)
+    size = estimate.experiment.sizes()[:count]
+    J = estimate.whitened.jacobian
+    scaled = (J * estimate.experiment.sizes()) if J.size else J
+    information = scaled.T @ scaled
+    if J.shape[1] > count:  # what the offsets could take up is not information on the slots
+        A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
+        information = A - B @ np.linalg.pinv(C, rcond=1e-10) @ B.T
+    prior = estimate.prior_precision[:count, :count] * np.outer(size, size)
+    known = prior - np.diag(np.diag(prior))
+    information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
+    silent = np.diag(information) < 1e-9
+    out = []
+    groups: dict[str, list[str]] = {}
+    for slot in (s for s, alone in zip(estimate.slots, silent, strict=True) if alone):
+        groups.setdefault(f"{slot.effect}.{slot.parameter}", []).append(slot.place)
+    out += [f"{name} at {', '.join(places)}: these rows do not depend on it" for name, places in groups.items()]
+    values, vectors = np.linalg.eigh(information[np.ix_(~silent, ~silent)])
+    labels = [s.label for s, alone in zip(estimate.slots, silent, strict=True) if not alone]
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value >= WEAK or len(out) >= limit:
+            break
+        main = np.argsort(-np.abs(vector))
+        parts = [k for k in main[:4] if abs(vector[k]) > 0.25] or [int(main[0])]
+        if len(parts) == 1:
+            out.append(f"{labels[parts[0]]}: not known to within its reasonable size")
+        else:
+            words = " and ".join(labels[k] for k in parts)
+            out.append(f"{words}: only a combination of them is known")
+    return tuple(out)

@@ -1,0 +1,36 @@
+"""What a description already knows: its masses and centres of mass, to within the tolerance of such figures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clampid.fit import Prior
+from clampid.slots import Slot
+from clampid.stages.rows import Rows
+
+__all__ = ["description_priors"]
+
+MASS_SHARE = 0.10  # of the described mass: gravity of a described arm is off by 5-20 %
+MASS_FLOOR = 0.5  # kg: screws, cables and grease that no description lists
+CENTRE = 0.02  # m
+CENTRE_MASS = 2.0  # kg: what a link described without mass may hold of a neighbour's
+
+
+def description_priors(rows: Rows) -> tuple[Prior, ...]:
+    """The prior of the links' gravity parameters; none where the description has no masses.
+
+    Mass and centre of mass are off independently, m = M + dm and c = C + dc, so that m c = M C + dm C + M dc is correlated
+    with m. Base axes at the zero pose, SI.
+    """
+    robot = rows.robot
+    if not robot.has_masses:
+        return ()
+    priors = []
+    for i, link in enumerate(robot.links):
+        place = f"link{i + 1}"
+        slots = tuple(Slot("gravity", name, place) for name in ("m", "mx", "my", "mz"))
+        centre = np.asarray(link.com) if link.mass > 0 else np.asarray(robot.joints[i].point)
+        J = np.vstack([np.r_[1.0, centre], np.c_[np.zeros(3), np.eye(3)]]).T  # (m, m c) by (dm, M dc)
+        spread = np.r_[MASS_SHARE * link.mass + MASS_FLOOR, np.full(3, CENTRE * max(link.mass, CENTRE_MASS))]
+        priors.append(Prior(slots, np.zeros(4), J @ np.diag(spread**2) @ J.T))
+    return tuple(priors)
