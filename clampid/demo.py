@@ -19,9 +19,9 @@ from clampid.add import add
 from clampid.compare import compare
 from clampid.diagnose import diagnose
 from clampid.identify import identify
-from clampid.model import Model, save_model, write_text
+from clampid.model import save_model, write_text
 from clampid.verbs.units import error_text
-from experiments.campaign import Campaign, read_campaign
+from experiments.campaign import read_campaign
 from experiments.simulate import hidden_file, simulate
 
 __all__ = ["DRAWN", "DemoResult", "demo", "terms_to_add"]
@@ -116,12 +116,10 @@ def demo(
     for stage, part in model.stages.items():
         say(f"Standard model, {stage}: {', '.join(t.label for t in part.terms)}; {len(part.slots)} parameters.")
     with step("comparing model and measurement"):
-        comparison = compare(model, campaign, seed=seed)
-    before = comparison.to_json()
+        before = compare(model, campaign, seed=seed).to_json()
     _write(folder / "compare_standard.json", before)
     with step("diagnosing"):
-        diagnosis = diagnose(model, campaign, seed=seed)
-    found = diagnosis.to_json()
+        found = diagnose(model, campaign, seed=seed).to_json()
     _write(folder / "diagnose.json", found)
     for stage, part in found["stages"].items():
         say(f"Diagnosis, {stage}: {part['verdict']}. {part['summary']}")
@@ -135,8 +133,7 @@ def demo(
         say("Nothing was confirmed, so nothing is added.")
     save_model(mended, folder / "model.json")
     with step("comparing again"):
-        verified = compare(mended, campaign, seed=seed)
-    after = verified.to_json()
+        after = compare(mended, campaign, seed=seed).to_json()
     _write(folder / "compare.json", after)
     for line in _errors(before, after):
         say(line)
@@ -146,7 +143,9 @@ def demo(
         say(f"What was hidden: {item['effect']} at {item['where']}. {'Found.' if named else 'It was not found.'}")
     report = folder / "report.html"
     with step("writing the report"):
-        _report(report, mended, campaign, (comparison, verified), diagnosis, hidden)
+        from clampid.report import write_report  # plotly takes a while, and only the last step needs it
+
+        write_report(report, mended, campaign, comparison=after, diagnosis=found, first_model=model, truth=hidden)
     say(f"Report: {report}")
     result = DemoResult(folder, report, tuple(hidden), terms, before, after, found, named)
     _write(folder / "demo.json", result.to_json())
@@ -191,11 +190,3 @@ def _named(hidden: Sequence[Mapping[str, Any]], found: Mapping[str, Sequence[str
 
 def _write(path: Path, data: Mapping[str, Any]) -> None:
     write_text(path, json.dumps(data, indent=1) + "\n")
-
-
-def _report(
-    path: Path, model: Model, campaign: Campaign, comparisons: tuple[Any, Any], diagnosis: Any, hidden: Any
-) -> None:
-    from clampid.report import write_report  # plotly takes a while, and only the last step needs it
-
-    write_report(path, model, campaign, comparison=comparisons[1], diagnosis=diagnosis, truth=hidden)

@@ -12,7 +12,9 @@ q are the joint values of the chain and not the controller's.
 
 from __future__ import annotations
 
+import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -173,17 +175,18 @@ def table_text(frame: pd.DataFrame) -> str:
 
 
 def read_dh(text: str, convention: Convention = "hayati") -> DHTable:
-    """A table as :func:`table_text` wrote it."""
-    import pandas as pd
+    """A table as :func:`table_text` wrote it, to the last digit."""
+    records = {record["row"]: record for record in csv.DictReader(io.StringIO(text))}
 
-    frame = pd.read_csv(io.StringIO(text), dtype={"row": str}, float_precision="round_trip").set_index("row")
+    def numbers(row: str, columns: Sequence[str]) -> list[float]:
+        return [float(records[row][column]) for column in columns]
+
     rows = []
-    for i in range(1, len(frame) - 1):
-        sign, *numbers = frame.loc[str(i), ["sign", *ROW_COLUMNS]].to_numpy(dtype=np.float64).tolist()
-        theta_offset, d, a, alpha, beta = numbers
+    for i in range(1, len(records) - 1):
+        sign, theta_offset, d, a, alpha, beta = numbers(str(i), ("sign", *ROW_COLUMNS))
         rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
-    ends = [_pose(frame.loc[end, list(FRAME_COLUMNS)].to_numpy(dtype=np.float64)) for end in ("base", "tool")]
-    return DHTable(tuple(rows), ends[0], ends[1], convention)
+    base, tool = (_pose(np.array(numbers(end, FRAME_COLUMNS))) for end in ("base", "tool"))
+    return DHTable(tuple(rows), base, tool, convention)
 
 
 def _numbers(chain: CalibratedChain, convention: Convention) -> tuple[Array, list[int]]:

@@ -23,7 +23,7 @@ def compare(
         float, typer.Option(metavar="SHARE", help="Share of whole poses that they are fitted on.")
     ] = 0.2,
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write the report too.", show_default=False)
+        Path | None, typer.Option(metavar="FILE.html", help="Write the report, with a diagnosis.", show_default=False)
     ] = None,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
@@ -55,9 +55,11 @@ def compare(
     data = {**comparison.to_json(), "model": str(model), "campaign": str(campaign)}
     show_comparison(data, out)
     if report is not None:
+        from clampid.diagnose import diagnose
         from clampid.report import write_report
 
-        with out.working("writing the report"):
-            write_report(report, loaded, read, comparison=comparison)
+        with out.working("diagnosing and writing the report"):
+            diagnosis = diagnose(loaded, read, seed=seed, user_effects=effects_from).to_json()
+            write_report(report, loaded, read, comparison=data, diagnosis=diagnosis, user_effects=effects_from)
         out.say(f"report: {report}")
     out.result(data)

@@ -1,0 +1,80 @@
+# Everything runs in an environment of its own, .venv, made on the first call. Needs git, make and Python 3.11 or newer.
+#
+#   make demo [SEED=7]   the main job on a virtual robot with a hidden effect
+#   make test            the suite (SLOW=yes: with the statistical runs of minutes)
+#   make lint            formatting, types, import contracts
+#   make docs            the documentation, into site/
+
+PYTHON ?= python3
+SEED ?= 1
+OUT ?= demo
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+
+# Two workers, and one thread each: BLAS threads that fight cost a small fit a factor of ten.
+WORKERS ?= 2
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help venv demo test test-slow test-all lint format docs figures clean
+
+help:
+	@sed -n '3,6s/^# *//p' Makefile
+
+venv: $(VENV)/.run
+
+# The stamps are older than what they depend on only when the installation has to be renewed.
+$(VENV)/.run: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing clampid into $(VENV) (once; takes a minute or two)"
+	@$(PIP) -e .
+	@touch $@
+
+$(VENV)/.develop: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing clampid with its development tools into $(VENV) (once; takes a minute or two)"
+	@$(PIP) -e '.[test,lint,docs]'
+	@touch $@ $(VENV)/.run
+
+# A machine may have venv without ensurepip (Debian splits them): then a pip from outside installs into it.
+$(BIN)/python:
+	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON): expected Python 3.11 or newer, found none; say which with make PYTHON=…" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"expected Python 3.11 or newer, found {v[0]}.{v[1]}; say which with make PYTHON=…")'
+	@rm -rf $(VENV)
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 \
+	  || { rm -rf $(VENV); $(PYTHON) -m virtualenv --quiet $(VENV) >/dev/null 2>&1; } \
+	  || { rm -rf $(VENV); $(PYTHON) -m venv --without-pip $(VENV) >/dev/null 2>&1 \
+	       && $(PYTHON) -m pip --disable-pip-version-check --python $(VENV)/bin/python install --quiet pip >/dev/null 2>&1; } \
+	  || { rm -rf $(VENV); \
+	       echo "no environment could be made: $(PYTHON) -m venv needs ensurepip; on Debian and Ubuntu: sudo apt install python3-venv" >&2; \
+	       exit 1; }
+
+demo: $(VENV)/.run
+	$(BIN)/clampid demo --seed $(SEED) --out $(OUT)
+
+test: $(VENV)/.develop
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(SLOW),,-m "not slow")
+
+test-slow: $(VENV)/.develop
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m slow
+
+test-all:
+	$(MAKE) test SLOW=yes
+
+lint: $(VENV)/.develop
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(VENV)/.develop
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: $(VENV)/.develop
+	$(BIN)/mkdocs build --strict --quiet
+
+figures: $(VENV)/.develop
+	$(BIN)/python docs/make_figures.py
+
+clean:
+	rm -rf $(VENV) site build dist demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clampid.chain import Deviations
+from clampid.export import COLUMNS, calibrated_chain, dh_table, read_dh, table_text, urdf_text
+from clampid.export import _numbers as numbers
+from clampid.model import Model, ModelError
+from clampid.stages.poses import predict
+from clampid.stages.rows import Array, Rows
+from kinematics.description import load_robot, robot_names
+from kinematics.dh import Convention
+from kinematics.dh import forward as dh_forward
+from kinematics.dh_conversion import DHError
+from kinematics.poe import forward
+from kinematics.urdf import read_urdf
+
+Make = Callable[..., Model]
+AXES = ("rx", "ry", "rz", "x", "y", "z")
+
+
+def postures(n: int, count: int = 40) -> Array:
+    return np.random.default_rng(1).uniform(-np.pi, np.pi, (count, n))
+
+
+def stage_prediction(model: Model, q: Array) -> Array:
+    """Give the flange by the forward model that the fit uses, with the same geometry at its stations."""
+    robot, count = load_robot(model.robot), len(q)
+    values = {(s.parameter, s.place): v for s, v in model.stages["poses"].values().items()}
+    link = np.array([[values[axis, f"link{i + 1}"] for axis in AXES] for i in range(robot.n)])
+    link[-1] += [values[f"flange_{axis}", "session1"] for axis in AXES]
+    sizes = {"joint_angle": robot.n, "base_twist": 6, "link_twist": 6 * robot.n, "target_shift": 3, "measurement": 3}
+    ends = np.cumsum([0, *sizes.values()])
+    offsets = {name: slice(int(a), int(b)) for name, a, b in zip(sizes, ends, ends[1:], strict=False)}
+    stations = np.zeros((count, ends[-1]))
+    stations[:, offsets["base_twist"]] = [values[f"base_{axis}", "session1"] for axis in AXES]
+    stations[:, offsets["link_twist"]] = link.ravel()
+    none, index = np.zeros((count, 0)), np.zeros(count, dtype=np.int64)
+    constants = {
+        "base_reference": np.broadcast_to(np.asarray(model.sessions[0].base_reference), (count, 4, 4)),
+        "target": np.zeros((count, 3)),
+    }
+    rows = Rows(
+        "poses", robot, model.layout, {"q": q}, np.zeros((count, 6)), none, none.astype(bool), index, index,
+        index.astype(np.str_), index, index, constants,
+    )  # fmt: skip
+    position, rotation, _ = predict(rows, Deviations(stations, none, index[:0], index[:0], None), offsets)
+    out = np.zeros((count, 4, 4))
+    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = rotation, position, 1.0
+    return out
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_the_chain_is_the_model_that_was_fitted(name: str, make_model: Make) -> None:
+    model = make_model(name)
+    robot = load_robot(name)
+    q = postures(robot.n)
+    there = calibrated_chain(model).flange(q @ np.asarray(robot.linkage).T)
+    np.testing.assert_allclose(there, stage_prediction(model, q), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_hayati_rows_are_exact(name: str, make_model: Make) -> None:
+    model = make_model(name)
+    q = postures(load_robot(name).n)
+    text = table_text(dh_table(model, "hayati"))
+    np.testing.assert_allclose(dh_forward(read_dh(text), q), calibrated_chain(model).flange(q), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_urdf_is_exact_in_the_frame_of_the_instrument(name: str, make_model: Make, tmp_path: Path) -> None:
+    model = make_model(name)
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf_text(model))
+    back, q = read_urdf(path, "flange"), postures(load_robot(name).n)
+    there = forward(back.screws, back.flange, q)
+    np.testing.assert_allclose(there, calibrated_chain(model).flange(q), atol=1e-9)
+
+
+def test_standard_rows_have_no_beta_and_are_good_to_a_micrometre(make_model: Make) -> None:
+    model = make_model("kuka_kr20_r1810")
+    frame = dh_table(model, "standard")
+    assert (frame["beta_rad"].dropna() == 0.0).all()
+    q = postures(6)
+    np.testing.assert_allclose(dh_forward(read_dh(table_text(frame)), q), calibrated_chain(model).flange(q), atol=1e-6)
+
+
+def test_standard_rows_of_nearly_parallel_axes_are_refused_with_the_reason(make_model: Make) -> None:
+    model = make_model("kuka_kr20_r1810", size=1e-10)
+    with pytest.raises(DHError, match=r"standard table would lose .* axes 2 and 3 are .* from parallel"):
+        dh_table(model, "standard")
+    dh_table(model, "hayati")
+
+
+def test_the_columns_are_those_of_the_contract(make_model: Make) -> None:
+    frame = dh_table(make_model("ur10"), "hayati")
+    assert tuple(frame.columns) == COLUMNS
+    assert list(frame["row"]) == ["1", "2", "3", "4", "5", "6", "base", "tool"]
+    joints, ends = frame.iloc[:6], frame.iloc[6:]
+    for column in ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad"):
+        assert joints[[column, f"std_{column}"]].notna().all(axis=None)
+        assert ends[[column, f"std_{column}"]].isna().all(axis=None)
+    for column in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"):
+        assert ends[[column, f"std_{column}"]].notna().all(axis=None)
+        assert joints[[column, f"std_{column}"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize("convention", ["hayati", "standard"])
+def test_standard_errors_are_those_of_a_drawn_sample(convention: Convention, make_model: Make) -> None:
+    model = make_model("kuka_kr20_r1810", std=1e-6)
+    stage = model.stages["poses"]
+    frame = dh_table(model, convention)
+    names = [c for c in COLUMNS if c.startswith("std_")]
+    promised = frame[names].to_numpy(dtype=float).ravel()
+    promised = promised[np.isfinite(promised)]
+    rng = np.random.default_rng(3)
+    drawn = [
+        numbers(calibrated_chain(model, theta=stage.theta + 1e-6 * rng.standard_normal(len(stage.theta))), convention)[
+            0
+        ]
+        for _ in range(400)
+    ]
+    sample = np.std(drawn, axis=0)
+    clear = promised > 1e-11
+    np.testing.assert_allclose(sample[clear], promised[clear], rtol=0.2)
+    assert (sample[~clear] < 1e-10).all()
+
+
+def test_a_model_without_geometry_is_refused(make_model: Make) -> None:
+    model = make_model("ur10")
+    with pytest.raises(ModelError, match="geometry"):
+        dh_table(replace(model, stages={}), "hayati")
+    with pytest.raises(ModelError, match="session 2: the model has sessions 1 to 1"):
+        dh_table(model, "hayati", session=1)
