@@ -44,12 +44,14 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
 def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
     """Stage by stage: the verdict in a sentence, the candidates with their evidence, what to measure next."""
     for stage, part in data["stages"].items():
-        out.say(f"{stage}: {part['verdict']}: {part.get('summary') or WORDS.get(part['verdict'], '')}")
-        unit = part["unit"]
-        rows = [_candidate(candidate, unit) for candidate in part["candidates"]]
-        if rows:
-            columns = ("effect", "at", "parameters", "p", "p of the family", "held out, before", "after")
-            out.table("", columns, rows, left=3)
+        out.say(f"{stage}: {part.get('summary') or WORDS.get(part['verdict'], part['verdict'])}")
+        candidates, unit = part["candidates"], part["unit"]
+        if candidates:
+            columns = ("effect", "at", "p", "p of the family", "held out, before", "after")
+            out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
+            parameters = [p for candidate in candidates for p in candidate["parameters"]]
+            values = [(p["name"], with_error(p["value"], _nan(p.get("std")), p["unit"])) for p in parameters]
+            out.table("", ("parameter", "value"), values)
         if part.get("depends_on"):
             out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
         if part.get("next_measurement"):
@@ -61,15 +63,9 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
 
 
 def _candidate(candidate: Mapping[str, Any], unit: str) -> tuple[str, ...]:
-    parameters = [
-        f"{p['name']} {with_error(p['value'], _nan(p.get('std')), p['unit'])}" for p in candidate["parameters"][:6]
-    ]
-    more = len(candidate["parameters"]) - 6
-    shown = "; ".join(parameters) + (f"; and {more} more" if more > 0 else "")
     return (
         ("or " if candidate.get("alternative") else "") + candidate["effect"],
         where_text(candidate["where"]),
-        shown,
         _number(candidate.get("p_value"), 2),
         _number(candidate.get("p_familywise"), 2),
         error_text(candidate.get("heldout_rms_before"), unit),

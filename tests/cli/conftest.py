@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from cli_runner import Clampid, Ran
+
+from experiments.simulate import simulate
+
+
+@pytest.fixture(scope="session")
+def clampid() -> Clampid:
+    """Run the command as a user does: the installed entry point, in a process of its own."""
+    program = Path(sys.executable).with_name("clampid")
+
+    def run(*arguments: str | Path, cwd: Path | None = None) -> Ran:
+        done = subprocess.run(
+            [program, *map(str, arguments)],
+            cwd=cwd, capture_output=True, text=True, timeout=600, check=False, env={**os.environ, "COLUMNS": "120"},
+        )  # fmt: skip
+        return Ran(done.returncode, done.stdout, done.stderr)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def poses_only(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a small campaign of poses and verification alone, with an eccentric gear hidden."""
+    folder = tmp_path_factory.mktemp("campaigns") / "arm"
+    tables = ("poses", "verification")
+    return simulate(folder, "ur10", ["gear_eccentricity@joint2:3"], seed=3, poses=80, tables=tables)
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a campaign with all tables and nothing hidden."""
+    return simulate(tmp_path_factory.mktemp("campaigns") / "whole", seed=4, poses=60)
+
+
+@pytest.fixture(scope="session")
+def model(poses_only: Path, clampid: Clampid) -> Path:
+    """Give a model identified from the campaign of poses."""
+    path = poses_only.with_name("model.json")
+    ran = clampid("identify", poses_only, "-o", path, "-q")
+    assert ran.code == 0, ran.err
+    return path

@@ -1,0 +1,148 @@
+"""What the verbs give to programs: the keys of the contract, stdout with nothing but JSON, equal numbers for a seed."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_runner import Clampid
+
+
+def test_check(clampid: Clampid, whole: Path) -> None:
+    ran = clampid("check", whole, "--json", "-")
+    assert ran.code == 0, ran.err
+    assert set(ran.json["tables"]) == {"free_air", "wrist", "clamped", "poses", "verification"}
+    assert ran.json["stages"]["free_air"]["tables"] == ["free_air", "wrist"]
+    assert "geometry" in ran.json["stages"]["poses"]["standard"]
+
+
+def test_effects(clampid: Clampid) -> None:
+    ran = clampid("effects", "--json", "-")
+    assert ran.code == 0, ran.err
+    assert {"geometry", "backlash", "gear_eccentricity"} <= {effect["name"] for effect in ran.json}
+    for effect in ran.json:
+        assert {"name", "family", "parameters", "needs", "equation", "source"} <= set(effect)
+        assert all({"name", "unit"} <= set(p) for p in effect["parameters"])
+
+
+def test_effects_of_a_users_own(clampid: Clampid, tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from clampid.effect import Effect, Parameter\n"
+        "EFFECT = Effect(name='my_slack', family='backlash',\n"
+        "    acts={'joint_angle': lambda p, x: p.slack * x.direction},\n"
+        "    parameters=(Parameter('slack', 'rad', 1e-4, 'joint'),), needs=('direction',), stages=('poses',),\n"
+        "    equation='dq = s d', source=('own',))\n"
+    )
+    ran = clampid("effects", "--effects-from", own, "--json", "-")
+    assert "my_slack" in {effect["name"] for effect in ran.json}
+
+
+def test_json_on_stdout_is_alone_and_equal_to_the_file(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
+    there = clampid("identify", poses_only, "-o", tmp_path / "m.json", "--json", "-")
+    assert there.code == 0, there.err
+    assert there.json["stages"]["poses"]["unit"] == "m"
+    clampid("identify", poses_only, "-o", tmp_path / "m.json", "--json", tmp_path / "i.json", "-q")
+    assert json.loads((tmp_path / "i.json").read_text()) == there.json
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["i.json", "m.json"]
+
+
+def test_quiet_silences_progress(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
+    loud = clampid("identify", poses_only, "-o", tmp_path / "m.json")
+    quiet = clampid("identify", poses_only, "-o", tmp_path / "m.json", "--quiet")
+    assert "identifying" in loud.err
+    assert "identifying" not in quiet.err
+    assert loud.out == quiet.out
+
+
+def test_equal_seeds_give_equal_files(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
+    for name in ("a.json", "b.json"):
+        clampid("identify", poses_only, "-o", tmp_path / name, "--holdout", "0.2", "--seed", "5", "-q")
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+    held = json.loads((tmp_path / "a.json").read_text())["stages"]["poses"]["held_out"]
+    assert len(held[0]) == 16
+
+
+def test_the_loop_on_one_campaign(clampid: Clampid, poses_only: Path, model: Path, tmp_path: Path) -> None:
+    compared = clampid("compare", model, poses_only, "--json", "-")
+    assert compared.code == 0, compared.err
+    table = compared.json["tables"]["poses"]
+    assert table["unit"] == "m"
+    assert {"rows", "rms", "mean", "p95", "max", "noise_floor", "noise_source", "heldout"} <= set(table)
+    assert {"rows", "rms", "mean", "max"} <= set(table["heldout"])
+
+    found = clampid("diagnose", model, poses_only, "--json", tmp_path / "d.json")
+    assert found.code == 0, found.err
+    diagnosis = json.loads((tmp_path / "d.json").read_text())["stages"]["poses"]
+    assert {
+        "verdict", "unit", "noise_floor", "heldout_rms_before", "heldout_rms_after", "candidates", "considered",
+        "depends_on", "outliers", "next_measurement", "summary",
+    } <= set(diagnosis)  # fmt: skip
+    assert {
+        "effect", "where", "alternative", "p_value", "p_familywise", "heldout_rms_before", "heldout_rms_after",
+        "parameters", "confusable_with",
+    } <= set(diagnosis["candidates"][0])  # fmt: skip
+    assert ("gear_eccentricity", ["joint2"]) in [(c["effect"], c["where"]) for c in diagnosis["candidates"]]
+
+    mended = tmp_path / "m2.json"
+    added = clampid("add", "gear_eccentricity@joint2", model, poses_only, "-o", mended, "--json", "-")
+    assert added.code == 0, added.err
+    part = added.json["stages"]["poses"]
+    assert {"unit", "added", "noise_floor", "heldout_rms_before", "heldout_rms_after"} <= set(part)
+    assert part["added"][0]["effect"] == "gear_eccentricity"
+    assert part["heldout_rms_after"] < part["heldout_rms_before"]
+
+    rounds = clampid("history", mended, "--json", "-").json["rounds"]
+    assert len(rounds) == 2
+    assert all({"stage", "effects", "rms", "heldout_rms", "noise_floor"} <= set(r) for r in rounds)
+
+    report = tmp_path / "report.html"
+    assert clampid("compare", mended, poses_only, "--report", report, "-q").code == 0
+    assert "<html" in report.read_text()[:2000]
+
+
+@pytest.mark.parametrize("refit", ["base,tool", "base", "tool"])
+def test_compare_with_refit_holds_the_rest_out(refit: str, clampid: Clampid, poses_only: Path, model: Path) -> None:
+    ran = clampid("compare", model, poses_only, "--refit", refit, "--json", "-")
+    assert ran.code == 0, ran.err
+    table = ran.json["tables"]["poses"]
+    share = table["rows"] / (table["rows"] + table["heldout"]["rows"])
+    assert 0.15 < share < 0.25
+
+
+def test_export_dh_to_stdout_and_to_a_file(clampid: Clampid, model: Path, tmp_path: Path) -> None:
+    printed = clampid("export", "dh", model, "--convention", "hayati")
+    assert printed.code == 0, printed.err
+    rows = list(csv.DictReader(printed.out.splitlines()))
+    assert [row["row"] for row in rows] == ["1", "2", "3", "4", "5", "6", "base", "tool"]
+    path = tmp_path / "dh.csv"
+    assert clampid("export", "dh", model, "--convention", "hayati", "-o", path).code == 0
+    assert path.read_text() == printed.out
+
+
+def test_export_urdf(clampid: Clampid, model: Path, tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    assert clampid("export", "urdf", model, "-o", path).code == 0
+    assert path.read_text().startswith("<?xml")
+
+
+def test_simulate_tells_what_was_hidden_beside_the_folder_only(clampid: Clampid, tmp_path: Path) -> None:
+    folder = tmp_path / "c"
+    ran = clampid("simulate", "-o", folder, "--robot", "ur10", "--hide", "backlash@joint2:2", "--poses", "20", "-q")
+    assert ran.code == 0, ran.err
+    hidden: list[dict[str, Any]] = json.loads((tmp_path / "c.hidden.json").read_text())
+    assert [(item["effect"], item["where"]) for item in hidden] == [("backlash", "joint2")]
+    assert set(hidden[0]) == {"effect", "where", "parameters"}
+    assert not [p for p in folder.iterdir() if "hidden" in p.name or "backlash" in p.read_bytes().decode("latin1")]
+
+
+def test_simulate_with_the_same_seed_is_the_same_campaign(clampid: Clampid, tmp_path: Path) -> None:
+    from experiments.campaign import read_campaign
+
+    for name in ("a", "b"):
+        clampid("simulate", "-o", tmp_path / name, "--robot", "ur10", "--poses", "20", "--seed", "9", "-q")
+    a, b = (read_campaign(tmp_path / name) for name in ("a", "b"))
+    assert a.fingerprint == b.fingerprint
