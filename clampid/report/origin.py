@@ -1,0 +1,67 @@
+"""Where it comes from: the literature behind the effects used, version and seed, and the command that does it again."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+
+from clampid.effect import Effect
+from clampid.model import Model
+from clampid.report.display import number
+from clampid.report.style import Section, as_table
+from experiments.campaign import Campaign
+from kinematics.sources import load_sources
+
+__all__ = ["command", "origin_section"]
+
+
+def command(model: Model, campaign: Campaign) -> str:
+    """The call that fits this model again."""
+    folder = str(campaign.path) if campaign.path is not None else campaign.name
+    words = ["clampid", "identify", folder, *("OTHER_CAMPAIGN" for _ in model.sessions[1:]), "-o", "model.json"]
+    for stage, part in model.stages.items():
+        words += ["--effects", f"{stage}={','.join(t.label for t in part.terms)}"]
+    if model.holdout:
+        words += ["--holdout", repr(model.holdout)]
+    words += ["--seed", str(model.seed)]
+    if model.user_effects:
+        words += ["--effects-from", model.user_effects]
+    return shlex.join(words)
+
+
+def origin_section(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> Section:
+    """Section "Sources and how to do it again"."""
+    titles = load_sources()
+    used: dict[str, list[str]] = {}
+    for part in model.stages.values():
+        for term in part.terms:
+            for key in effects[term.effect].source:
+                if term.effect not in used.setdefault(key, []):
+                    used[key].append(term.effect)
+    rows = [(key, titles.get(key, "given by the effect's own file"), ", ".join(names)) for key, names in used.items()]
+    facts = [
+        ("Software", f"clampid {_version()}"),
+        ("Seed", str(model.seed)),
+        ("Fitted again by", command(model, campaign)),
+        ("Campaigns", "; ".join(f"{s.name} ({s.fingerprint[:16]}…)" for s in model.sessions)),
+        ("Robot description", campaign.robot.source or "–"),
+        (
+            "Effects' equations",
+            f"{number(len({t.effect for p in model.stages.values() for t in p.terms}))} effects, see the tables above",
+        ),
+    ]
+    caption = "The literature that follows from the effects used."
+    return Section(
+        "origin",
+        "Sources, and how to do it again",
+        (),
+        (as_table(("", ""), facts[:-1]), as_table(("Key", "Title", "For"), rows, caption)),
+    )
+
+
+def _version() -> str:
+    try:
+        return version("clampid")
+    except PackageNotFoundError:
+        return "(not installed)"

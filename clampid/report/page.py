@@ -1,0 +1,107 @@
+"""The page: all sections in their order, put into the template."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import plotly.io
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from clampid.model import Model
+from clampid.reopen import reopen
+from clampid.report.budget_section import budget_section
+from clampid.report.dh_section import dh_section
+from clampid.report.measured import measured_section
+from clampid.report.origin import origin_section
+from clampid.report.parameters import parameters_section
+from clampid.report.robot3d import robot_section
+from clampid.report.rounds import rounds_section
+from clampid.report.stage_data import stage_data
+from clampid.report.style import Figure, Section
+from clampid.report.torque import torque_section
+from clampid.report.verdict import headline, truth_section, verdict_section
+from clampid.report.where import where_section
+from experiments.campaign import Campaign
+
+__all__ = ["page"]
+
+Json = Mapping[str, Any]
+
+
+def page(
+    model: Model,
+    campaign: Campaign,
+    comparison: Json | None,
+    diagnosis: Json | None,
+    first_model: Model | None,
+    truth: Sequence[Json] | None,
+    user_effects: str | Path | None,
+) -> str:
+    """The report as HTML."""
+    own = None if user_effects is None else Path(user_effects)
+    opened = reopen(model, campaign, own)
+    effects, stages = opened.effects, stage_data(opened)
+    poses = stages.get("poses")
+    before = stage_data(reopen(first_model, campaign, own)).get("poses") if first_model is not None else None
+    sections = [
+        measured_section(model, campaign),
+        rounds_section(model, first_model, stages),
+        verdict_section(diagnosis, comparison),
+        truth_section(truth),
+        where_section(stages, model.seed),
+        robot_section(campaign.robot, poses, before) if poses is not None else None,
+        budget_section(stages),
+        torque_section(stages),
+        parameters_section(model, effects),
+        dh_section(model),
+        origin_section(model, campaign, effects),
+    ]
+    return render(
+        f"{campaign.robot.title}: calibration report",
+        campaign.name,
+        headline(model, first_model, comparison, diagnosis),
+        [s for s in sections if s is not None],
+    )
+
+
+def render(title: str, campaign: str, verdict: Sequence[str], sections: Sequence[Section]) -> str:
+    """Fill the template."""
+    environment = Environment(
+        loader=PackageLoader("clampid", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("template.html").render(
+        title=title,
+        campaign=campaign,
+        verdict=verdict,
+        sections=sections,
+        kind=lambda block: type(block).__name__,
+        plot_json=_plot_json,
+        choices_json=_choices_json,
+        plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
+    )
+
+
+def _embedded(text: str) -> Markup:
+    """JSON that may stand inside a script element."""
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+def _plot_json(figure: Figure) -> Markup:
+    return _embedded(plotly.io.to_json(figure.plot, validate=False, engine="json"))
+
+
+def _choices_json(figure: Figure) -> Markup:
+    import json
+
+    if figure.selector is None:
+        return Markup("null")
+    s = figure.selector
+    return _embedded(json.dumps({"variables": list(s.variables), "values": list(s.values), "fitted": s.fitted}))

@@ -1,0 +1,119 @@
+"""The model with standard errors, effect by effect, in units for people; and what these data cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from clampid.effect import Effect
+from clampid.model import Model, StageModel
+from clampid.report.display import Scale, scale_for, stage_title, with_std
+from clampid.report.stage_data import in_order
+from clampid.report.style import Figure, Section, Table, as_table
+from clampid.slots import find_parameter
+
+__all__ = ["OPEN", "parameters_section"]
+
+OPEN = "not identifiable"
+_PREFIXES = {"base_": "base", "target_": "targets", "flange_": "flange"}
+_WIDE = 3  # an effect with more parameters at a place has a table of its own
+
+
+def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
+    """Section "The model with standard errors"."""
+    blocks: list[str | Table | Figure] = []
+    notes: list[str] = []
+    open_ones = 0
+    for stage in in_order(model.stages):
+        stage_model = model.stages[stage]
+        open_ones += sum(not ok for ok in stage_model.identified)
+        blocks.append(stage_title(stage))
+        blocks += [_pivot(stage_model, effects, indices) for indices in _groups(stage_model, effects)]
+        notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
+    text = "Value ± one standard error."
+    if open_ones:
+        text += (
+            f" “{OPEN}” stands for: not identifiable from these data, that is, not known to within the size that it "
+            f"may reasonably have ({open_ones} parameters). Their values in the model file are one choice of many that "
+            "fit equally well."
+        )
+    return Section(
+        "model", "The model with standard errors", (text,), tuple(blocks), tuple(notes), "What these data cannot tell"
+    )
+
+
+def _groups(stage: StageModel, effects: Mapping[str, Effect]) -> list[list[int]]:
+    """Slots that share a table: small effects at the same kind of place; others, and parts of the geometry, alone."""
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for k, slot in enumerate(stage.slots):
+        effect = effects[slot.effect]
+        kind = slot.place.rstrip("0123456789")
+        alone = slot.effect == "geometry" or len(effect.parameters) > _WIDE
+        part = next((p for p in _PREFIXES if slot.effect == "geometry" and slot.parameter.startswith(p)), "")
+        key = (slot.effect, part) if alone else ("", kind)
+        groups.setdefault(key, []).append(k)
+    return list(groups.values())
+
+
+def _pivot(stage: StageModel, effects: Mapping[str, Effect], indices: Sequence[int]) -> Table:
+    """Places by parameters."""
+    at = {(stage.slots[k].place, stage.slots[k].effect, stage.slots[k].parameter): k for k in indices}
+    columns = list(dict.fromkeys((stage.slots[k].effect, stage.slots[k].parameter) for k in indices))
+    order = {
+        (e, p.name): i
+        for i, (e, p) in enumerate((e, p) for e in dict.fromkeys(c[0] for c in columns) for p in effects[e].parameters)
+    }
+    columns.sort(key=lambda c: order[c])
+    places = list(dict.fromkeys(stage.slots[k].place for k in indices))
+    single = len({effect for effect, _ in columns}) == 1
+    scales = {
+        c: _scale(stage, effects, [k for k in indices if (stage.slots[k].effect, stage.slots[k].parameter) == c])
+        for c in columns
+    }
+    heads = []
+    for effect, name in columns:
+        short = (
+            name if effect != "geometry" else name.removeprefix("base_").removeprefix("target_").removeprefix("flange_")
+        )
+        unit = scales[effect, name].unit
+        heads.append(f"{short if single else f'{effect} {short}'}{f', {unit}' if unit else ''}#")
+    rows = [
+        (place, *(_cell(stage, at.get((place, *c)), scales[c]) for c in columns))
+        for place in sorted(places, key=_natural)
+    ]
+    return as_table(("At", *heads), rows, _caption(effects, columns))
+
+
+def _natural(place: str) -> tuple[str, int]:
+    head = place.rstrip("0123456789")
+    return head, int(place[len(head) :] or 0)
+
+
+def _scale(stage: StageModel, effects: Mapping[str, Effect], own: Sequence[int]) -> Scale:
+    known = [k for k in own if stage.identified[k]] or list(own)
+    values = [float(v) for k in known for v in (stage.theta[k], stage.std[k])]
+    return scale_for(find_parameter(stage.slots[own[0]], effects).unit, values)
+
+
+def _cell(stage: StageModel, k: int | None, scale: Scale) -> str:
+    if k is None:
+        return ""
+    if not stage.identified[k]:
+        return OPEN
+    return with_std(float(stage.theta[k]), float(stage.std[k]), scale, unit=False)
+
+
+def _caption(effects: Mapping[str, Effect], columns: Sequence[tuple[str, str]]) -> str:
+    parts = []
+    for name in dict.fromkeys(effect for effect, _ in columns):
+        effect = effects[name]
+        own = [p for e, p in columns if e == name]
+        if name == "geometry":
+            what = next(
+                (w for p, w in _PREFIXES.items() if own[0].startswith(p)),
+                "links: the motion of each link's far end, base axes at the zero pose",
+            )
+            parts.append(f"geometry, {what}. {effect.equation}.")
+        else:
+            meanings = "; ".join(f"{p.name}: {p.meaning}" for p in effect.parameters if p.name in own and p.meaning)
+            parts.append(f"{name}: {effect.equation}" + (f" ({meanings})." if meanings else "."))
+    return " ".join(parts)

@@ -1,0 +1,145 @@
+"""What the report needs of a stage: its rows in the campaign, what the model leaves of them, which were held out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from clampid.accuracy import Floor, noise_floor, predicted
+from clampid.effect import Stage
+from clampid.identify import TABLES_OF, stage_rows
+from clampid.model import StageModel
+from clampid.reopen import Reopened
+from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.pose_rows import align
+from clampid.stages.rows import Array, Bools, Rows
+
+__all__ = ["Piece", "StageData", "in_order", "stage_data"]
+
+ORDER: tuple[Stage, ...] = ("poses", "free_air", "clamped")
+"""Poses first: they are what the robot is calibrated for."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One table's rows with what a model leaves of them.
+
+    Attributes
+    ----------
+    residual
+        ``(N, m)``, measured less predicted, SI.
+    good
+        ``(N, m)``: numbers that count: neither at rest nor rejected.
+    held
+        ``(N,)``: rows that no fit saw.
+    """
+
+    rows: Rows
+    experiment: Experiment
+    residual: Array
+    good: Bools
+    held: Bools
+
+
+@dataclass(frozen=True)
+class StageData:
+    """A stage of a model on a campaign: its pieces and the noise that is left at best."""
+
+    stage: Stage
+    model: StageModel
+    pieces: tuple[Piece, ...]
+    floor: Floor
+    frames: Mapping[str, pd.DataFrame]
+
+    @property
+    def first(self) -> Piece:
+        """The piece that was fitted on."""
+        return self.pieces[0]
+
+    @property
+    def channels(self) -> int:
+        """Coordinates of a point (3), or motors."""
+        return 3 if self.stage == "poses" else self.first.residual.shape[1]
+
+    def stacked(self, name: str) -> Array:
+        """A signal of all rows."""
+        return np.concatenate([p.rows.signals[name] for p in self.pieces])
+
+    @property
+    def residual(self) -> Array:
+        """Residuals of all rows ``(N, channels)``."""
+        return np.concatenate([p.residual[:, : self.channels] for p in self.pieces])
+
+    @property
+    def good(self) -> Bools:
+        """Which numbers of all rows count ``(N, channels)``."""
+        return np.concatenate([p.good[:, : self.channels] for p in self.pieces])
+
+    @property
+    def held(self) -> Bools:
+        """Which of all rows were held out ``(N,)``."""
+        return np.concatenate([p.held for p in self.pieces])
+
+    def column(self, name: str) -> pd.Series | None:
+        """A column of the campaign for all rows, or None where a table lacks it."""
+        parts = []
+        for piece in self.pieces:
+            for table in dict.fromkeys(piece.rows.table.tolist()):
+                if name not in self.frames[table].columns:
+                    return None
+                parts.append(self.frames[table][name])
+        return pd.concat(parts, ignore_index=True)
+
+
+def in_order(stages: Iterable[Stage]) -> tuple[Stage, ...]:
+    """Stages in the order in which the report tells of them."""
+    found = set(stages)
+    return tuple(s for s in ORDER if s in found)
+
+
+def stage_data(opened: Reopened) -> dict[Stage, StageData]:
+    """Every stage that both the model and the campaign have.
+
+    A campaign that the model never saw says nothing of where its instrument stands: there the base is aligned with the
+    poses first.
+    """
+    out: dict[Stage, StageData] = {}
+    tables = opened.campaign.tables
+    for stage in in_order(opened.stages):
+        if not any(t in tables for t in TABLES_OF[stage]):
+            continue
+        rows = opened.rows(stage)
+        verification = None
+        if stage == "poses":
+            base = opened.base or _aligned(opened, rows)
+            rows = stage_rows([opened.campaign], opened.layout, stage, base)
+            verification = opened.verification(base)
+        pieces = [_piece(opened, stage, rows, False)]
+        if verification is not None:
+            pieces.append(_piece(opened, stage, verification, True))
+        first = pieces[0]
+        floor = noise_floor(rows.without(~first.good[:, 0]) if stage == "poses" else rows, first.residual)
+        out[stage] = StageData(stage, opened.stages[stage], tuple(pieces), floor, tables)
+    return out
+
+
+def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
+    """Where the instrument sees the base, from the points that the model predicts."""
+    model = opened.stages["poses"]
+    residual = predicted(experiment(rows, opened.effects, model.slots), model.theta)
+    motion = align(rows.measured[:, :3] - residual[:, :3], rows.measured[:, :3])
+    return {0: motion @ rows.constants["base_reference"][0]}
+
+
+def _piece(opened: Reopened, stage: Stage, rows: Rows, verification: bool) -> Piece:
+    model = opened.stages[stage]
+    found = experiment(rows, opened.effects, model.slots)
+    rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()
+    bad = np.array([key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)], dtype=bool)
+    held = rows.in_folds(opened.held(stage))
+    if opened.session is None or verification:
+        held = np.ones(len(rows), dtype=bool)
+    return Piece(rows, found, predicted(found, model.theta), rows.used & ~bad[:, None], held)

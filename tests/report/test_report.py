@@ -1,0 +1,274 @@
+"""The report: one file that opens offline, holds every section, and says what is not known."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clampid.identify import identify
+from clampid.report import write_report
+from experiments.campaign import read_campaign, write_campaign
+from experiments.virtual_robot import Hidden, measure
+from kinematics.description import load_robot
+
+ROBOT = "kuka_kr20_r1810"
+SECTIONS = (
+    "What was measured",
+    "The error, round by round",
+    "The verdict and its evidence",
+    "What had been hidden",
+    "Where it fails",
+    "The errors in space",
+    "Error budget by effect",
+    "Torques",
+    "The model with standard errors",
+    "Sources, and how to do it again",
+)
+
+
+def candidate(effect, where, **extra):
+    parameters = [{"name": "a1", "value": 1.234e-4, "std": 3.2e-6, "unit": "rad"}]
+    return {
+        "effect": effect,
+        "where": where,
+        "alternative": False,
+        "p_value": 1e-30,
+        "p_familywise": 0.005,
+        "heldout_rms_before": 2.1e-4,
+        "heldout_rms_after": 1.08e-4,
+        "parameters": parameters,
+        "confusable_with": [],
+        **extra,
+    }
+
+
+DIAGNOSIS = {
+    "stages": {
+        "poses": {
+            "verdict": "missing",
+            "unit": "m",
+            "noise_floor": 1.04e-4,
+            "heldout_rms_before": 2.1e-4,
+            "heldout_rms_after": 1.08e-4,
+            "candidates": [candidate("gear_eccentricity", ["joint3"])],
+            "considered": [candidate("thermal_expansion", ["link2"], confusable_with=["base_tilt"], p_value=0.0)],
+            "depends_on": ["q3"],
+            "outliers": [{"table": "poses", "row": 17, "size": 0.004}],
+            "next_measurement": "more poses <of joint 3>",
+            "summary": "Joint 3's gear runs out & in",
+        },
+        "free_air": {
+            "verdict": "adequate",
+            "unit": "sigma",
+            "noise_floor": 1.0,
+            "heldout_rms_before": 1.1,
+            "heldout_rms_after": 1.1,
+            "candidates": [],
+            "considered": [],
+            "depends_on": [],
+            "outliers": [],
+            "next_measurement": None,
+            "summary": "nothing was found beyond the noise",
+        },
+    }
+}
+COMPARISON = {
+    "tables": {
+        "poses": {
+            "unit": "m",
+            "rows": 90,
+            "rms": 1.1e-4,
+            "mean": 1e-4,
+            "max": 3.2e-4,
+            "p95": 2e-4,
+            "noise_floor": 1.04e-4,
+            "noise_source": "instrument",
+            "heldout": {"rows": 24, "rms": 1.2e-4, "mean": 1.1e-4, "max": 3.5e-4},
+        },
+        "free_air": {
+            "unit": "sigma",
+            "rms": 1.3,
+            "noise_floor": 1.0,
+            "heldout": {"rows": 900, "rms": 1.4},
+            "per_motor": [
+                {"rms_Nm": 0.05, "noise_floor_Nm": 0.04, "r2": 0.998, "heldout": {"rms_Nm": 0.05, "r2": 0.997}}
+            ],
+        },
+    }
+}
+
+
+class Assets(HTMLParser):
+    """What a browser would fetch, the text that a reader sees, and every script."""
+
+    def __init__(self):
+        super().__init__()
+        self.fetched, self.text, self.scripts, self.inside = [], [], [], None
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        if tag in ("link", "img", "iframe", "source", "object", "embed") or (tag == "script" and "src" in found):
+            self.fetched.append((tag, found))
+        if tag in ("script", "style"):
+            self.inside = (tag, found)
+            self.scripts.append((tag, found, []))
+
+    def handle_endtag(self, tag):
+        if tag in ("script", "style"):
+            self.inside = None
+
+    def handle_data(self, data):
+        if self.inside:
+            self.scripts[-1][2].append(data)
+        else:
+            self.text.append(data)
+
+
+def parse(path):
+    assets = Assets()
+    assets.feed(Path(path).read_text(encoding="utf-8"))
+    return assets, re.sub(r"\s+", " ", " ".join(assets.text))
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A small campaign of all tables and two models of it: as identified, and with something added."""
+    made = measure(load_robot(ROBOT), [Hidden("gear_eccentricity", "joint3")], seed=3, poses=30)
+    step = {"free_air": 16, "wrist": 4, "clamped": 3}
+    tables = {name: frame.iloc[:: step.get(name, 1)].reset_index(drop=True) for name, frame in made.tables.items()}
+    folder = tmp_path_factory.mktemp("report") / "campaign"
+    write_campaign(folder, made.header, tables, "csv")
+    campaign = read_campaign(folder)
+    first = identify(campaign, holdout=0.2, seed=1)
+    poses = [
+        "geometry",
+        "joint_compliance",
+        "backlash",
+        "gravity",
+        "wrist_coupling_friction",
+        "gear_eccentricity@joint3",
+    ]
+    return campaign, first, identify(campaign, {"poses": poses}, holdout=0.2, seed=1), made.hidden
+
+
+@pytest.fixture(scope="module")
+def page(measured, tmp_path_factory):
+    campaign, first, model, hidden = measured
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    write_report(path, model, campaign, comparison=COMPARISON, diagnosis=DIAGNOSIS, first_model=first, truth=hidden)
+    return path
+
+
+def test_one_file_that_fetches_nothing(page):
+    assets, _ = parse(page)
+    assert assets.fetched == []
+    assert page.stat().st_size < 8e6
+    assert [p.name for p in page.parent.iterdir()] == ["report.html"]  # no temporary file is left
+    styles = "".join(d for tag, _, data in assets.scripts if tag == "style" for d in data)
+    assert "url(" not in styles
+    assert "@import" not in styles
+
+
+def test_plotly_is_there_once(page):
+    assets, _ = parse(page)
+    code = ["".join(data) for tag, found, data in assets.scripts if tag == "script" and "type" not in found]
+    assert sum(len(text) > 1e6 for text in code) == 1
+
+
+def test_every_section(page):
+    _, text = parse(page)
+    heads = re.findall(r"<h2>(.*?)</h2>", page.read_text(encoding="utf-8"))
+    numbered = [re.sub(r"^\d+\s+", "", head) for head in heads]
+    assert [s for s in SECTIONS if s not in numbered] == []
+    assert "KUKA KR20 R1810: calibration report" in text
+
+
+def test_figures_hold_finite_numbers(page):
+    assets, _ = parse(page)
+    plots = {f["data-plot"]: json.loads("".join(d)) for _, f, d in assets.scripts if "data-plot" in f}
+    assert {"rounds", "robot", "budget-poses", "stretch", "friction", "loops"} <= set(plots)
+    assert {f"against-{s}" for s in ("poses", "free_air", "clamped")} <= set(plots)
+    choices = [json.loads("".join(d)) for _, f, d in assets.scripts if "data-choices" in f]
+    assert len(choices) == 3
+    for choice in choices:
+        assert len(choice["variables"]) > 8
+        for variable in choice["variables"]:
+            assert len(variable["trend"]) == len(choice["values"])
+
+
+def test_the_verdict_is_told(page, measured):
+    campaign, _, model, _ = measured
+    _, text = parse(page)
+    assert "Joint 3's gear runs out & in." in text
+    assert "more poses <of joint 3>" in text  # escaped, and read back
+    assert "a1 = 123.4 ± 3.2 µrad" in text
+    assert "base_tilt" in text
+    assert campaign.fingerprint in text
+    assert "--effects" in text
+    assert "--seed 1" in text
+    assert f"{len(model.sessions)}" in text
+
+
+def test_what_is_not_known_is_said(page, measured):
+    model = measured[2]
+    assert not all(ok for stage in model.stages.values() for ok in stage.identified)
+    _, text = parse(page)
+    assert "not identifiable from these data" in text
+    cells = page.read_text(encoding="utf-8").count('class="number open">not identifiable')
+    assert cells == sum(not ok for stage in model.stages.values() for ok in stage.identified)
+
+
+def test_the_citations_follow_from_the_effects(page, measured):
+    _, text = parse(page)
+    assert "Nordin2002" in text
+    assert "VisualInspection" not in text
+
+
+def test_poses_alone(measured, tmp_path):
+    """No torques, no diagnosis, and a campaign that the model never saw: less to say, and no failure."""
+    made = measure(load_robot(ROBOT), seed=4, poses=25, tables=["poses"])
+    write_campaign(tmp_path / "other", made.header, made.tables, "csv")
+    other = read_campaign(tmp_path / "other")
+    write_report(tmp_path / "own.html", identify(other), other)
+    _, text = parse(tmp_path / "own.html")
+    assert "The verdict and its evidence" not in text
+    assert ">Torques<" not in (tmp_path / "own.html").read_text(encoding="utf-8")
+    write_report(tmp_path / "foreign.html", measured[2], other)
+    _, text = parse(tmp_path / "foreign.html")
+    assert "not on this campaign, which is all held out" in text
+
+
+def test_the_same_twice(measured, tmp_path):
+    campaign, first, model, _ = measured
+    for name in ("a.html", "b.html"):
+        write_report(tmp_path / name, model, campaign, diagnosis=DIAGNOSIS, first_model=first)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_a_failure_leaves_the_old_report(measured, tmp_path):
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    with pytest.raises(ValueError, match="could not convert"):
+        write_report(
+            path,
+            measured[1],
+            measured[0],
+            diagnosis={"stages": {"poses": {"candidates": [candidate("backlash", ["joint1"], p_value="broken")]}}},
+        )
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_arm_points_end_at_the_flange():
+    from clampid.report.robot3d import arm_points
+    from kinematics.poe import forward
+
+    robot = load_robot(ROBOT)
+    q = np.random.default_rng(0).uniform(-1, 1, (5, robot.n))
+    points = arm_points(robot, q)
+    flange = forward(robot.screws, robot.flange, q @ np.asarray(robot.linkage).T)[:, :3, 3]
+    np.testing.assert_allclose(points[:, -1], flange, atol=1e-12)
+    assert points.shape == (5, robot.n + 2, 3)
