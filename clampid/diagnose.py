@@ -1,0 +1,67 @@
+"""Diagnosis of a model on a campaign: where it fails, and which physical effect is missing, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clampid.diagnosis.stage import StageDiagnosis, diagnose_stage
+from clampid.effect import Stage
+from clampid.identify import TABLES_OF, FittedStage, fit_stage
+from clampid.model import Model
+from clampid.reopen import Reopened, reopen
+from clampid.slots import Term
+from experiments.campaign import Campaign
+
+__all__ = ["Diagnosis", "diagnose"]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found, stage by stage."""
+
+    stages: Mapping[Stage, StageDiagnosis]
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: INTERFACE's JSON of ``diagnose``."""
+        return {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
+
+
+def diagnose(
+    model: Model, campaign: Campaign, *, seed: int = 0, flips: int = 199, user_effects: Path | None = None
+) -> Diagnosis:
+    """Find out where a model fails on a campaign and which effect is missing.
+
+    The model's active effects are fitted to the campaign first, from the model's values, so that what they could still
+    absorb is not taken for evidence.
+
+    Parameters
+    ----------
+    flips
+        Sign flips that decide: p_familywise is at least 1/(flips + 1).
+
+    Raises
+    ------
+    ModelError
+        The model does not fit the campaign.
+    """
+    opened = reopen(model, campaign, user_effects)
+    found: dict[Stage, StageDiagnosis] = {}
+    for stage in opened.stages:
+        if any(t in campaign.tables for t in TABLES_OF[stage]):
+            found[stage] = _one(opened, stage, seed, flips)
+    return Diagnosis(found)
+
+
+def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:
+    fitted = opened.refit(stage)
+    rows = opened.rows(stage)
+    before = {s: m for s, m in opened.stages.items() if s != stage}
+
+    def refit(terms: Sequence[Term], last: FittedStage) -> FittedStage:
+        return fit_stage(rows, opened.effects, terms, before, last.model.values(), opened.held(stage))
+
+    verification = opened.verification(fitted.base_reference) if stage == "poses" else None
+    return diagnose_stage(fitted, dict(opened.effects), refit, verification, seed, flips)

@@ -1,0 +1,42 @@
+"""What parts look-alikes: for pairs of effects that the same rows cannot tell apart, the measurement that would."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations
+
+__all__ = ["separating_measurement"]
+
+_SEPARATORS: dict[frozenset[str], str] = {
+    frozenset(pair): text
+    for pair, text in (
+        (("base_tilt", "bearing_tilt"), "no pose tells a tilt of joint 1's bearing from a tilt of the base: put an "
+         "inclinometer or a target on the base plate"),
+        (("thermal_expansion", "base_tilt"), "restart cold and measure the same poses in another order"),
+        (("gear_eccentricity", "coupling_ratio_error"), "poses over the full range of the joint"),
+        (("joint_compliance", "link_bending"), "loaded poses with the arm folded, or the same poses with two payloads"),
+        (("joint_compliance", "bearing_tilt"), "the same poses with two payloads, joint 4 turned by 90 degrees between"),
+        (("joint_compliance", "base_tilt"), "poses at other angles of joint 1 with equal loads on joint 2, or a target "
+         "on the base plate"),
+        (("asymmetric_friction", "torque_offset"), "nothing on one axis: they are the same there; a reading of the torque "
+         "with the brakes on gives the offset"),
+        (("gravity", "payload"), "the same program with and without the tool"),
+        (("payload", "joint_compliance"), "the same poses without the tool"),
+        (("instrument_scale", "geometry"), "a certified distance between two targets"),
+        (("joint_compliance", "fixture_compliance"), "a target on the fixture's block, or the same sweeps in a second "
+         "posture"),
+        (("fixture_compliance", "cross_coupled_stiffness"), "a target on the fixture's block"),
+        (("stribeck_friction", "viscous_friction"), "five speeds, evenly spread in their logarithm, down to creeping"),
+        (("nonlinear_stiffness", "backlash"), "amplitudes below 10 % and above 50 % of the rated torque in one run"),
+        (("hysteresis", "backlash"), "nested small loops: at least two amplitudes of reversal"),
+        (("hysteresis", "load_dependent_friction"), "the same sweep at two loads with free-air logs at both"),
+    )
+}  # fmt: skip
+
+
+def separating_measurement(effects: Iterable[str]) -> str:
+    """A sentence on what to measure next, so that these effects can be told apart."""
+    found = [_SEPARATORS[frozenset(p)] for p in combinations(sorted(set(effects)), 2) if frozenset(p) in _SEPARATORS]
+    if found:
+        return "; ".join(dict.fromkeys(found))
+    return "more poses, spread over the joints' full ranges, with other loads and temperatures than these"

@@ -1,0 +1,455 @@
+"""The loop of one stage: score, confirm, add, refit, and start again, until nothing more is confirmed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from scipy import optimize, stats
+
+from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, rms_of, size_of
+from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.confirm import held_out_p, stability
+from clampid.diagnosis.probes import probes
+from clampid.diagnosis.score import (
+    Flips,
+    Scored,
+    Space,
+    canonical,
+    explained_together,
+    flip_maxima,
+    score,
+    space_of,
+)
+from clampid.diagnosis.separators import separating_measurement
+from clampid.effect import Effect, Stage
+from clampid.fit import Estimate
+from clampid.identify import FittedStage
+from clampid.slots import Slot, Term, find_parameter
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Array, Integers, Rows
+
+__all__ = ["StageDiagnosis", "diagnose_stage"]
+
+RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
+HELD_OUT_RATE = 0.05
+SAME = 20.0  # explained beyond another candidate less than this: these data cannot tell the two apart
+CONFUSABLE, ALIASED = 0.8, 0.999
+STABLE = 0.6
+ROUNDS = 8
+LISTED = 12
+POWER = 0.9
+
+Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
+Refit = Callable[[Sequence[Term], FittedStage], FittedStage]
+
+
+@dataclass
+class StageDiagnosis:
+    """What was found in one stage; :meth:`to_json` gives the contract's form."""
+
+    stage: Stage
+    unit: str
+    verdict: Verdict = "adequate"
+    noise_floor: float = 0.0
+    before: float = 0.0
+    after: float = 0.0
+    candidates: list[dict[str, Any]] = field(default_factory=list)
+    considered: list[dict[str, Any]] = field(default_factory=list)
+    depends_on: list[str] = field(default_factory=list)
+    outliers: list[dict[str, Any]] = field(default_factory=list)
+    next_measurement: str | None = None
+    omission: list[dict[str, Any]] = field(default_factory=list)
+    testability: list[dict[str, Any]] = field(default_factory=list)
+    summary: str = ""
+    added: list[Term] = field(default_factory=list)
+    fitted: FittedStage | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "verdict": self.verdict,
+            "unit": self.unit,
+            "noise_floor": self.noise_floor,
+            "heldout_rms_before": self.before,
+            "heldout_rms_after": self.after,
+            "candidates": self.candidates,
+            "considered": self.considered,
+            "depends_on": self.depends_on,
+            "outliers": self.outliers,
+            "next_measurement": self.next_measurement,
+            "omission": self.omission,
+            "testability": self.testability,
+            "summary": self.summary,
+        }
+
+
+@dataclass(frozen=True)
+class _HeldOut:
+    """Squared errors of held-out rows, in the stage's unit, with the units that share their noise."""
+
+    rms: float
+    squares: Array
+    unit: Integers
+
+
+def diagnose_stage(
+    fitted: FittedStage,
+    effects: dict[str, Effect],
+    refit: Refit,
+    verification: Rows | None,
+    seed: int,
+    flips: int,
+) -> StageDiagnosis:
+    """Diagnose one fitted stage.
+
+    Parameters
+    ----------
+    refit
+        Fits the stage with other terms, from an earlier fit's values.
+    """
+    estimate = fitted.estimate
+    stage = estimate.experiment.stage
+    result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
+    floor = noise_floor(estimate.experiment.rows, estimate.residual)
+    result.noise_floor = floor.norm if stage == "poses" else 1.0
+    result.outliers = _outliers(estimate)
+    held = _held_out(estimate, verification, floor, seed)
+    result.before = result.after = held.rms
+    first = estimate
+    rejected: set[str] = set()
+    refused: list[dict[str, Any]] = []
+    for number in range(ROUNDS):
+        space = space_of(estimate)
+        named = score(space, named_candidates(estimate, effects))
+        free = score(space, probes(estimate))
+        named_null = flip_maxima(space, named, flips, seed + 2 * number)
+        free_null = flip_maxima(space, free, flips, seed + 2 * number + 1)
+        best = _best([s for s in named if s.candidate.label not in rejected])
+        probe = _best(free)
+        if number == 0:
+            result.testability = _testability(named, named_null, effects)
+        result.considered = _considered(named, named_null, effects)
+        fires = probe is not None and free_null.p_familywise(probe.log_p) <= RATE
+        if fires and probe is not None and not result.added:
+            result.depends_on = list(probe.candidate.depends_on)
+        if best is None or named_null.p_familywise(best.log_p) > RATE:
+            break
+        if fires and probe is not None and probe.bic - best.bic > SAME:
+            break  # a name that explains so much less than a physics-free probe only stands in for something else
+        rivals = _rivals(space, named, best, rejected)
+        if rivals:
+            result.verdict = "ambiguous"
+            for s in [best, *rivals]:
+                entry = _entry(s, named_null, effects, held.rms, None, rivals=[best, *rivals])
+                result.candidates.append({**entry, "alternative": True})
+            result.next_measurement = separating_measurement(s.candidate.family for s in [best, *rivals])
+            break
+        terms = [*fitted.model.terms, *best.candidate.terms]
+        trial = refit(terms, fitted)
+        trial, kept = _pruned(trial, best.candidate.terms, fitted.model.terms, refit)
+        new = _held_out(trial.estimate, verification, floor, seed)
+        p_held = held_out_p(held.squares, new.squares, held.unit, seed)
+        folds = estimate.experiment.rows.fold[estimate.whitened.entry]
+        again = stability(space, named, best, folds, seed)
+        if p_held > HELD_OUT_RATE or again < STABLE:
+            rejected.add(best.candidate.label)
+            why = "it is not the first choice without a fifth of the rows" if again < STABLE else "the held-out error does not fall"
+            refused.append({**_entry(best, named_null, effects, held.rms, new.rms), "reason": why})
+            continue
+        entry = _entry(best, named_null, effects, held.rms, new.rms, trial.estimate, kept)
+        entry["stability"] = again
+        entry["p_held_out"] = p_held
+        entry["confusable_with"] = _confusable(named, best)
+        result.candidates.append(entry)
+        result.added += kept
+        result.verdict = "missing"
+        fitted, estimate, held = trial, trial.estimate, new
+        result.after = held.rms
+    if result.verdict != "ambiguous" and fires and probe is not None:
+        folds = estimate.experiment.rows.fold[estimate.whitened.entry]
+        if stability(space, free, probe, folds, seed) >= STABLE:
+            result.verdict = "unknown"
+            result.depends_on = _variables(free, free_null, probe)
+            result.considered = _stand_ins(result.considered, named, probe) + _considered(free, free_null, effects, 5)
+    result.considered = refused + result.considered
+    result.candidates = _merged(result.candidates)
+    result.omission = _omission(first, estimate)
+    result.fitted = fitted
+    result.summary = _summary(result)
+    return result
+
+
+def _best(scored: Sequence[Scored]) -> Scored | None:
+    able = [s for s in scored if s.freedom and s.state in ("testable", "weak")]
+    return max(able, key=lambda s: s.bic, default=None)
+
+
+def _rivals(space: Space, named: Sequence[Scored], best: Scored, rejected: set[str]) -> list[Scored]:
+    """Other effects, or other places, that explain as well what the best one does."""
+    found: dict[tuple[str, tuple[str, ...]], Scored] = {}
+    mine = set(best.candidate.terms)
+    for other in sorted(named, key=lambda s: -s.bic):
+        theirs = set(other.candidate.terms)
+        if other is best or not other.freedom or theirs <= mine or mine <= theirs or other.candidate.label in rejected:
+            continue
+        if other.candidate.name == best.candidate.name and (theirs & mine):
+            continue
+        if other.explained < best.explained - SAME - other.freedom:
+            continue
+        if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
+            found.setdefault((other.candidate.name, other.candidate.places), other)
+    return list(found.values())[:4]
+
+
+def _pruned(
+    trial: FittedStage, new: Sequence[Term], before: Sequence[Term], refit: Refit
+) -> tuple[FittedStage, list[Term]]:
+    """Drop the places of a new effect that do not pay for their parameters (Wald's statistic against BIC)."""
+    if len(new) < 2:
+        return trial, list(new)
+    estimate = trial.estimate
+    rows = max(len(estimate.whitened.residual), 2)
+    kept = []
+    for term in new:
+        index = [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
+        if not index:
+            continue
+        theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
+        if float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta) > len(index) * np.log(rows):
+            kept.append(term)
+    if not kept or len(kept) == len(new):
+        return trial, list(new)
+    return refit([*before, *kept], trial), kept
+
+
+def _held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int) -> _HeldOut:
+    count = len(estimate.slots)
+    if verification is not None:
+        trial = experiment(verification, estimate.experiment.effects, estimate.slots)
+        rows, residual = verification, predicted(trial, estimate.theta[:count])
+    else:
+        rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
+    size, counts = size_of(rows, residual, floor)
+    squares = np.where(counts, size**2, 0.0)
+    if squares.ndim == 2:
+        squares = squares.sum(axis=1)
+    return _HeldOut(rms_of(rows, residual, floor), squares, rows.unit)
+
+
+def _entry(
+    s: Scored,
+    null: Flips,
+    effects: dict[str, Effect],
+    before: float,
+    after: float | None,
+    estimate: Estimate | None = None,
+    kept: Sequence[Term] | None = None,
+    rivals: Sequence[Scored] = (),
+) -> dict[str, Any]:
+    places = [t.place for t in kept if t.place] if kept is not None else list(s.candidate.places)
+    return {
+        "effect": s.candidate.family,
+        "name": s.candidate.name,
+        "where": places,
+        "alternative": False,
+        "p_value": float(np.exp(max(s.log_p, -690.0))),
+        "p_familywise": null.p_familywise(s.log_p),
+        "heldout_rms_before": before,
+        "heldout_rms_after": after,
+        "parameters": _parameters(s, effects, estimate),
+        "confusable_with": _confusable(rivals, s) if rivals else [],
+        "explained": s.explained,
+        "retained": s.retained,
+        "state": s.state,
+    }
+
+
+def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None) -> list[dict[str, Any]]:
+    if estimate is None:  # the score's own estimate: one step from zero
+        value = s.weights @ s.amplitude
+        spread = np.sqrt(np.sum((s.weights * 1.0) ** 2, axis=1))
+        return [
+            {"name": slot.label, "value": float(v), "std": float(sd), "unit": find_parameter(slot, effects).unit}
+            for slot, v, sd in zip(s.candidate.slots, value, spread, strict=False)
+        ]
+    wanted: dict[str, set[str]] = {}
+    for slot in (*s.candidate.slots, *s.candidate.shapes):
+        wanted.setdefault(slot.effect, set()).add(slot.place)
+    std = estimate.std
+    return [
+        {
+            "name": slot.label,
+            "value": float(estimate.theta[k]),
+            "std": float(std[k]),
+            "unit": find_parameter(slot, effects).unit,
+        }
+        for k, slot in enumerate(estimate.slots)
+        if slot.place in wanted.get(slot.effect, set())
+    ]
+
+
+def _confusable(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:
+    out = []
+    for other in scored:
+        if other.candidate.family == s.candidate.family or not other.freedom:
+            continue
+        square = canonical(s, other)
+        if square > CONFUSABLE:
+            out.append(
+                {
+                    "effect": other.candidate.family,
+                    "where": list(other.candidate.places),
+                    "cos2": square,
+                    "aliased": square > ALIASED,
+                }
+            )
+    return sorted(out, key=lambda c: -c["cos2"])[:5]
+
+
+def _considered(
+    scored: Sequence[Scored], null: Flips, effects: dict[str, Effect], most: int = LISTED
+) -> list[dict[str, Any]]:
+    able = sorted((s for s in scored if s.freedom), key=lambda s: -s.bic)[:most]
+    return [
+        {
+            "effect": s.candidate.family,
+            "name": s.candidate.name,
+            "where": list(s.candidate.places),
+            "p_value": float(np.exp(max(s.log_p, -690.0))),
+            "p_familywise": null.p_familywise(s.log_p),
+            "explained": s.explained,
+            "retained": s.retained,
+            "state": s.state,
+            "depends_on": list(s.candidate.depends_on),
+        }
+        for s in able
+    ]
+
+
+def _stand_ins(considered: list[dict[str, Any]], named: Sequence[Scored], probe: Scored) -> list[dict[str, Any]]:
+    """Mark names that merely absorb a part of what the probe explains."""
+    share = {s.candidate.label: s.explained / probe.explained for s in named if s.freedom and probe.explained > 0}
+    for entry in considered:
+        label = entry["name"] + ("@" + ",".join(entry["where"]) if entry["where"] else "")
+        if share.get(label, 0.0) > 0.2:
+            entry["stand_in"] = f"absorbs {100 * min(share[label], 1.0):.0f} % of what is left"
+    return considered
+
+
+def _variables(free: Sequence[Scored], null: Flips, probe: Scored) -> list[str]:
+    """The variables of the best probe, and of others at the same place that fire nearly as strongly."""
+    names = dict.fromkeys(probe.candidate.depends_on)
+    for s in sorted(free, key=lambda s: -s.bic):
+        close = s.bic > 0.8 * probe.bic and s.candidate.places == probe.candidate.places
+        if close and null.p_familywise(s.log_p) <= RATE:
+            names |= dict.fromkeys(s.candidate.depends_on)
+    return list(names)
+
+
+def noncentrality(freedom: int, null: Flips) -> float:
+    """The noncentrality that is found with 90 % power at this dictionary's size."""
+    critical = float(stats.chi2.isf(np.exp(max(null.critical_log_p(RATE), -690.0)), freedom))
+
+    def short(x: float) -> float:
+        return float(stats.ncx2.sf(critical, freedom, x)) - POWER
+
+    return float(optimize.brentq(short, 0.0, 10.0 * critical + 200.0))
+
+
+def _testability(named: Sequence[Scored], null: Flips, effects: dict[str, Effect]) -> list[dict[str, Any]]:
+    """For each candidate its state and the smallest parameter that is found with 90 % probability."""
+    out, factor = [], {}
+    for s in named:
+        if s.freedom and s.freedom not in factor:
+            factor[s.freedom] = np.sqrt(noncentrality(s.freedom, null))
+        limits = []
+        for slot, unit_limit in zip(s.candidate.slots, s.unit_limit, strict=True):
+            limit = float(unit_limit * factor[s.freedom]) if s.freedom and np.isfinite(unit_limit) else None
+            limits.append({"name": slot.label, "limit": limit, "unit": find_parameter(slot, effects).unit})
+        entry = {"effect": s.candidate.family, "name": s.candidate.name, "where": list(s.candidate.places)}
+        out.append({**entry, "state": s.state, "retained": s.retained, "limits": limits})
+    return out
+
+
+def _outliers(estimate: Estimate) -> list[dict[str, Any]]:
+    rows = estimate.experiment.rows
+    width = 3 if rows.stage == "poses" else rows.robot.n
+    return [
+        {
+            "table": str(rows.table[i]),
+            "row": int(rows.row[i]),
+            "size": float(np.linalg.norm(estimate.residual[i, :width])),
+        }
+        for i in np.flatnonzero(estimate.outliers)
+    ]
+
+
+def _merged(candidates: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Confirmed steps of one effect at several places as one candidate, where its first step stood."""
+    out: list[dict[str, Any]] = []
+    for c in candidates:
+        same = next((o for o in out if o["name"] == c["name"] and not o["alternative"] and not c["alternative"]), None)
+        if same is None:
+            out.append(c)
+            continue
+        same["where"] = list(dict.fromkeys([*same["where"], *c["where"]]))
+        known = {p["name"] for p in same["parameters"]}
+        same["parameters"] += [p for p in c["parameters"] if p["name"] not in known]
+        same["heldout_rms_after"] = c["heldout_rms_after"]
+    return out
+
+
+def _omission(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
+    """What the omission had done to the parameters that were fitted anyway: shifts beyond their standard error."""
+    if before is after:
+        return []
+    std = after.std
+    new: dict[Slot, int] = {slot: k for k, slot in enumerate(after.slots)}
+    out = []
+    for k, slot in enumerate(before.slots):
+        if slot not in new:
+            continue
+        shift = float(before.theta[k] - after.theta[new[slot]])
+        spread = float(std[new[slot]])
+        if spread > 0 and abs(shift) > 2 * spread:
+            out.append(
+                {
+                    "name": slot.label,
+                    "shift": shift,
+                    "std": spread,
+                    "unit": find_parameter(slot, dict(before.experiment.effects)).unit,
+                }
+            )
+    return sorted(out, key=lambda o: -abs(o["shift"]) / o["std"])[:10]
+
+
+def _summary(result: StageDiagnosis) -> str:
+    scale, unit = (1e6, "µm") if result.unit == "m" else (1.0, "of the motors' noise")
+
+    def shown(x: float) -> str:
+        return f"{x * scale:.3g} {unit}"
+
+    names = [c["effect"].replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "") for c in result.candidates]
+    confirmed = [n for n, c in zip(names, result.candidates, strict=True) if not c["alternative"]]
+    fall = f"with it the held-out error falls from {shown(result.before)} to {shown(result.after)} (noise floor {shown(result.noise_floor)})"
+    start = f"Missing: {'; '.join(confirmed)}; {fall}. " if confirmed else ""
+    match result.verdict:
+        case "adequate":
+            return (
+                f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, the noise floor "
+                f"{shown(result.noise_floor)}; effects above the listed limits would have been found with 90 % probability."
+            )
+        case "missing":
+            return start + "Beyond that nothing is left that stands out of the noise."
+        case "ambiguous":
+            rest = [n for n, c in zip(names, result.candidates, strict=True) if c["alternative"]]
+            return start + f"These data cannot tell apart: {'; '.join(rest)}. To part them: {result.next_measurement}."
+        case _:
+            return (
+                start
+                + f"Structure is left that no known effect explains; it depends on {', '.join(result.depends_on)} "
+                + f"(held-out error {shown(result.after)}, noise floor {shown(result.noise_floor)})."
+            )

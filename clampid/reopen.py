@@ -1,0 +1,137 @@
+"""A model on a campaign: its slots carried to the campaign's own targets and session, and fitted again where asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clampid.catalogue import with_user_effects
+from clampid.effect import Effect, Stage
+from clampid.identify import FittedStage, fit_stage, stage_rows, stages_of
+from clampid.layout import layout_of
+from clampid.model import Model, ModelError, StageModel
+from clampid.slots import Layout, Slot
+from clampid.stages.pose_rows import pose_rows
+from clampid.stages.rows import Array, Rows
+from experiments.campaign import Campaign
+
+__all__ = ["Reopened", "reopen"]
+
+
+@dataclass(frozen=True)
+class Reopened:
+    """A model's stages on one campaign.
+
+    Attributes
+    ----------
+    session
+        Index of the campaign among those the model was fitted on, or None.
+    stages
+        The model's stages that the campaign has tables for, slots renamed to the campaign's own layout.
+    base
+        Session (0) → where the instrument sees the base; None where the campaign must say itself.
+    """
+
+    model: Model
+    campaign: Campaign
+    effects: Mapping[str, Effect]
+    layout: Layout
+    session: int | None
+    stages: Mapping[Stage, StageModel]
+    base: Mapping[int, Array] | None
+
+    def rows(self, stage: Stage) -> Rows:
+        """The rows of a stage."""
+        return stage_rows([self.campaign], self.layout, stage, self.base)
+
+    def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
+        """The rows of the table verification, if there is one."""
+        if "verification" not in self.campaign.tables or "poses" not in self.stages:
+            return None
+        return pose_rows([self.campaign], self.layout, "verification", base or self.base)
+
+    def held(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
+        """The folds of this campaign that no fit has seen."""
+        kept = self.stages[stage].held_out
+        if self.session is None or not kept:
+            return ()
+        return (kept[self.session],) if len(kept) > self.session else ()
+
+    def refit(self, stage: Stage) -> FittedStage:
+        """Fit the stage's active effects to this campaign, from the model's values."""
+        before = {s: m for s, m in self.stages.items() if s != stage}
+        model = self.stages[stage]
+        return fit_stage(self.rows(stage), self.effects, model.terms, before, model.values(), self.held(stage))
+
+
+def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -> Reopened:
+    """Carry a model to a campaign.
+
+    Raises
+    ------
+    ModelError
+        The model is of another robot, has effects that are not known here, or no stage that the campaign has tables for.
+    """
+    if campaign.robot.name != model.robot:
+        raise ModelError(f"the model is of the robot {model.robot}, the campaign {campaign.name} of {campaign.robot.name}")
+    chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
+    effects = with_user_effects(chosen)
+    for stage in model.stages.values():
+        for slot in stage.slots:
+            if slot.effect not in effects:
+                raise ModelError(
+                    f"the model has an effect {slot.effect!r} that is not known; if it is your own, give its file with "
+                    "--effects-from"
+                )
+    prints = [s.fingerprint for s in model.sessions]
+    session = prints.index(campaign.fingerprint) if campaign.fingerprint in prints else None
+    here = [s for s in stages_of([campaign]) if s in model.stages]
+    if not here:
+        raise ModelError(
+            f"the model has the stages {', '.join(model.stages)}, the campaign {campaign.name} tables for "
+            f"{', '.join(stages_of([campaign])) or 'none'}"
+        )
+    layout = layout_of([campaign])
+    stages = {s: _renamed(model.stages[s], session or 0, len(model.sessions), layout) for s in here}
+    # Stages without a table here still supply loads and flanks.
+    stages |= {s: m for s, m in model.stages.items() if s not in stages}
+    base = None
+    reference = model.sessions[session or 0].base_reference if model.sessions else None
+    if reference is not None and session is not None:
+        base = {0: reference}
+    return Reopened(model, campaign, effects, layout, session, stages, base)
+
+
+def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> StageModel:
+    """Keep what belongs to the robot and to one session; that session's places get the names of a single session."""
+    keep, slots = [], []
+    prefix = f"session{session + 1}:"
+    for k, slot in enumerate(stage.slots):
+        place = slot.place
+        if sessions > 1 and slot.parameter.startswith("target_"):
+            if not place.startswith(prefix):
+                continue
+            place = place.removeprefix(prefix)
+        elif slot.parameter.startswith(("base_", "flange_")) and slot.effect == "geometry":
+            if place != f"session{session + 1}":
+                continue
+            place = layout.sessions[0]
+        if slot.parameter.startswith("target_") and slot.effect == "geometry" and place not in layout.targets:
+            continue
+        keep.append(k)
+        slots.append(Slot(slot.effect, slot.parameter, place))
+    chosen = np.array(keep, dtype=int)
+    return StageModel(
+        stage=stage.stage,
+        terms=stage.terms,
+        slots=tuple(slots),
+        theta=stage.theta[chosen],
+        covariance=stage.covariance[np.ix_(chosen, chosen)],
+        identified=tuple(stage.identified[k] for k in keep),
+        held_out=stage.held_out,
+        outliers=tuple(o for o in stage.outliers if o[0] == session),
+        null_directions=stage.null_directions,
+    )
