@@ -71,7 +71,7 @@ format: $(VENV)/.develop
 	$(BIN)/ruff format .
 
 docs: $(VENV)/.develop
-	$(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 figures: $(VENV)/.develop
 	$(BIN)/python docs/make_figures.py

@@ -31,6 +31,10 @@ def simulate(
     ] = None,
     seed: Seed = 0,
     poses: Annotated[int, typer.Option(help="Number of poses.")] = 250,
+    tables: Annotated[
+        str | None,
+        typer.Option(metavar="poses,…", help="Only these; all that the robot allows otherwise.", show_default=False),
+    ] = None,
     file_format: Annotated[FileFormat, typer.Option("--format", help="Of the tables.")] = FileFormat.PARQUET,
     json: Json = None,
     quiet: Quiet = False,
@@ -43,9 +47,10 @@ def simulate(
     from experiments.simulate import hidden_file
     from experiments.simulate import simulate as measure
 
+    only = None if tables is None else [name.strip() for name in tables.split(",")]
     items = [part.strip() for text in hide or () for part in text.split(",")]
     with out.working("measuring on the virtual robot"):
-        measure(output, robot, items, seed=seed, poses=poses, file_format=file_format.value)
+        measure(output, robot, items, seed=seed, poses=poses, tables=only, file_format=file_format.value)
     out.say(f"campaign: {output}")
     out.say(f"what was hidden: {hidden_file(output)}")
     out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), "robot": robot, "seed": seed})

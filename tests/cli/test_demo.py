@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_runner import Clampid
+
+from clampid.catalogue import catalogue
+from clampid.demo import DRAWN, terms_to_add
+from clampid.identify import standard_effects
+from experiments.campaign import read_campaign
+from experiments.virtual_robot import HIDEABLE
+
+
+def test_what_is_drawn_can_be_hidden_and_found_and_is_not_in_the_standard_model(whole: Path) -> None:
+    standard = {t.effect for terms in standard_effects([read_campaign(whole)]).values() for t in terms}
+    assert set(DRAWN) <= set(HIDEABLE) & set(catalogue())
+    assert not set(DRAWN) & standard
+
+
+def test_confirmed_candidates_and_the_first_alternative_are_added() -> None:
+    def candidate(effect: str, *where: str, alternative: bool = False) -> dict[str, object]:
+        return {"effect": effect, "where": list(where), "alternative": alternative}
+
+    diagnosis = {
+        "stages": {
+            "free_air": {"candidates": []},
+            "poses": {
+                "candidates": [
+                    candidate("a", "joint1", "joint2"),
+                    candidate("b", "base", alternative=True),
+                    candidate("c", "base", alternative=True),
+                ]
+            },
+        }
+    }
+    assert terms_to_add(diagnosis) == {"poses": ["poses=a@joint1", "poses=a@joint2", "poses=b@base"]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 7])
+def test_the_demo_finds_what_was_hidden_and_tells_it_last(seed: int, clampid: Clampid, tmp_path: Path) -> None:
+    ran = clampid("demo", "--seed", str(seed), "--out", tmp_path / "demo", "--json", tmp_path / "demo.json")
+    assert ran.code == 0, ran.err
+    result = json.loads((tmp_path / "demo.json").read_text())
+    assert result["named"]
+    lines = ran.out.splitlines()
+    told = next(i for i, line in enumerate(lines) if line.startswith("What was hidden:"))
+    assert told > max(i for i, line in enumerate(lines) if line.startswith("Held-out error"))
+    assert "<html" in (tmp_path / "demo" / "report.html").read_text(encoding="utf-8")[:2000]
+    fell = [
+        result["after"]["tables"][t]["heldout"]["rms"] < result["before"]["tables"][t]["heldout"]["rms"]
+        for t in result["after"]["tables"]
+    ]
+    assert any(fell)

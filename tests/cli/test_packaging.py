@@ -1,0 +1,37 @@
+"""What a fresh clone must have: our packages under generic names, verbs that load, nothing tied to one machine."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tomllib
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", ["appendix_data", "kinematics", "experiments", "clampid", "offline_ik"])
+def test_the_imported_package_is_ours(name: str) -> None:
+    assert Path(str(importlib.import_module(name).__file__)).is_relative_to(ROOT)
+
+
+def test_every_declared_verb_loads() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["clampid.verbs"]
+    installed = {point.name: point for point in entry_points(group="clampid.verbs")}
+    assert declared.keys() <= installed.keys()
+    for name in declared:
+        assert callable(installed[name].load())
+
+
+@pytest.mark.parametrize("name", ["Makefile", ".ci/run", "constraints.txt", "pyproject.toml", "mkdocs.yml"])
+def test_nothing_is_tied_to_one_machine_or_host(name: str) -> None:
+    text = (ROOT / name).read_text(encoding="utf-8")
+    assert not re.search(r"https?://|/home/|/work/|/opt/|/tmp/", text)
+
+
+def test_constraints_are_names_and_versions() -> None:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    assert all(re.fullmatch(r"#.*|[A-Za-z0-9_.-]+==[^\s@]+", line) for line in lines)
