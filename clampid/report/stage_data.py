@@ -94,7 +94,7 @@ class StageData:
         return pd.concat(parts, ignore_index=True)
 
 
-def in_order(stages: Iterable[Stage]) -> tuple[Stage, ...]:
+def in_order(stages: Iterable[str]) -> tuple[Stage, ...]:
     """Stages in the order in which the report tells of them."""
     found = set(stages)
     return tuple(s for s in ORDER if s in found)

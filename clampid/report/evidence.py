@@ -1,0 +1,196 @@
+"""The evidence of a verdict as tables: candidates, what was not confirmed, detection limits, outliers, errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clampid.report.display import count_text, error_text, number, scale_for, with_std
+from clampid.report.limits import detection_limits, shifted
+from clampid.report.style import Table, as_table
+
+__all__ = ["comparison_table", "evidence", "parameters_text"]
+
+Json = Mapping[str, Any]
+MOST_CONSIDERED = 12
+MOST_OUTLIERS = 40
+_COMPARED = "Root mean square errors of the fitted and of the held-out rows, and what noise alone leaves."
+_HEADS = (
+    "Effect",
+    "At",
+    "p, alone#",
+    "p, family-wise#",
+    "p, held out#",
+    "Held out before#",
+    "After#",
+    "Parameters",
+    "Confusable with",
+)
+_LOOKED = ("Effect", "At", "p, alone#", "p, family-wise#", "Held out before#", "After#", "Remark", "Confusable with")
+
+
+def evidence(found: Json, unit: str) -> list[Table]:
+    """The tables of one stage's verdict."""
+    unit = str(found.get("unit", unit))
+    out = []
+    rows = [_candidate(c, unit) for c in found.get("candidates") or ()]
+    if rows:
+        out.append(_full(_HEADS, rows, "What was found, in the order to add it; held-out errors are cumulative."))
+    looked = _once(found.get("considered") or ())
+    if looked:
+        more = f" {len(looked) - MOST_CONSIDERED} more are not shown." if len(looked) > MOST_CONSIDERED else ""
+        rows = [_looked_at(c, unit) for c in looked[:MOST_CONSIDERED]]
+        out.append(_full(_LOOKED, rows, f"Looked at and not confirmed.{more}"))
+    out += shifted(found.get("omission") or ())
+    out += detection_limits(found.get("testability") or ())
+    return out + _outliers(found.get("outliers") or (), "Nm" if unit == "sigma" else unit)
+
+
+def _full(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Table:
+    """A table without the columns that hold nothing."""
+    kept = [k for k in range(len(heads)) if any(row[k] not in ("", "–") for row in rows)]
+    return as_table([heads[k] for k in kept], [[row[k] for k in kept] for row in rows], caption)
+
+
+def _once(considered: Sequence[Json]) -> list[Json]:
+    """Each effect and place once, the most likely of its shapes."""
+    best: dict[tuple[str, str], Json] = {}
+    for c in considered:
+        key = (str(c.get("effect")), _places(c))
+        if key not in best or _order(c) < _order(best[key]):
+            best[key] = c
+    return sorted(best.values(), key=_order)
+
+
+def _order(c: Json) -> tuple[float, float]:
+    return tuple(1.0 if c.get(k) is None else float(c[k]) for k in ("p_familywise", "p_value"))  # type: ignore[return-value]
+
+
+def _places(c: Json) -> str:
+    where = c.get("where") or ()
+    return where if isinstance(where, str) else ", ".join(map(str, where))
+
+
+def _candidate(c: Json, unit: str) -> tuple[str, ...]:
+    effect = str(c.get("effect", ""))
+    return (
+        f"{effect} (one of the alternatives)" if c.get("alternative") else effect,
+        _places(c),
+        _p(c.get("p_value")),
+        _p(c.get("p_familywise")),
+        _p(c.get("p_held_out")),
+        error_text(c.get("heldout_rms_before"), unit),
+        error_text(c.get("heldout_rms_after"), unit),
+        parameters_text([{**p, "name": _short(str(p.get("name", "")), c)} for p in c.get("parameters") or ()]),
+        _confusable(c),
+    )
+
+
+def _short(name: str, c: Json) -> str:
+    """A parameter's name without what its row says already."""
+    name = name.removeprefix(f"{c.get('name') or c.get('effect')}.")
+    return name.removesuffix(f"@{_places(c)}")
+
+
+def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
+    state = str(c.get("state") or "testable")
+    remarks = [str(c["stand_in"])] if c.get("stand_in") else []
+    if c.get("depends_on"):
+        remarks.append(f"depends on {', '.join(map(str, c['depends_on']))}")
+    if state != "testable":
+        remarks.append(
+            f"{state}: {number(100 * float(c.get('retained') or 0.0), 2)} % of it is not taken up by the model"
+        )
+    return (
+        str(c.get("effect", "")),
+        _places(c),
+        _p(c.get("p_value")),
+        _p(c.get("p_familywise")),
+        error_text(c.get("heldout_rms_before"), unit),
+        error_text(c.get("heldout_rms_after"), unit),
+        "; ".join(remarks) or "–",
+        _confusable(c),
+    )
+
+
+def _confusable(c: Json) -> str:
+    return "; ".join(_other(o) for o in c.get("confusable_with") or ()) or "–"
+
+
+def _other(other: Any) -> str:
+    if isinstance(other, Mapping):
+        return f"{other.get('effect', '')}{f' @ {_places(other)}' if other.get('where') else ''}"
+    return str(other)
+
+
+def parameters_text(parameters: Sequence[Json] | Json) -> str:
+    """Parameters with standard errors in display units: of a verdict, or of what was hidden."""
+    if isinstance(parameters, Mapping):
+        return ", ".join(f"{k} = {_plain(v)}" for k, v in parameters.items()) or "–"
+    out = []
+    for p in parameters:
+        value, std = float(p.get("value", float("nan"))), float(p.get("std", float("nan")))
+        scale = scale_for(str(p.get("unit", "")), [value, std])
+        out.append(f"{p.get('name', '')} = {with_std(value, std, scale)}")
+    return ", ".join(out) or "–"
+
+
+def _plain(value: Any) -> str:
+    return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
+def _p(value: Any) -> str:
+    if value is None:
+        return "–"
+    p = float(value)
+    if p == 0.0:
+        return "< 10⁻³⁰⁰"
+    return number(p, 2)
+
+
+def _outliers(outliers: Sequence[Json], unit: str) -> list[Table]:
+    if not outliers:
+        return []
+    listed = sorted(outliers, key=lambda o: -abs(float(o.get("size") or 0.0)))[:MOST_OUTLIERS]
+    rows = [(str(o.get("table", "")), str(o.get("row", "")), error_text(o.get("size"), unit)) for o in listed]
+    more = f" The {MOST_OUTLIERS} largest of {len(outliers)}." if len(outliers) > MOST_OUTLIERS else ""
+    return [as_table(("Table", "Row#", "Error#"), rows, f"Rows rejected before anything was diagnosed.{more}")]
+
+
+def comparison_table(tables: Json) -> Table:
+    """Model against measurement, table by table and motor by motor."""
+    rows = []
+    for name, t in tables.items():
+        unit = str(t.get("unit", ""))
+        held = t.get("heldout") or {}
+        source = {"replicates": "returns to a pose", "instrument": "instrument's maker"}.get(
+            t.get("noise_source"), "the log itself"
+        )
+        cells = [t.get("rms"), t.get("max"), held.get("rms"), held.get("max"), t.get("noise_floor")]
+        count = count_text(int(held["rows"])) if held.get("rows") else "–"
+        rows.append(
+            (
+                name,
+                *(error_text(c, unit) for c in cells[:2]),
+                count,
+                *(error_text(c, unit) for c in cells[2:]),
+                source,
+            )
+        )
+        for k, motor in enumerate(t.get("per_motor") or (), 1):
+            out = motor.get("heldout") or {}
+            numbers = (motor.get("rms_Nm"), None, out.get("rms_Nm"), None, motor.get("noise_floor_Nm"))
+            texts = [error_text(v, "Nm") for v in numbers]
+            r2 = f"R² {number(out['r2'], 4)} held out" if out.get("r2") is not None else ""
+            rows.append((f"    motor {k}", *texts[:2], "", *texts[2:], r2))
+    heads = (
+        "Table",
+        "RMS, fitted#",
+        "Largest#",
+        "Rows held out#",
+        "RMS, held out#",
+        "Largest#",
+        "Noise alone#",
+        "Known from",
+    )
+    return as_table(heads, rows, _COMPARED)

@@ -1,0 +1,98 @@
+"""The verdict's words and tables."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.model import Model, Round
+from clampid.report.evidence import evidence, parameters_text
+from clampid.report.verdict import headline, truth_section, verdict_section
+from clampid.slots import Layout
+
+
+def model(*errors: float, stage="poses") -> Model:
+    rounds = tuple(Round(stage, ("geometry",), (), e, e, 1e-4) for e in errors)
+    return Model("robot", Layout(6), {stage: None}, (), rounds)  # type: ignore[dict-item]
+
+
+def test_the_headline_gives_the_error_before_and_now():
+    (text,) = headline(
+        model(2e-4, 1.1e-4), None, None, {"stages": {"poses": {"verdict": "missing", "summary": "A gap"}}}
+    )
+    assert "A gap." in text
+    assert "fell from 200 µm to 110 µm; noise alone leaves 100 µm" in text
+
+
+def test_the_headline_does_not_say_it_twice():
+    found = {"verdict": "missing", "summary": "With it the held-out error falls to 110 µm", "heldout_rms_after": 1.1e-4}
+    (text,) = headline(model(2e-4, 1.1e-4), None, None, {"stages": {"poses": found}})
+    assert text.count("110 µm") == 1
+
+
+def test_an_error_that_rose_is_not_said_to_fall():
+    (text,) = headline(model(1e-4, 2e-4), None, None, None)
+    assert "rose" in text
+    (text,) = headline(model(1e-4, 1.001e-4), None, None, None)
+    assert "stayed" in text
+
+
+def test_rounds_of_the_first_model_come_first():
+    (text,) = headline(model(1e-4), model(3e-4), None, None)
+    assert "fell from 300 µm to 100 µm" in text
+
+
+def test_comparison_alone():
+    tables = {"poses": {"unit": "m", "rms": 1e-4, "noise_floor": 9e-5, "heldout": {"rms": 1.5e-4, "rows": 3}}}
+    (text,) = headline(replace(model(), ledger=()), None, {"tables": tables}, None)
+    assert "is 150 µm; noise alone leaves 90.0 µm" in text
+
+
+def test_considered_once_and_empty_columns_left_out():
+    looked = [
+        {"effect": "stribeck_friction", "where": ["joint1"], "p_value": 0.03, "p_familywise": 0.7},
+        {"effect": "stribeck_friction", "where": ["joint1"], "p_value": 0.01, "p_familywise": 0.4},
+        {"effect": "probe", "where": ["joint2"], "p_value": 0.01, "p_familywise": 0.5, "depends_on": ["q3"]},
+    ]
+    (table,) = evidence({"considered": looked}, "sigma")
+    assert [row[:2] for row in table.rows] == [("stribeck_friction", "joint1"), ("probe", "joint2")]
+    assert table.rows[0][3] == "0.40"
+    assert table.columns == ("Effect", "At", "p, alone#", "p, family-wise#", "Remark")
+    assert table.rows[1][4] == "depends on q3"
+
+
+def test_limits_and_shifts():
+    testability = [
+        {"effect": "backlash", "name": "backlash", "where": [f"joint{i}"], "state": state,
+         "limits": [{"name": f"backlash.gap@joint{i}", "limit": limit, "unit": "rad"}]}
+        for i, state, limit in ((1, "testable", 2e-5), (2, "absorbed", None), (3, "weak", 1e-2))
+    ]  # fmt: skip
+    omission = [{"name": "geometry.x@link2", "shift": 2.1e-4, "std": 1.3e-5, "unit": "m"}]
+    shifts, limits = evidence({"testability": testability, "omission": omission}, "m")
+    assert shifts.rows == (("geometry.x@link2", "210 ± 13 µm"),)
+    assert limits.rows == (("backlash gap, µrad", "joint1 20", "joint2, joint3"),)
+
+
+def test_parameters_of_a_candidate_and_of_a_truth():
+    assert parameters_text([{"name": "gap", "value": 1e-4, "std": 1e-5, "unit": "rad"}]) == "gap = 100 ± 10 µrad"
+    assert parameters_text({"gap_rad": 1e-4, "shape": "round"}) == "gap_rad = 0.000100, shape = round"
+
+
+def test_outliers_in_their_unit():
+    (table,) = evidence({"unit": "sigma", "outliers": [{"table": "wrist", "row": 7, "size": 0.5}]}, "sigma")
+    assert table.rows == (("wrist", "7", "0.500 Nm"),)
+
+
+def test_nothing_to_tell():
+    assert verdict_section(None, None) is None
+    assert truth_section(None) is None
+    assert "Nothing." in truth_section([]).paragraphs
+
+
+def test_medians_and_chance():
+    from clampid.report.variables import trend
+
+    x = np.linspace(0, 1, 600)
+    line = trend(x, 3 * x, np.ones(600, dtype=bool))
+    np.testing.assert_allclose(line.median, 3 * line.x, atol=0.02)
+    assert np.all(line.low < line.median)
+    assert np.all(line.high > line.median)
