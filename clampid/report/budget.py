@@ -92,7 +92,7 @@ def torque_budget(data: StageData) -> list[Share]:
         out.append(Share(effect, rms(change), {}))
     out.sort(key=lambda share: -float(np.linalg.norm(share.total)))
     described = rows.signals.get("gravity_torque")
-    if described is not None:
+    if described is not None and described.any():
         out.insert(0, Share("gravity as described", rms(described[keep] @ np.asarray(rows.robot.transmission).T), {}))
     out.insert(0, Share("torque measured", rms(rows.measured[keep]), {}))
     return out

@@ -13,6 +13,7 @@ from clampid.model import Model, Round
 from clampid.report.display import error_text, stage_title
 from clampid.report.stage_data import StageData, in_order
 from clampid.report.style import BLUE, GREEN, GREY, ORANGE, Figure, Section, as_table, axes, layout
+from clampid.stages.pose_rows import align
 
 __all__ = ["rounds_of", "rounds_section", "unit_of"]
 
@@ -32,13 +33,16 @@ def rounds_of(model: Model, first: Model | None, stage: Stage) -> tuple[Round, .
 
 
 def nominal_error(data: StageData) -> float | None:
-    """Error of the robot as described, its base aligned with what was measured; poses only."""
-    if data.stage != "poses":
-        return None
+    """Error of the robot as described, its base aligned with what was measured; poses that were fitted on only."""
     piece = data.first
-    residual = piece.experiment.residual(piece.experiment.start())[0][:, :3]
-    good = piece.good[:, 0]
-    return float(np.sqrt(np.mean(np.sum(residual[good] ** 2, axis=1)))) if good.any() else None
+    good = piece.good[:, 0] & ~piece.held
+    if data.stage != "poses" or not good.any():
+        return None
+    measured = piece.rows.measured[good, :3]
+    points = measured - piece.experiment.residual(piece.experiment.start())[0][good, :3]
+    base = align(points, measured)
+    error = measured - points @ base[:3, :3].T - base[:3, 3]
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def rounds_section(model: Model, first: Model | None, stages: Mapping[Stage, StageData]) -> Section | None:

@@ -82,7 +82,8 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
         found.append(Variable("sweep_fraction", "how far the sweep has come", data.stacked("sweep_fraction")))
         joints("dir", "direction of motor {}", data.stacked("motor_motion"))
     time = np.concatenate([p.rows.constants["time"] for p in data.pieces])
-    found.append(Variable("time", "time, min", (time - time.min()) / 60.0))
+    factor, unit = (60.0, "min") if np.ptp(time) > 600.0 else (1.0, "s")
+    found.append(Variable("time", f"time, {unit}", (time - time.min()) / factor))
     found += _temperatures(data)
     if data.stage == "poses":
         position = data.stacked("position")
