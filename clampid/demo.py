@@ -153,7 +153,9 @@ def demo(
 
 
 def _draw(seed: int) -> str:
-    return DRAWN[int(np.random.default_rng([seed, 20]).integers(len(DRAWN)))]
+    """One effect; each comes once in a row of as many seeds, in an order of its own."""
+    row, place = divmod(seed, len(DRAWN))
+    return DRAWN[int(np.random.default_rng([20, row]).permutation(len(DRAWN))[place])]
 
 
 def terms_to_add(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:

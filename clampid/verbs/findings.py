@@ -44,7 +44,7 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
 def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
     """Stage by stage: the verdict in a sentence, the candidates with their evidence, what to measure next."""
     for stage, part in data["stages"].items():
-        out.say(f"{stage}: {part.get('summary') or WORDS.get(part['verdict'], part['verdict'])}")
+        out.say(f"{stage} ({part['verdict']}): {part.get('summary') or WORDS.get(part['verdict'], '')}")
         candidates, unit = part["candidates"], part["unit"]
         if candidates:
             columns = ("effect", "at", "p", "p of the family", "held out, before", "after")

@@ -1,4 +1,4 @@
-"""What verbs print: results on stdout (or, where that is for JSON, on stderr), progress and warnings on stderr."""
+"""What verbs print: results on stdout (nothing but JSON where that is asked for), progress and warnings on stderr."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ class Output:
 
     @cached_property
     def console(self) -> Console:
-        """For people."""
-        return _console(stderr=self.json == "-")
+        """For people; silent where stdout is for programs."""
+        return _console(stderr=False, silent=self.json == "-")
 
     @cached_property
     def errors(self) -> Console:
@@ -63,17 +63,17 @@ class Output:
 
     @contextmanager
     def working(self, text: str) -> Iterator[None]:
-        """Progress of one long step: a moving line with the time on a terminal, else a plain line."""
+        """Progress of one long step: a moving bar with the time on a terminal, else plain lines."""
         if self.quiet:
             yield
             return
         start = time.monotonic()
         if self.errors.is_terminal:
-            from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-            columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+            columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
             with Progress(*columns, console=self.errors, transient=True) as progress:
-                progress.add_task(text)
+                progress.add_task(text, total=None)  # how long a fit takes nobody knows before: the bar only moves
                 yield
         else:
             self.step(f"{text} …")
@@ -147,8 +147,8 @@ def _plain(cell: str) -> Any:
     return Text(cell)
 
 
-def _console(stderr: bool) -> Console:
+def _console(stderr: bool, silent: bool = False) -> Console:
     from rich.console import Console
 
-    console = Console(stderr=stderr)
-    return console if console.is_terminal else Console(stderr=stderr, width=WIDTH)
+    console = Console(stderr=stderr, quiet=silent)
+    return console if console.is_terminal else Console(stderr=stderr, quiet=silent, width=WIDTH)
