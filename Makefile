@@ -10,7 +10,7 @@ SEED ?= 1
 OUT ?= demo
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+PIP := $(BIN)/python -m pip --disable-pip-version-check install -qq -c constraints.txt
 
 # Two workers, and one thread each: BLAS threads that fight cost a small fit a factor of ten.
 WORKERS ?= 2

@@ -31,10 +31,13 @@ def error_falling(run: Mapping[str, Any], path: Path) -> None:
         floor = table["noise_floor"]
         errors = [t["heldout"]["rms"] for t in (was, table)]
         before, after = (error / floor for error in errors)
-        axes.plot([before, after], [y, y], color=AFTER, linewidth=2, alpha=0.4, zorder=1)
+        if abs(before - after) > 0.2:
+            arrow = {"arrowstyle": "-|>", "color": AFTER, "linewidth": 2, "shrinkA": 6, "shrinkB": 5}
+            axes.annotate("", (after, y), (before, y), arrowprops=arrow, zorder=1)
         axes.scatter([before], [y], color=BEFORE, s=70, zorder=2, label="standard model" if y == 0 else None)
         axes.scatter([after], [y], color=AFTER, s=70, zorder=3, label="with what was found" if y == 0 else None)
-        words = f"{error_text(errors[0], table['unit'])} → {error_text(errors[1], table['unit'])}"
+        texts = [error_text(error, table["unit"]) for error in errors]
+        words = " → ".join(dict.fromkeys(texts))
         axes.annotate(words, (max(before, after), y), (10, 0), textcoords="offset points", va="center", color=INK)
     axes.axvline(1.0, color=INK, linewidth=1, linestyle=":", label="noise floor")
     axes.set_yticks(range(len(tables)), [NAMES[name] for name in reversed(tables)])
@@ -44,7 +47,7 @@ def error_falling(run: Mapping[str, Any], path: Path) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     hidden = ", ".join(f"{item['effect'].replace('_', ' ')} at {item['where']}" for item in run["hidden"])
     axes.set_title(f"Hidden in the virtual robot: {hidden}", loc="left", fontsize=11)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.3), ncols=3, frameon=False)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(path, dpi=150, metadata={"Software": None})
     plt.close(figure)
 
