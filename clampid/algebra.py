@@ -10,7 +10,10 @@ from typing import Any
 
 import casadi as ca
 
-__all__ = ["along", "columns", "cos", "dot", "exp", "fabs", "interleave", "rows", "sin", "tanh"]
+__all__ = [
+    "along", "before", "columns", "cos", "cross", "cross_rows", "dot", "exp", "fabs", "interleave", "norms", "rows", "shifted_down",
+    "shifted_up", "sin", "tanh", "turning",
+]
 
 sin, cos, exp, fabs, tanh = ca.sin, ca.cos, ca.exp, ca.fabs, ca.tanh
 
@@ -30,6 +33,11 @@ def dot(a: Any, b: Any) -> Any:
     return ca.dot(a, b)
 
 
+def cross(a: Any, b: Any) -> Any:
+    """Cross product of two columns of three."""
+    return ca.cross(a, b)
+
+
 def interleave(*parts: Any) -> Any:
     """``(a1, b1, a2, b2, …)`` from columns a, b of equal length."""
     return ca.vec(ca.horzcat(*parts).T)
@@ -46,3 +54,34 @@ def turning(angles: Sequence[Any], shifts: Sequence[Any] | None = None) -> Any:
     n = angles[0].shape[0]
     moved = list(shifts) if shifts is not None else [ca.SX(n, 1)] * 3
     return ca.horzcat(*angles, *moved)
+
+
+def before(twists: Any, link_vectors: Any) -> Any:
+    """Link twists ``(n, 6)`` that turn each link at its near joint instead, as motions of its far end.
+
+    A turn w at the joint moves the far end by w x d.
+    """
+    w = twists[:, :3]
+    return ca.horzcat(w, twists[:, 3:] + cross_rows(w, link_vectors))
+
+
+def cross_rows(a: Any, b: Any) -> Any:
+    """Cross products of the rows of ``(n, 3)`` with those of ``(n, 3)``."""
+    return ca.horzcat(
+        a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2], a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    )
+
+
+def norms(vectors: Any) -> Any:
+    """Lengths ``(n,)`` of the rows of ``(n, 3)``."""
+    return ca.sqrt(ca.sum2(vectors**2))
+
+
+def shifted_up(column: Any) -> Any:
+    """``(0, c_1, …, c_(n-1))``: each entry is the one before it."""
+    return ca.vertcat(0, column[:-1])
+
+
+def shifted_down(column: Any) -> Any:
+    """``(c_2, …, c_n, 0)``: each entry is the one after it."""
+    return ca.vertcat(column[1:], 0)

@@ -25,13 +25,19 @@ Array = npt.NDArray[np.float64]
 
 OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
     "free_air": ("joint_torque", "motor_torque"),
-    "clamped": ("joint_angle", "fixture", "motor_torque"),
+    "clamped": ("joint_angle", "fixture", "motor_torque", "joint_torque"),
     "poses": ("joint_angle", "base_twist", "link_twist", "target_shift", "measurement"),
 }
 """The stations whose deviations a stage's measurement sees."""
 
+MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
 BLOCK = 256  # rows evaluated at once
-_INTERNAL: Mapping[str, tuple[str | int, ...]] = {"gravity_torque": ("n",), "rest_direction": ("n",), "wrench_map": (6, "n")}
+_INTERNAL: Mapping[str, tuple[str | int, ...]] = {"gravity_torque": ("n",), "rest_direction": ("n",), "wrench_map": (6, "n"),
+    "base_moment_regressor": (3, "4n"),
+    "transverse_moment_regressor": ("3n", "4n"),
+    "link_moment_regressor": ("3n", "4n"),
+    "link_force_regressor": ("3n", "4n"),
+}
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,7 @@ class _Blocks:
 
 
 def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
-    counts = {"n": layout.joints, "4n": 4 * layout.joints, "m": len(layout.targets), "s": len(layout.sessions)}
+    counts = {"n": layout.joints, "3n": 3 * layout.joints, "4n": 4 * layout.joints, "m": len(layout.targets), "s": len(layout.sessions)}
     return tuple(counts[k] if isinstance(k, str) else k for k in shape)
 
 
@@ -174,11 +180,23 @@ def build_chain(
     constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
     parameters = {effect.name: _parameters(effect, layout, index, theta) for effect in active}
 
+    shift = _gravity_shift(parameters)
+
+    def read(name: str) -> Any:
+        """A signal; what gravity puts on base, bearings and links follows the masses as they are now."""
+        if name in MOMENTS and shift is not None and name not in moved:
+            by_mass = signal(f"{name}_regressor") @ shift
+            shape = _size(SIGNALS[name].shape, layout)
+            moved[name] = signal(name) + (by_mass if len(shape) == 1 else ca.reshape(by_mass, shape[1], shape[0]).T)
+        return moved.get(name, signal(name))
+
+    moved: dict[str, Any] = {}
+
     def total(station: str, only: Sequence[Effect]) -> Any:
         value = ca.SX(*_matrix(_size(STATIONS[station][0], layout)))
         for effect in only:
             if station in effect.acts:
-                x = SimpleNamespace(**constants, **{name: signal(name) for name in effect.needs})
+                x = SimpleNamespace(**constants, **{name: read(name) for name in effect.needs})
                 try:
                     value = value + effect.acts[station](parameters[effect.name], x)
                 except AttributeError as error:
@@ -225,6 +243,12 @@ def build_chain(
 
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
     return (shape[0], shape[1]) if len(shape) == 2 else (shape[0], 1)
+
+
+def _gravity_shift(parameters: Mapping[str, SimpleNamespace]) -> Any:
+    """How far the links' (m, m c) ``(4n,)`` are from the description's, or None if they are as described."""
+    gravity = parameters.get("gravity")
+    return None if gravity is None else ca.vec(ca.horzcat(gravity.m, gravity.mx, gravity.my, gravity.mz).T)
 
 
 def _parameters(effect: Effect, layout: Layout, index: Mapping[Slot, int], theta: Any) -> SimpleNamespace:

@@ -18,6 +18,7 @@ from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Rows
+from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
 __all__ = ["Comparison", "compare"]
@@ -42,6 +43,7 @@ class Comparison:
         return {"model": self.model, "campaign": self.campaign, "tables": self.tables}
 
 
+@single_threaded
 def compare(
     model: Model,
     campaign: Campaign,

@@ -12,7 +12,8 @@ from clampid.effect import Stage
 from clampid.identify import TABLES_OF, FittedStage, fit_stage
 from clampid.model import Model
 from clampid.reopen import Reopened, reopen
-from clampid.slots import Term
+from clampid.slots import Slot, Term
+from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
 __all__ = ["Diagnosis", "diagnose"]
@@ -29,6 +30,7 @@ class Diagnosis:
         return {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
 
 
+@single_threaded
 def diagnose(
     model: Model, campaign: Campaign, *, seed: int = 0, flips: int = 199, user_effects: Path | None = None
 ) -> Diagnosis:
@@ -60,8 +62,9 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
     rows = opened.rows(stage)
     before = {s: m for s, m in opened.stages.items() if s != stage}
 
-    def refit(terms: Sequence[Term], last: FittedStage) -> FittedStage:
-        return fit_stage(rows, opened.effects, terms, before, last.model.values(), opened.held(stage))
+    def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
+        known = {**start, **last.model.values()}
+        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage))
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
     return diagnose_stage(fitted, dict(opened.effects), refit, verification, seed, flips)

@@ -21,6 +21,7 @@ OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
+IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
 
 
@@ -136,7 +137,7 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     bounded = experiment.shapes() | (experiment.stage == "clamped")
     damping, cost = 0.0, np.inf
     current: tuple[Array, Whitened] | None = None
-    iteration = 0
+    iteration = idle = 0
     while iteration < ITERATIONS:
         iteration += 1
         residual, jacobian = experiment.residual(theta)
@@ -144,6 +145,10 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
             raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
         white = noise.whiten(experiment.rows, residual, jacobian)
         new_cost = float(white.residual @ white.residual + (theta - mean) @ precision @ (theta - mean))
+        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
+        idle = idle + 1 if new_cost > cost * (1 - IDLE_GAIN) else 0
+        if idle > IDLE_STEPS:
+            break
         if current is not None and new_cost > cost * (1 + 1e-9) + 1e-12:
             damping = max(10 * damping, 1e-3)
             theta = theta_best + _step(A, g, size, damping, free)
@@ -158,7 +163,7 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
         # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
         free = ~(bounded & (((theta <= lower) & (g < 0)) | ((theta >= upper) & (g > 0))))
         step = _step(A, g, size, damping, free)
-        if float(g @ step) < NEGLIGIBLE:
+        if float(g @ step) < NEGLIGIBLE * max(1.0, cost / max(len(white.residual), 1)):
             break
         theta = theta + step
         theta = np.where(bounded, np.clip(theta, lower, upper), theta)

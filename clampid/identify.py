@@ -23,6 +23,7 @@ from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
 from clampid.stages.torques import torque_rows
+from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
 __all__ = ["TABLES_OF", "fit_stage", "identify", "stage_rows", "stages_of", "standard_effects"]
@@ -209,6 +210,7 @@ def fit_stage(
     return FittedStage(stage, estimate, reference)
 
 
+@single_threaded
 def identify(
     campaigns: Sequence[Campaign] | Campaign,
     effects: Mapping[Stage, Sequence[str]] | Sequence[str] | None = None,

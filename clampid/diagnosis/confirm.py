@@ -8,14 +8,19 @@ flip says whether that is more than chance.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
 
+from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Scored, Space
-from clampid.stages.rows import Array, Integers
+from clampid.fit import Estimate
+from clampid.noise import Noise
+from clampid.stages.pose_rows import join_rows
+from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["held_out_p", "stability"]
+__all__ = ["held_out_p", "probe_held_out_p", "stability"]
 
 FOLDS = 5
 FLIPS = 999
@@ -65,3 +70,31 @@ def held_out_p(before: Array, after: Array, unit: Integers, seed: int) -> float:
         return 1.0
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(FLIPS, len(fall)))
     return float((1 + np.sum(signs @ fall >= total)) / (FLIPS + 1))
+
+
+def probe_held_out_p(estimate: Estimate, verification: Rows, label: str, seed: int) -> float:
+    """One-sided p of what a pose probe, fitted with everything else in one linear step, brings on a verification table."""
+    rows = estimate.experiment.rows
+    both = join_rows([rows, verification])
+    joined = estimate.experiment.with_rows(both)
+    sigma = estimate.noise.sigma
+    noise = Noise(np.vstack([sigma, np.broadcast_to(np.median(sigma, axis=0), (len(verification), sigma.shape[1]))]))
+    residual, jacobian = joined.residual(estimate.theta)
+    white = noise.whiten(both, residual, jacobian)
+    stand_in = replace(estimate, experiment=joined, noise=noise, residual=residual, whitened=white)
+    found = next((p for p in probes(stand_in) if p.label == label), None)
+    if found is None:
+        return 1.0
+    D = found.columns.dense(len(white.residual))
+    fit = white.entry < len(rows)
+    J, r = white.jacobian, white.residual
+    precision = estimate.prior_precision
+    start = J[fit].T @ r[fit] + precision @ (estimate.prior_mean - estimate.theta)
+    before = np.linalg.lstsq(J[fit].T @ J[fit] + precision, start, rcond=None)[0]
+    wide, count = np.c_[J, D], J.shape[1]
+    A = wide[fit].T @ wide[fit]
+    A[:count, :count] += precision
+    after = np.linalg.lstsq(A, np.r_[start, D[fit].T @ r[fit]], rcond=None)[0]
+    test = ~fit
+    squares_before, squares_after = (r - J @ before)[test] ** 2, (r - wide @ after)[test] ** 2
+    return held_out_p(squares_before, squares_after, both.unit[white.entry[test]], seed)

@@ -13,15 +13,27 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse, stats
+from scipy.special import gammaln
 
 from clampid.diagnosis.candidates import Candidate
 from clampid.fit import Estimate
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Flips", "Scored", "Space", "canonical", "explained_together", "flip_maxima", "score", "space_of"]
+__all__ = [
+    "Flips",
+    "Scored",
+    "Space",
+    "canonical",
+    "explained_together",
+    "flip_maxima",
+    "log_tail",
+    "score",
+    "space_of",
+]
 
 ABSORBED = 1e-6
 WEAK = 0.05
+FAR = 1000.0  # beyond this chi-square's tail underflows for some freedoms
 
 
 @dataclass(frozen=True)
@@ -114,6 +126,15 @@ def space_of(estimate: Estimate) -> Space:
     return Space(residual, basis, units, max(scale, 1e-12), freedom, count)
 
 
+def log_tail(x: Array | float, freedom: int) -> Array:
+    """Natural logarithm of the chi-square tail, also where the tail itself is too small for a number."""
+    value = np.asarray(x, dtype=float)
+    half = np.maximum(value, 1e-300) / 2.0
+    far = (freedom / 2.0 - 1.0) * np.log(half) - half - float(gammaln(freedom / 2.0))  # leading term of its expansion
+    near = stats.chi2.logsf(np.minimum(value, FAR), freedom)
+    return np.asarray(np.where(value > FAR, far, near))
+
+
 def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
     """Score every candidate; those without any effect on these rows come back as ``absent``."""
     return [_score_one(space, c) for c in candidates]
@@ -152,7 +173,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         weights=weights,
         amplitude=amplitude,
         explained=explained,
-        log_p=float(stats.chi2.logsf(explained, freedom)),
+        log_p=float(log_tail(explained, freedom)),
         bic=explained - freedom * float(np.log(max(space.rows, 2))),
         retained=retained,
         state="weak" if retained < WEAK else "testable",
@@ -213,5 +234,5 @@ def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -
     for s in chosen:
         explained = np.sum(amplitude[:, start : start + s.freedom] ** 2, axis=1) / space.scale**2
         start += s.freedom
-        maxima = np.maximum(maxima, -stats.chi2.logsf(explained, s.freedom))
+        maxima = np.maximum(maxima, -log_tail(explained, s.freedom))
     return Flips(maxima)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ from scipy import optimize, stats
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, rms_of, size_of
 from clampid.diagnosis.candidates import named_candidates
-from clampid.diagnosis.confirm import held_out_p, stability
+from clampid.diagnosis.confirm import held_out_p, probe_held_out_p, stability
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import (
     Flips,
@@ -20,6 +20,7 @@ from clampid.diagnosis.score import (
     canonical,
     explained_together,
     flip_maxima,
+    log_tail,
     score,
     space_of,
 )
@@ -41,9 +42,10 @@ STABLE = 0.6
 ROUNDS = 8
 LISTED = 12
 POWER = 0.9
+GAUSSIAN = 300.0
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
-Refit = Callable[[Sequence[Term], FittedStage], FittedStage]
+Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
 
 @dataclass
@@ -108,7 +110,7 @@ def diagnose_stage(
     Parameters
     ----------
     refit
-        Fits the stage with other terms, from an earlier fit's values.
+        Fits the stage with other terms, from an earlier fit's values and given start values.
     """
     estimate = fitted.estimate
     stage = estimate.experiment.stage
@@ -148,7 +150,7 @@ def diagnose_stage(
             result.next_measurement = separating_measurement(s.candidate.family for s in [best, *rivals])
             break
         terms = [*fitted.model.terms, *best.candidate.terms]
-        trial = refit(terms, fitted)
+        trial = refit(terms, fitted, best.candidate.shapes)
         trial, kept = _pruned(trial, best.candidate.terms, fitted.model.terms, refit)
         new = _held_out(trial.estimate, verification, floor, seed)
         p_held = held_out_p(held.squares, new.squares, held.unit, seed)
@@ -170,7 +172,10 @@ def diagnose_stage(
         result.after = held.rms
     if result.verdict != "ambiguous" and fires and probe is not None:
         folds = estimate.experiment.rows.fold[estimate.whitened.entry]
-        if stability(space, free, probe, folds, seed) >= STABLE:
+        again = stability(space, free, probe, folds, seed)
+        # Structure that is there is there on rows that no fit has seen, too.
+        p_held = probe_held_out_p(estimate, verification, probe.candidate.label, seed) if verification is not None else 0.0
+        if again >= STABLE and p_held <= HELD_OUT_RATE:
             result.verdict = "unknown"
             result.depends_on = _variables(free, free_null, probe)
             result.considered = _stand_ins(result.considered, named, probe) + _considered(free, free_null, effects, 5)
@@ -222,7 +227,7 @@ def _pruned(
             kept.append(term)
     if not kept or len(kept) == len(new):
         return trial, list(new)
-    return refit([*before, *kept], trial), kept
+    return refit([*before, *kept], trial, {}), kept
 
 
 def _held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int) -> _HeldOut:
@@ -351,11 +356,14 @@ def _variables(free: Sequence[Scored], null: Flips, probe: Scored) -> list[str]:
 
 def noncentrality(freedom: int, null: Flips) -> float:
     """The noncentrality that is found with 90 % power at this dictionary's size."""
-    critical = float(stats.chi2.isf(np.exp(max(null.critical_log_p(RATE), -690.0)), freedom))
+    log_p = null.critical_log_p(RATE)
+    critical = float(optimize.brentq(lambda x: float(log_tail(x, freedom)) - log_p, 0.0, -4.0 * log_p + 100.0))
 
     def short(x: float) -> float:
         return float(stats.ncx2.sf(critical, freedom, x)) - POWER
 
+    if critical > GAUSSIAN:  # far out the distribution of the statistic is narrow about its mean
+        return critical + float(stats.norm.isf(1 - POWER)) * 2.0 * float(np.sqrt(critical))
     return float(optimize.brentq(short, 0.0, 10.0 * critical + 200.0))
 
 

@@ -1,16 +1,19 @@
-"""The clamp, or the block it sits on, yields under the wrench of the clamped arm."""
+"""The clamp, or the block it sits on, yields under the wrench of the clamped arm: it rocks about a pivot, and shifts."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from clampid.algebra import rows
+from clampid.algebra import cross, rows
 from clampid.effect import Effect, Parameter
 
 
 def motion(p: Any, x: Any) -> Any:
-    """(w, v) = diag(c_r, c_t) F, F the wrench on the fixture."""
-    return rows(p.crx, p.cry, p.crz, p.cx, p.cy, p.cz) * x.wrench
+    """w = diag(c_r) (M - d x F), v = diag(c_t) F - w x d: d from the flange to the pivot."""
+    moment, force = x.wrench[:3], x.wrench[3:]
+    pivot = rows(p.dx, p.dy, p.dz)
+    w = rows(p.crx, p.cry, p.crz) * (moment - cross(pivot, force))
+    return rows(w, rows(p.cx, p.cy, p.cz) * force - cross(w, pivot))
 
 
 EFFECT = Effect(
@@ -18,18 +21,16 @@ EFFECT = Effect(
     family="fixture_compliance",
     acts={"fixture": motion},
     parameters=(
+        *(Parameter(f"cr{a}", "rad/Nm", 1e-6, bounds=(0.0, 1e-2), meaning=f"rocks about {a} by moment") for a in "xyz"),
+        *(Parameter(f"c{a}", "m/N", 1e-7, bounds=(0.0, 1e-3), meaning=f"shifts along {a} by force") for a in "xyz"),
         *(
-            Parameter(f"cr{a}", "rad/Nm", 1e-6, bounds=(0.0, 1e-2), meaning=f"fixture turns about {a} by moment")
-            for a in "xyz"
-        ),
-        *(
-            Parameter(f"c{a}", "m/N", 1e-7, bounds=(0.0, 1e-3), meaning=f"fixture yields along {a} by force")
-            for a in "xyz"
+            Parameter(f"d{a}", "m", 0.5, bounds=(-3.0, 3.0), meaning=f"pivot beyond the flange along {a}", shape=True, grid=g)
+            for a, g in (("x", (0.0, 0.0, 0.0)), ("y", (0.0, 0.0, 0.0)), ("z", (0.0, -0.4, -0.8)))
         ),
     ),
     needs=("wrench",),
     stages=("clamped",),
-    equation="dx = C_f F, C_f diagonal in the base frame",
+    equation="w = diag(c_r) (M - d x F), v = diag(c_t) F - w x d; base frame, F on the fixture at the flange",
     source=("Thesis",),
     at="fixture",
 )

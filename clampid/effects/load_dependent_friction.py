@@ -1,4 +1,8 @@
-"""Friction that grows with the torque that the gear transmits."""
+"""Friction that grows with the torque that the gear transmits.
+
+In free air the joint moves against it. In a clamped sweep the motor does, while the joint stands still; then the springs'
+torque is the load.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from clampid.effect import Effect, Parameter
 
 
 def torque(p: Any, x: Any) -> Any:
-    """tau_joint = mu |tau_load| sign(w_joint)."""
+    """tau_joint = mu |tau_load| sign(motion); it reaches the motors through T."""
     return p.mu * fabs(x.torque) * x.joint_motion
 
 
@@ -19,7 +23,7 @@ EFFECT = Effect(
     acts={"joint_torque": torque},
     parameters=(Parameter("mu", "", 0.05, "joint", meaning="friction per load, both at the joint"),),
     needs=("torque", "joint_motion"),
-    stages=("free_air",),
+    stages=("free_air", "clamped"),
     equation="tau_joint = mu |tau_g| sign(w)",
     source=("Bittencourt2010",),
 )

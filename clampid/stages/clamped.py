@@ -4,7 +4,7 @@ With the flange held the arm cannot move, so that every joint's spring, gap and 
 
     T' theta_m + dq(tau) = q_clamp + offset + J^-1 (motion of the fixture)
 
-is solved for the joint torques tau, row by row; then tau_motor = T tau + friction. The offset is the posture at which the
+is solved for the joint torques tau, row by row; then tau_motor = T (tau + friction at the joint) + friction at the motor. The offset is the posture at which the
 arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there too.
 """
 
@@ -24,6 +24,7 @@ from kinematics.poe import forward, space_jacobian
 __all__ = ["clamped_rows", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
+STILL = 0.02  # of the driven motor's step: less is a motor held
 NEWTON_STEPS = 60
 GAP_SOFTNESS = 2e-3  # of a joint's rated torque: how sharply a gap closes, far below the noise of a torque
 
@@ -42,8 +43,8 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     shift = rows.constants["wound"] - rows.offset_table(offsets)
     inverse = rows.constants["inverse_jacobian"]
     torque, deviations, slope = _equilibrium(rows, chain, theta, shift, inverse)
-    motor = slice(chain.offsets["motor_torque"].start, chain.offsets["motor_torque"].stop)
-    predicted = torque @ T.T + deviations.values[:, motor]
+    motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
+    predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor]
     # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
     balance = np.zeros((count, n, len(chain.slots) + len(offsets)))
     direct = np.zeros((count, n, len(chain.slots) + len(offsets)))
@@ -51,14 +52,20 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
         part = deviations.partials[:, k]
         if station < n:
             balance[:, station, parameter] += part
+        elif station >= joint.start:
+            direct[:, :, parameter] += T[:, station - joint.start] * part[:, None]
         elif station >= motor.start:
             direct[:, station - motor.start, parameter] += part
         else:
             balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
-    for k, (sweep, joint) in enumerate(keys):
-        balance[run == sweep, joint, len(chain.slots) + k] = -1.0
+    for k, (sweep, held) in enumerate(keys):
+        balance[run == sweep, held, len(chain.slots) + k] = -1.0
     tau = -np.linalg.solve(slope, balance)
-    return rows.measured - predicted, np.einsum("ij,njp->nip", T, tau) + direct
+    if deviations.by_torque is None:
+        raise ValueError("the chain was not built for the stage clamped")
+    # Friction may follow the load, so that the torque reaches the motors by way of it too.
+    through = T + T @ deviations.by_torque[:, joint] + deviations.by_torque[:, motor]
+    return rows.measured - predicted, through @ tau + direct
 
 
 def _equilibrium(
@@ -124,20 +131,29 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     count, sweeps = len(joined), int(sweep.max()) + 1
     reference = np.array([q[sweep == s].mean(axis=0) for s in range(sweeps)])
     rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
-    motion, used, fraction = np.zeros((count, n)), np.ones((count, n), dtype=bool), np.zeros(count)
+    motion, travel = np.zeros((count, n)), np.zeros((count, n))
+    used, fraction = np.ones((count, n), dtype=bool), np.zeros(count)
     for s in range(sweeps):
         rows = np.flatnonzero(sweep == s)
         fraction[rows] = np.linspace(0.0, 1.0, len(rows))
-        m = motor[rows, driven[rows[0]]]
-        step = np.diff(m)
-        step = np.r_[step[:1], step] if len(step) else np.zeros(1)
-        sign = np.sign(np.where(np.abs(step) > 0.05 * np.median(np.abs(step[step != 0]) if np.any(step) else 1), step, 0))
-        for i in range(1, len(sign)):
-            sign[i] = sign[i] or sign[i - 1]
-        motion[rows, driven[rows[0]]] = sign
-        # Friction builds up again over the first step after a reversal; that row's friction is not known.
-        turned = np.r_[True, sign[1:] != sign[:-1]]
-        used[rows[turned]] = False
+        # A coupled joint's sweep turns several motors: each has its own friction, by its own steps.
+        steps = np.diff(motor[rows], axis=0, prepend=motor[rows[:1]])
+        if len(rows) > 1:
+            steps[0] = steps[1]
+        own = np.abs(steps[:, driven[rows[0]]])
+        still = STILL * (np.median(own[own > 0]) if np.any(own > 0) else 1.0)
+        for j in range(n):
+            sign = np.where(np.abs(steps[:, j]) > still, np.sign(steps[:, j]), 0.0)
+            if not sign.any():
+                continue  # a held motor: its friction is a constant that the offsets take up
+            for i in range(1, len(sign)):
+                sign[i] = sign[i] or sign[i - 1]
+            motion[rows, j] = sign
+            # Friction builds up again over the first step after a reversal; that row's friction is not known.
+            turned = np.r_[True, sign[1:] != sign[:-1]]
+            used[rows[turned], j] = False
+            path = np.cumsum(np.abs(steps[:, j]))
+            travel[rows, j] = path - np.maximum.accumulate(np.where(turned, path, 0.0))
     inverse, wrench = np.zeros((sweeps, n, 6)), np.zeros((sweeps, 6, n))
     for s in range(sweeps):
         chain_q = np.asarray(robot.linkage) @ reference[s]
@@ -148,10 +164,11 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "q": q,
         "motor": motor,
         "motor_motion": motion,
-        "joint_motion": motion,
+        "joint_motion": np.sign(motion @ T),
         "rest_direction": np.tile(GAP_SOFTNESS * rated, (count, 1)),
         "wrench_map": wrench[sweep],
         "elapsed": time - time.min(),
+        "travel": travel,
         "sweep_fraction": fraction,
         **temperatures(joined, n),
     }

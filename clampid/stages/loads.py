@@ -35,49 +35,66 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
 
 
 def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
-    """Moments and forces that the weight puts on the base, on bearings and on links; base axes at the zero pose.
+    """Moments and forces that the weight puts on the base, on bearings and on links, base axes at the zero pose.
 
     ``base_moment`` ``(N, 3)`` about the base's origin, base frame; ``transverse_moment`` ``(N, n, 3)`` across joint i's
-    axis, in the link before it; ``link_moment``, ``link_force`` ``(N, n, 3)`` at link i's far end, in link i.
+    axis, in the link before it; ``link_moment``, ``link_force`` ``(N, n, 3)`` at link i's far end, in link i. Each comes
+    with its ``…_regressor``, the derivative by the links' (m, m c), rows flattened.
     """
-    robot = campaign.robot
-    n = robot.n
+    robot, n = campaign.robot, campaign.robot.n
     G = joint_transforms(robot.screws, q @ np.asarray(robot.linkage).T)  # (N, n + 1, 4, 4)
     g = np.asarray(campaign.gravity, dtype=float)
-    masses = np.array([link.mass for link in robot.links] if robot.has_masses else [0.0] * n)
-    coms = np.array([link.com for link in robot.links] if robot.has_masses else [[0.0] * 3] * n)
-    tool = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
-    total = masses[-1] + campaign.tool.mass
-    if total > 0:
-        coms[-1] = (masses[-1] * coms[-1] + campaign.tool.mass * tool) / total
-    masses[-1] = total
-    at = np.einsum("nkij,kj->nki", G[:, 1:, :3, :3], coms) + G[:, 1:, :3, 3]  # centres of mass now
-    points = np.array([joint.point for joint in robot.joints])
-    force = masses[:, None] * g
-    base_moment = np.cross(at, force).sum(axis=1)
-    transverse = np.zeros((len(q), n, 3))
-    link_moment, link_force = np.zeros((len(q), n, 3)), np.zeros((len(q), n, 3))
+    tool_at = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
+    tool = campaign.tool.mass * np.r_[1.0, tool_at]
+    masses = np.zeros(4 * n)
+    if robot.has_masses:
+        masses = np.asarray(gravity_parameters(robot.links), dtype=float).copy()
+    points = np.array([*(joint.point for joint in robot.joints), robot.flange[:3, 3]])
+    # By (m, m c) of link k: force m g, and about a point o the moment (R m c + (t - o) m) x g.
+    by_link = np.zeros((len(q), n, 3, 4))
+    by_link[..., 0] = np.cross(G[:, 1:, :3, 3], g)
+    by_link[..., 1:] = np.swapaxes(np.cross(np.swapaxes(G[:, 1:, :3, :3], 2, 3), g), 2, 3)
+
+    def about(point: Array, first: int) -> Array:
+        """Moment regressor ``(N, 3, 4n)`` about points ``(N, 3)`` of links ``first`` and after."""
+        out = np.zeros((len(q), 3, 4 * n))
+        for k in range(first, n):
+            part = by_link[:, k].copy()
+            part[..., 0] -= np.cross(point, g)
+            out[:, :, 4 * k : 4 * k + 4] = part
+        return out
+
+    def weighed(regressor: Array, with_tool: bool = True) -> Array:
+        return np.asarray(regressor @ masses + (regressor[..., -4:] @ tool if with_tool else 0.0))
+
+    base = about(np.zeros((len(q), 3)), 0)
+    transverse, moment, force = (np.zeros((len(q), n, 3, 4 * n)) for _ in range(3))
     for i in range(n):
         R, p = G[:, i, :3, :3], G[:, i, :3, 3]
         here = np.einsum("nij,j->ni", R, points[i]) + p
-        moment = np.cross(at[:, i:] - here[:, None], force[i:]).sum(axis=1)
-        local = np.einsum("nji,nj->ni", R, moment)
+        local = np.swapaxes(R, 1, 2) @ about(here, i)
         axis = robot.joints[i].axis
-        transverse[:, i] = local - np.outer(local @ axis, axis)
+        transverse[:, i] = local - axis[:, None] * np.einsum("j,njk->nk", axis, local)[:, None, :]
         if i > 0:  # what joint i+1 carries is what link i's far end carries
-            link_moment[:, i - 1] = local
-            link_force[:, i - 1] = np.einsum("nji,j->ni", R, force[i:].sum(axis=0))
+            moment[:, i - 1] = local
+            force[:, i - 1, :, 4 * i :: 4] = np.einsum("nji,j->ni", R, g)[:, :, None]
     R = G[:, n, :3, :3]
-    end = np.einsum("nij,j->ni", R, robot.flange[:3, 3]) + G[:, n, :3, 3]
-    held = np.einsum("nij,j->ni", R, tool) + G[:, n, :3, 3]
+    end = np.einsum("nij,j->ni", R, points[n]) + G[:, n, :3, 3]
+    held = np.einsum("nij,j->ni", R, tool_at) + G[:, n, :3, 3]
     weight = campaign.tool.mass * g
+    link_moment, link_force = weighed(moment), weighed(force)
     link_moment[:, n - 1] = np.einsum("nji,nj->ni", R, np.cross(held - end, weight))
     link_force[:, n - 1] = np.einsum("nji,j->ni", R, weight)
+    flat = (len(q), 3 * n, 4 * n)
     return {
-        "base_moment": base_moment,
-        "transverse_moment": transverse,
+        "base_moment": weighed(base),
+        "base_moment_regressor": base,
+        "transverse_moment": weighed(transverse),
+        "transverse_moment_regressor": transverse.reshape(flat),
         "link_moment": link_moment,
+        "link_moment_regressor": moment.reshape(flat),
         "link_force": link_force,
+        "link_force_regressor": force.reshape(flat),
     }
 
 

@@ -13,7 +13,7 @@ from clampid.stages.torques import temperatures
 from experiments.campaign import Campaign
 from kinematics.poe import forward
 
-__all__ = ["align", "pose_rows", "quaternion_to_rotation"]
+__all__ = ["align", "join_rows", "pose_rows", "quaternion_to_rotation"]
 
 DEFAULT_POSITION_STD = 1e-4  # m, where the instrument's maker says nothing
 DEFAULT_ORIENTATION_STD = 3e-4  # rad
@@ -48,7 +48,7 @@ def pose_rows(
         aligning the nominal robot with what was measured.
     """
     parts = [_one(c, s, len(campaigns), layout, table, base) for s, c in enumerate(campaigns) if table in c.tables]
-    return parts[0] if len(parts) == 1 else _join(parts)
+    return parts[0] if len(parts) == 1 else join_rows(parts)
 
 
 def _one(
@@ -123,7 +123,8 @@ def _one(
     )
 
 
-def _join(parts: Sequence[Rows]) -> Rows:
+def join_rows(parts: Sequence[Rows]) -> Rows:
+    """Several blocks of pose rows as one, each with its own poses and visits."""
     width = max(p.measured.shape[1] for p in parts)
 
     def widen(a: Array, fill: float) -> Array:

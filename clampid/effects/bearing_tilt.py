@@ -1,0 +1,27 @@
+"""A joint's bearing that tilts across its axis under the moment it carries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import before, turning
+from clampid.effect import Effect, Parameter
+
+
+def tilt(p: Any, x: Any) -> Any:
+    """w = c M_perp, at the joint, in the link before it."""
+    m = x.transverse_moment
+    return before(turning([p.c * m[:, k] for k in range(3)]), x.link_vectors)
+
+
+EFFECT = Effect(
+    name="bearing_tilt",
+    family="bearing_tilt",
+    acts={"link_twist": tilt},
+    parameters=(Parameter("c", "rad/Nm", 5e-7, "joint", meaning="tilt of the bearing across its axis by moment"),),
+    needs=("transverse_moment",),
+    stages=("poses",),
+    equation="w_i = c_i M_i, M_i the moment across the axis of joint i",
+    source=("Klimchik",),
+    tried="places",
+)

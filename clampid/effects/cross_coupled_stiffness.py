@@ -1,0 +1,30 @@
+"""Springs that couple two neighbouring drives beyond what the transmission does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import shifted_down, shifted_up
+from clampid.effect import Effect, Parameter
+
+
+def deflection(p: Any, x: Any) -> Any:
+    """dq = -T' X T tau, X symmetric with x_i between drives i - 1 and i."""
+    load = x.transmission @ x.torque
+    wound = p.x * shifted_up(load) + shifted_down(p.x * load)
+    return -x.transmission.T @ wound
+
+
+EFFECT = Effect(
+    name="cross_coupled_stiffness",
+    family="cross_coupled_stiffness",
+    acts={"joint_angle": deflection},
+    parameters=(
+        Parameter("x", "rad/Nm", 0.05, "joint", meaning="compliance between this drive and the one before it, at the motors"),
+    ),
+    needs=("torque",),
+    stages=("clamped", "poses"),
+    equation="dq = -T' X T tau, X_(i-1,i) = X_(i,i-1) = x_i",
+    source=("Thesis", "Klimchik"),
+    tried="places",
+)

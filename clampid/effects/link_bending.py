@@ -1,0 +1,32 @@
+"""A link that bends under the weight it carries: a cantilever of one flexural rigidity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import columns, cross_rows, norms, turning
+from clampid.effect import Effect, Parameter
+
+
+def bending(p: Any, x: Any) -> Any:
+    """End rotation and shift of a beam under end moment M and end force F across its length L."""
+    L = norms(x.link_vectors)
+    across = cross_rows(x.link_vectors, x.link_force)  # L e x F
+    M, f = x.link_moment, p.f * L
+    turned = [f * (M[:, k] + 0.5 * across[:, k]) for k in range(3)]
+    lever = columns(*(f * (0.5 * M[:, k] + across[:, k] / 3.0) for k in range(3)))
+    shifted = cross_rows(lever, x.link_vectors)
+    return turning(turned, [shifted[:, k] for k in range(3)])
+
+
+EFFECT = Effect(
+    name="link_bending",
+    family="link_bending",
+    acts={"link_twist": bending},
+    parameters=(Parameter("f", "1/(N m^2)", 2e-7, "link", meaning="flexibility of the link, 1/(E I)"),),
+    needs=("link_force", "link_moment"),
+    stages=("poses",),
+    equation="w = (M L + F L^2/2)/(E I), v = (M L^2/2 + F L^3/3)/(E I)",
+    source=("Young1989",),
+    tried="places",
+)

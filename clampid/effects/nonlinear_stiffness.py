@@ -1,0 +1,27 @@
+"""A drive whose spring hardens, or is soft near zero: a cubic part of its deflection."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.effect import Effect, Parameter
+
+
+def deflection(p: Any, x: Any) -> Any:
+    """dq = -T' (h (T tau)^3)."""
+    load = x.transmission @ x.torque
+    return -x.transmission.T @ (p.h * load**3)
+
+
+EFFECT = Effect(
+    name="nonlinear_stiffness",
+    family="nonlinear_stiffness",
+    acts={"joint_angle": deflection},
+    parameters=(
+        Parameter("h", "rad/Nm^3", 3e-3, "joint", meaning="cubic part of the deflection at the motor; hardening: < 0"),
+    ),
+    needs=("torque",),
+    stages=("clamped", "poses"),
+    equation="d theta_m = tau_m/k + h tau_m^3",
+    source=("Klimchik",),
+)
