@@ -33,6 +33,9 @@ DRAWN = (
 """What may be hidden: the catalogue knows it, the standard model lacks it. The order decides what a seed draws."""
 
 ROBOT = "kuka_kr20_r1810"
+FOUND = "It was found."
+OPEN = "It is one of those that these data cannot tell apart."
+MISSED = "It was not found."
 Working = Callable[[str], AbstractContextManager[None]]
 
 
@@ -49,7 +52,7 @@ class DemoResult:
     before, after, diagnosis
         As ``compare`` and ``diagnose`` give them to programs.
     named
-        Whether the hidden effect is among those added.
+        Whether the hidden effect is among the candidates: confirmed, or one of those that cannot be told apart.
     """
 
     folder: Path
@@ -138,9 +141,10 @@ def demo(
     for line in _errors(before, after):
         say(line)
     hidden: list[dict[str, Any]] = json.loads(hidden_file(path).read_text(encoding="utf-8"))
-    named = _named(hidden, terms)
-    for item in hidden:
-        say(f"What was hidden: {item['effect']} at {item['where']}. {'Found.' if named else 'It was not found.'}")
+    outcomes = [_outcome(item, found) for item in hidden]
+    for item, outcome in zip(hidden, outcomes, strict=True):
+        say(f"What was hidden: {item['effect']} at {item['where']}. {outcome}")
+    named = MISSED not in outcomes
     report = folder / "report.html"
     with step("writing the report"):
         from clampid.report import write_report  # plotly takes a while, and only the last step needs it
@@ -185,9 +189,14 @@ def _errors(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _named(hidden: Sequence[Mapping[str, Any]], found: Mapping[str, Sequence[str]]) -> bool:
-    names = {term.partition("=")[2].partition("@")[0] for terms in found.values() for term in terms}
-    return all(item["effect"] in names for item in hidden)
+def _outcome(item: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
+    """Whether a hidden effect was confirmed, is one of several that explain the data equally well, or was missed."""
+    candidates = [
+        c for part in diagnosis["stages"].values() for c in part["candidates"] if c["effect"] == item["effect"]
+    ]
+    if not candidates:
+        return MISSED
+    return OPEN if all(c["alternative"] for c in candidates) else FOUND
 
 
 def _write(path: Path, data: Mapping[str, Any]) -> None:

@@ -26,7 +26,16 @@ from clampid.stages.torques import torque_rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
-__all__ = ["TABLES_OF", "fit_stage", "identify", "stage_rows", "stages_of", "standard_effects"]
+__all__ = [
+    "TABLES_OF",
+    "FittedStage",
+    "fit_stage",
+    "identify",
+    "session_of",
+    "stage_rows",
+    "stages_of",
+    "standard_effects",
+]
 
 TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "free_air": ("free_air", "wrist"),
@@ -254,7 +263,7 @@ def identify(
         errors = stage_errors(fitted.estimate, rows, held, verification, seed)
         labels = tuple(t.label for t in wanted)
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor))
-    sessions = tuple(_session(c, reference.get(s)) for s, c in enumerate(several))
+    sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)
     return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path)
 
@@ -281,7 +290,8 @@ def _same_robot(campaigns: Sequence[Campaign]) -> None:
         raise CampaignError(f"{first.name}: expected a table free_air, wrist, clamped or poses to fit, found none")
 
 
-def _session(campaign: Campaign, reference: Array | None) -> Session:
+def session_of(campaign: Campaign, reference: Array | None) -> Session:
+    """What a model keeps of a campaign that it was fitted on."""
     temperature = None
     for table in ("poses", "free_air", "clamped"):
         columns = [c for c in campaign.tables.get(table, ()) if c.startswith("temp_")]

@@ -39,6 +39,7 @@ HELD_OUT_RATE = 0.05
 SAME = 20.0  # explained beyond another candidate less than this: these data cannot tell the two apart
 CONFUSABLE, ALIASED = 0.8, 0.999
 STABLE = 0.6
+STANDS_IN = 0.9
 ROUNDS = 8
 LISTED = 12
 POWER = 0.9
@@ -139,7 +140,7 @@ def diagnose_stage(
             result.depends_on = list(probe.candidate.depends_on)
         if best is None or named_null.p_familywise(best.log_p) > RATE:
             break
-        if fires and probe is not None and probe.bic - best.bic > SAME:
+        if fires and probe is not None and probe.bic - best.bic > SAME and best.explained < STANDS_IN * probe.explained:
             break  # a name that explains so much less than a physics-free probe only stands in for something else
         rivals = _rivals(space, named, best, rejected)
         if rivals:

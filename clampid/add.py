@@ -1,0 +1,223 @@
+"""Adding effects: fit again with them, and say what the error was and is on held-out rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clampid.accuracy import StageErrors, stage_errors
+from clampid.catalogue import with_user_effects
+from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.score import score, space_of
+from clampid.effect import STAGES, Effect, EffectError, Stage
+from clampid.identify import FittedStage, fit_stage, session_of, stage_rows, stages_of
+from clampid.layout import layout_of
+from clampid.model import Model, ModelError, Round, StageModel
+from clampid.reopen import reopen
+from clampid.slots import Layout, Term, find_parameter, parse_term
+from clampid.stages.pose_rows import pose_rows
+from clampid.stages.rows import Array, Rows
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign
+
+__all__ = ["Addition", "add"]
+
+
+@dataclass(frozen=True)
+class StageAddition:
+    """What was added in one stage, and the errors before and after."""
+
+    added: tuple[dict[str, Any], ...]
+    before: StageErrors
+    after: StageErrors
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What adding effects did, stage by stage."""
+
+    stages: Mapping[Stage, StageAddition]
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: INTERFACE's JSON of ``add``."""
+        return {
+            "stages": {
+                name: {
+                    "unit": "m" if name == "poses" else "sigma",
+                    "added": list(s.added),
+                    "noise_floor": s.after.noise_floor,
+                    "heldout_rms_before": s.before.heldout_rms,
+                    "heldout_rms_after": s.after.heldout_rms,
+                    "rms_before": s.before.rms,
+                    "rms_after": s.after.rms,
+                }
+                for name, s in self.stages.items()
+            }
+        }
+
+
+@single_threaded
+def add(
+    model: Model,
+    campaigns: Sequence[Campaign] | Campaign,
+    terms: Sequence[str],
+    *,
+    seed: int = 0,
+    user_effects: Path | None = None,
+) -> tuple[Model, Addition]:
+    """Add effects to a model and fit it again.
+
+    Parameters
+    ----------
+    terms
+        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a stage:
+        in every stage where the effect acts.
+
+    Raises
+    ------
+    EffectError
+        An effect is unknown, does not act there, or is active already.
+    ModelError
+        The model does not fit the campaigns.
+    """
+    several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
+    chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
+    effects = with_user_effects(chosen)
+    layout, stages, base = _carried(model, several, chosen)
+    here = [s for s in stages_of(several) if s in stages]
+    wanted = _parse(terms, effects, layout, here)
+    mended, ledger, found = dict(stages), list(model.ledger), {}
+    references: dict[int, Array] = dict(base or {})
+    for stage in here:
+        asked = wanted.get(stage, [])
+        if not asked and not (stage == "poses" and "free_air" in found):
+            continue
+        rows = stage_rows(several, layout, stage, base)
+        before_stages = {s: m for s, m in mended.items() if s != stage}
+        held = stages[stage].held_out
+        old = fit_stage(rows, effects, stages[stage].terms, before_stages, stages[stage].values(), held)
+        new_terms, shapes = _resolved(asked, old, effects)
+        if not new_terms and asked:
+            names = ", ".join(t.label for t in asked)
+            raise EffectError(f"{stage}: nothing can be told about {names} from these rows, or it is active already")
+        every = (*stages[stage].terms, *new_terms)
+        new = fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held) if new_terms else old
+        verification = _verification(several, layout, stage, new.base_reference)
+        errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
+        references |= new.base_reference
+        mended[stage] = new.model
+        labels = tuple(t.label for t in new_terms)
+        if new_terms:
+            found[stage] = StageAddition(_listed(new, new_terms, effects), errors[0], errors[1])
+            evidence = {"heldout_rms_before": errors[0].heldout_rms, "heldout_rms_after": errors[1].heldout_rms}
+            ledger.append(
+                Round(
+                    stage,
+                    tuple(t.label for t in every),
+                    labels,
+                    errors[1].rms,
+                    errors[1].heldout_rms,
+                    errors[1].noise_floor,
+                    evidence,
+                )
+            )
+    sessions = tuple(session_of(c, references.get(s)) for s, c in enumerate(several))
+    result = replace(
+        model,
+        layout=layout,
+        stages=mended,
+        sessions=sessions,
+        ledger=tuple(ledger),
+        user_effects=None if chosen is None else str(chosen),
+    )
+    return result, Addition(found)
+
+
+def _carried(
+    model: Model, campaigns: Sequence[Campaign], user_effects: Path | None
+) -> tuple[Layout, Mapping[Stage, StageModel], Mapping[int, Array] | None]:
+    """The model's stages in the campaigns' layout, and where the instruments see the base."""
+    if len(campaigns) == 1:
+        opened = reopen(model, campaigns[0], user_effects)
+        return opened.layout, opened.stages, opened.base
+    layout = layout_of(campaigns)
+    prints = tuple(c.fingerprint for c in campaigns)
+    if layout != model.layout or prints != tuple(s.fingerprint for s in model.sessions):
+        names = ", ".join(s.name for s in model.sessions)
+        raise ModelError(f"expected the campaigns that the model was fitted on, in their order ({names}), found others")
+    base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
+    return layout, model.stages, base or None
+
+
+def _parse(
+    texts: Sequence[str], effects: Mapping[str, Effect], layout: Layout, here: Sequence[Stage]
+) -> dict[Stage, list[Term]]:
+    wanted: dict[Stage, list[Term]] = {}
+    for text in texts:
+        head, sign, tail = text.partition("=")
+        named = head.strip() if sign else ""
+        if named and named not in STAGES:
+            raise EffectError(f"stage {named!r} is not known; known: {', '.join(STAGES)}")
+        term = parse_term(tail if sign else text, effects, layout)
+        acts = [s for s in here if s in effects[term.effect].stages and (not named or s == named)]
+        if not acts:
+            where = named or ", ".join(here)
+            raise EffectError(
+                f"effect {term.effect} does not act in {where}; it does in: {', '.join(effects[term.effect].stages)}"
+            )
+        for stage in acts:
+            wanted.setdefault(stage, []).append(term)
+    return wanted
+
+
+def _resolved(
+    asked: Sequence[Term], fitted: FittedStage, effects: Mapping[str, Effect]
+) -> tuple[list[Term], dict[Any, float]]:
+    """The terms place by place, where these rows say anything about them, and the best start of their shapes."""
+    if not asked:
+        return [], {}
+    estimate = fitted.estimate
+    scored = score(space_of(estimate), named_candidates(estimate, {t.effect: effects[t.effect] for t in asked}))
+    out: dict[Term, None] = {}
+    shapes: dict[Any, float] = {}
+    for term in asked:
+        effect = effects[term.effect]
+        own = [s for s in scored if s.candidate.name == term.effect and s.freedom]
+        if term.place is not None and effect.per != "robot" and effect.tried != "together":
+            own = [s for s in own if s.candidate.places == (term.place,)]
+        for s in sorted(own, key=lambda s: s.explained):
+            shapes |= dict(s.candidate.shapes)
+            out |= dict.fromkeys(s.candidate.terms)
+    return list(out), shapes
+
+
+def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Effect]) -> tuple[dict[str, Any], ...]:
+    """The added effects with their parameters, one entry an effect."""
+    out = []
+    model = fitted.model
+    std = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    for name in dict.fromkeys(t.effect for t in terms):
+        places = [t.place for t in terms if t.effect == name and t.place is not None]
+        parameters = [
+            {
+                "name": slot.label,
+                "value": float(model.theta[k]),
+                "std": float(std[k]),
+                "unit": find_parameter(slot, effects).unit,
+                "identified": model.identified[k],
+            }
+            for k, slot in enumerate(model.slots)
+            if slot.effect == name and (not places or slot.place in places)
+        ]
+        out.append({"effect": effects[name].family, "name": name, "where": places, "parameters": parameters})
+    return tuple(out)
+
+
+def _verification(campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]) -> Rows | None:
+    if stage != "poses" or not any("verification" in c.tables for c in campaigns):
+        return None
+    return pose_rows(campaigns, layout, "verification", base)
