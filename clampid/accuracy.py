@@ -65,7 +65,8 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     for c in range(residual.shape[1]):
         used = rows.used[:, c]
         same = (run[2 * lag :] == run[: -2 * lag]) & used[2 * lag :] & used[lag:-lag] & used[: -2 * lag]
-        # Off the middle of its neighbours: a smooth misfit cancels, noise that is forgotten by then has 3/2 its variance.
+        # Off the middle of its neighbours: a smooth misfit cancels, noise that is forgotten by then has 3/2 its
+        # variance.
         bent = (residual[lag:-lag, c] - 0.5 * (residual[2 * lag :, c] + residual[: -2 * lag, c]))[same]
         spread = np.sqrt(np.mean(bent**2) / 1.5) if len(bent) > 20 else np.sqrt(np.mean(residual[used, c] ** 2))
         out[c] = spread if used.any() else 1.0
@@ -122,7 +123,9 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
 def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Array]:
     """Residuals of all rows, each predicted by a fit without its fold (whole poses, runs or sweeps; five parts)."""
     folds = np.unique(rows.fold)
-    part_of = dict(zip(folds.tolist(), (np.random.default_rng(seed).permutation(len(folds)) % FOLDS).tolist(), strict=True))
+    part_of = dict(
+        zip(folds.tolist(), (np.random.default_rng(seed).permutation(len(folds)) % FOLDS).tolist(), strict=True)
+    )
     part = np.array([part_of[f] for f in rows.fold.tolist()])
     residual = np.zeros_like(rows.measured)
     for k in np.unique(part):
@@ -147,7 +150,9 @@ def _kept_offsets(rows: Rows, part: Rows) -> Integers:
     if not rows.offsets:
         return np.zeros(0, dtype=np.int64)
     kept = {tuple(k) for k in part.constants["offset_keys"].tolist()}
-    return np.array([k for k, key in enumerate(rows.constants["offset_keys"].tolist()) if tuple(key) in kept], dtype=np.int64)
+    return np.array(
+        [k for k, key in enumerate(rows.constants["offset_keys"].tolist()) if tuple(key) in kept], dtype=np.int64
+    )
 
 
 def stage_errors(

@@ -74,7 +74,8 @@ def add(
     Parameters
     ----------
     terms
-        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a stage:
+        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a
+        stage:
         in every stage where the effect acts.
 
     Raises
@@ -105,7 +106,9 @@ def add(
             names = ", ".join(t.label for t in asked)
             raise EffectError(f"{stage}: nothing can be told about {names} from these rows, or it is active already")
         every = (*stages[stage].terms, *new_terms)
-        new = fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held) if new_terms else old
+        new = (
+            fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held) if new_terms else old
+        )
         verification = _verification(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
         references |= new.base_reference
@@ -217,7 +220,9 @@ def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Ef
     return tuple(out)
 
 
-def _verification(campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]) -> Rows | None:
+def _verification(
+    campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
+) -> Rows | None:
     if stage != "poses" or not any("verification" in c.tables for c in campaigns):
         return None
     return pose_rows(campaigns, layout, "verification", base)

@@ -11,8 +11,23 @@ from typing import Any
 import casadi as ca
 
 __all__ = [
-    "along", "before", "columns", "cos", "cross", "cross_rows", "dot", "exp", "fabs", "interleave", "norms", "rows", "shifted_down",
-    "shifted_up", "sin", "tanh", "turning",
+    "along",
+    "before",
+    "columns",
+    "cos",
+    "cross",
+    "cross_rows",
+    "dot",
+    "exp",
+    "fabs",
+    "interleave",
+    "norms",
+    "rows",
+    "shifted_down",
+    "shifted_up",
+    "sin",
+    "tanh",
+    "turning",
 ]
 
 sin, cos, exp, fabs, tanh = ca.sin, ca.cos, ca.exp, ca.fabs, ca.tanh
@@ -68,7 +83,9 @@ def before(twists: Any, link_vectors: Any) -> Any:
 def cross_rows(a: Any, b: Any) -> Any:
     """Cross products of the rows of ``(n, 3)`` with those of ``(n, 3)``."""
     return ca.horzcat(
-        a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1], a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2], a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+        a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+        a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
     )
 
 

@@ -32,7 +32,10 @@ OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
 
 MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
 BLOCK = 256  # rows evaluated at once
-_INTERNAL: Mapping[str, tuple[str | int, ...]] = {"gravity_torque": ("n",), "rest_direction": ("n",), "wrench_map": (6, "n"),
+_INTERNAL: Mapping[str, tuple[str | int, ...]] = {
+    "gravity_torque": ("n",),
+    "rest_direction": ("n",),
+    "wrench_map": (6, "n"),
     "base_moment_regressor": (3, "4n"),
     "transverse_moment_regressor": ("3n", "4n"),
     "link_moment_regressor": ("3n", "4n"),
@@ -109,10 +112,10 @@ class _Blocks:
         self.buffer, self.trigger = mapped.buffer()
         for i, array in enumerate((self.theta, self.rows)):
             if array.size:
-                self.buffer.set_arg(i, memoryview(array))
+                self.buffer.set_arg(i, array.data)
         for i, array in enumerate(self.out):
             if array.size:
-                self.buffer.set_res(i, memoryview(array))
+                self.buffer.set_res(i, array.data)
 
     def __call__(self, theta: Array, rows: Array) -> list[Array]:
         count = len(rows)
@@ -128,7 +131,13 @@ class _Blocks:
 
 
 def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
-    counts = {"n": layout.joints, "3n": 3 * layout.joints, "4n": 4 * layout.joints, "m": len(layout.targets), "s": len(layout.sessions)}
+    counts = {
+        "n": layout.joints,
+        "3n": 3 * layout.joints,
+        "4n": 4 * layout.joints,
+        "m": len(layout.targets),
+        "s": len(layout.sessions),
+    }
     return tuple(counts[k] if isinstance(k, str) else k for k in shape)
 
 

@@ -58,7 +58,8 @@ def compare(
     Parameters
     ----------
     refit
-        ``base``, ``tool`` or both: only these are fitted to the campaign's poses, on a share of whole poses; the rest is
+        ``base``, ``tool`` or both: only these are fitted to the campaign's poses, on a share of whole poses; the rest
+        is
         held out.
 
     Raises
@@ -105,7 +106,10 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int) -> dict[str, dict[str,
     test, test_residual = rows, residual
     verification = opened.verification() if stage == "poses" else None
     if verification is not None:
-        test, test_residual = verification, predicted(experiment(verification, opened.effects, model.slots), model.theta)
+        test, test_residual = (
+            verification,
+            predicted(experiment(verification, opened.effects, model.slots), model.theta),
+        )
         tested = np.ones(len(test), dtype=bool)
     elif opened.session is None or any(held):
         tested = ~fitted

@@ -19,9 +19,9 @@ from clampid.add import add
 from clampid.compare import compare
 from clampid.diagnose import diagnose
 from clampid.identify import identify
-from clampid.model import save_model, write_text
+from clampid.model import Model, save_model, write_text
 from clampid.verbs.units import error_text
-from experiments.campaign import read_campaign
+from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import hidden_file, simulate
 
 __all__ = ["DRAWN", "DemoResult", "demo", "terms_to_add"]
@@ -126,14 +126,11 @@ def demo(
     _write(folder / "diagnose.json", found)
     for stage, part in found["stages"].items():
         say(f"Diagnosis, {stage}: {part['verdict']}. {part['summary']}")
-    terms = terms_to_add(found)
-    mended = model
-    if terms:
-        with step("adding what was found and fitting again"):
-            mended, addition = add(model, [campaign], [t for several in terms.values() for t in several], seed=seed)
-        _write(folder / "add.json", addition.to_json())
-    else:
-        say("Nothing was confirmed, so nothing is added.")
+    with step("adding what was found and fitting again"):
+        mended, terms, additions = _mend(model, campaign, found, seed)
+    write_text(folder / "add.json", json.dumps(additions, indent=1) + "\n")
+    listed = ", ".join(t for several in terms.values() for t in several)
+    say(f"Added: {listed}." if listed else "Nothing was confirmed, so nothing is added.")
     save_model(mended, folder / "model.json")
     with step("comparing again"):
         after = compare(mended, campaign, seed=seed).to_json()
@@ -162,20 +159,39 @@ def _draw(seed: int) -> str:
     return DRAWN[int(np.random.default_rng([20, row]).permutation(len(DRAWN))[place])]
 
 
-def terms_to_add(diagnosis: Mapping[str, Any]) -> dict[str, list[str]]:
-    """The terms that a diagnosis asks for, ``STAGE=EFFECT@PLACE``, stage by stage.
-
-    What is confirmed is added. Of alternatives that the data cannot tell apart the first is taken, because either
-    mends the prediction; what it is called stays open.
-    """
-    out: dict[str, list[str]] = {}
+def terms_to_add(diagnosis: Mapping[str, Any]) -> tuple[dict[str, list[str]], dict[str, list[list[str]]]]:
+    """The terms that a diagnosis asks for, ``STAGE=EFFECT@PLACE``: stage → those confirmed, stage → alternatives."""
+    confirmed: dict[str, list[str]] = {}
+    alternatives: dict[str, list[list[str]]] = {}
     for stage, part in diagnosis["stages"].items():
-        chosen = [c for c in part["candidates"] if not c["alternative"]]
-        chosen += [c for c in part["candidates"] if c["alternative"]][:1]
-        terms = [f"{stage}={c['effect']}@{place}" for c in chosen for place in c["where"]]
-        if terms:
-            out[stage] = terms
-    return out
+        for candidate in part["candidates"]:
+            terms = [f"{stage}={candidate['effect']}@{place}" for place in candidate["where"]]
+            if candidate["alternative"]:
+                alternatives.setdefault(stage, []).append(terms)
+            else:
+                confirmed.setdefault(stage, []).extend(terms)
+    return confirmed, alternatives
+
+
+def _mend(
+    model: Model, campaign: Campaign, diagnosis: Mapping[str, Any], seed: int
+) -> tuple[Model, dict[str, list[str]], list[Any]]:
+    """Add what is confirmed, and of alternatives that the data cannot tell apart the one that predicts best.
+
+    Either mends the prediction; what it is called stays open.
+    """
+    found, alternatives = terms_to_add(diagnosis)
+    additions = []
+    if found:
+        model, addition = add(model, campaign, [t for terms in found.values() for t in terms], seed=seed)
+        additions.append(addition.to_json())
+    for stage, several in alternatives.items():
+        tried = [(add(model, campaign, terms, seed=seed), terms) for terms in several]
+        errors = [addition.to_json()["stages"][stage]["heldout_rms_after"] for (_, addition), _ in tried]
+        (model, addition), terms = tried[int(np.argmin(errors))]
+        found[stage] = [*found.get(stage, []), *terms]
+        additions.append(addition.to_json())
+    return model, found, additions
 
 
 def _errors(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
@@ -191,9 +207,8 @@ def _errors(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
 
 def _outcome(item: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
     """Whether a hidden effect was confirmed, is one of several that explain the data equally well, or was missed."""
-    candidates = [
-        c for part in diagnosis["stages"].values() for c in part["candidates"] if c["effect"] == item["effect"]
-    ]
+    stages = diagnosis["stages"].values()
+    candidates = [c for part in stages for c in part["candidates"] if c["effect"] == item["effect"]]
     if not candidates:
         return MISSED
     return OPEN if all(c["alternative"] for c in candidates) else FOUND

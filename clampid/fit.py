@@ -21,6 +21,7 @@ OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
+DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
 
@@ -130,60 +131,72 @@ def fit(
     return replace(estimate, outliers=rejected)
 
 
+@dataclass(frozen=True)
+class _Point:
+    """The cost and its local quadratic model at one parameter vector."""
+
+    theta: Array
+    residual: Array
+    white: Whitened
+    cost: float
+
+    def normal(self, precision: Array, mean: Array) -> tuple[Array, Array]:
+        """Normal matrix and downhill gradient, prior included."""
+        J = self.white.jacobian
+        return J.T @ J + precision, J.T @ self.white.residual - precision @ (self.theta - mean)
+
+
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
-    """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting."""
+    """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
+
+    Raises
+    ------
+    FitError
+        The model gives no finite prediction.
+    """
     size = experiment.sizes()
     lower, upper = experiment.bounds()
     bounded = experiment.shapes() | (experiment.stage == "clamped")
-    damping, cost = 0.0, np.inf
-    current: tuple[Array, Whitened] | None = None
-    iteration = idle = 0
-    while iteration < ITERATIONS:
-        iteration += 1
+
+    def at(theta: Array) -> _Point:
         residual, jacobian = experiment.residual(theta)
         if not np.all(np.isfinite(residual)):
             raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
         white = noise.whiten(experiment.rows, residual, jacobian)
-        new_cost = float(white.residual @ white.residual + (theta - mean) @ precision @ (theta - mean))
-        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
-        idle = idle + 1 if new_cost > cost * (1 - IDLE_GAIN) else 0
-        if idle > IDLE_STEPS:
-            break
-        if current is not None and new_cost > cost * (1 + 1e-9) + 1e-12:
-            damping = max(10 * damping, 1e-3)
-            theta = theta_best + _step(A, g, size, damping, free)
-            theta = np.where(bounded, np.clip(theta, lower, upper), theta)
-            if damping > 1e8:
-                break
-            continue
-        theta_best, cost, current = theta, new_cost, (residual, white)
-        damping = 0.0 if damping < 1e-3 else damping / 10
-        A = white.jacobian.T @ white.jacobian + precision
-        g = white.jacobian.T @ white.residual - precision @ (theta - mean)
+        off = theta - mean
+        return _Point(theta, residual, white, float(white.residual @ white.residual + off @ precision @ off))
+
+    best = at(theta)
+    A, g = best.normal(precision, mean)
+    damping, idle, iteration = 0.0, 0, 0
+    while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
+        iteration += 1
         # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
-        free = ~(bounded & (((theta <= lower) & (g < 0)) | ((theta >= upper) & (g > 0))))
+        on_bound = ((best.theta <= lower) & (g < 0)) | ((best.theta >= upper) & (g > 0))
+        free = ~(bounded & on_bound)
         step = _step(A, g, size, damping, free)
-        if float(g @ step) < NEGLIGIBLE * max(1.0, cost / max(len(white.residual), 1)):
+        if float(g @ step) < NEGLIGIBLE * max(1.0, best.cost / max(len(best.white.residual), 1)):
             break
-        theta = theta + step
-        theta = np.where(bounded, np.clip(theta, lower, upper), theta)
-        if np.array_equal(theta, theta_best):
-            break
-    if current is None:
-        raise FitError(f"{experiment.stage}: the fit did not start")
-    residual, white = current
-    information = white.jacobian.T @ white.jacobian + precision
-    scaled = information * np.outer(size, size)
-    covariance = linalg.pinvh(scaled) * np.outer(size, size)
-    freedom = max(len(white.residual) - len(theta), 1)
-    scale = max(float(white.residual @ white.residual) / freedom, 1e-12)
+        moved = best.theta + step
+        trial = at(np.where(bounded, np.clip(moved, lower, upper), moved))
+        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
+        idle = idle + 1 if trial.cost > best.cost * (1 - IDLE_GAIN) else 0
+        if trial.cost > best.cost:
+            damping = max(10 * damping, DAMPING_START)
+            continue
+        best = trial
+        A, g = best.normal(precision, mean)
+        damping = 0.0 if damping < DAMPING_START else damping / 10
+    covariance = linalg.pinvh(A * np.outer(size, size)) * np.outer(size, size)
+    freedom = max(len(best.white.residual) - len(theta), 1)
+    scale = float(best.white.residual @ best.white.residual) / freedom
     return Estimate(
         experiment=experiment,
-        theta=theta_best,
-        covariance=np.asarray(covariance * max(scale, 1.0) if scale > 1 else covariance * scale),
+        theta=best.theta,
+        covariance=np.asarray(covariance * max(scale, 1e-12)),
         noise=noise,
-        whitened=white,
-        residual=residual,
+        whitened=best.white,
+        residual=best.residual,
         outliers=np.zeros(len(experiment.rows), dtype=bool),
         prior_precision=precision,
         prior_mean=mean,

@@ -33,9 +33,7 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
     slots = _ordered(slots_of(effects["geometry"], rows.layout))
     if rows.measured.shape[1] == 3:  # points alone: targets carry the tool
         slots = tuple(s for s in slots if not s.parameter.startswith("flange_"))
-    kinds, first = np.unique(
-        np.c_[rows.session, rows.signals["target_is"]], axis=0, return_index=True
-    )
+    _, first = np.unique(np.c_[rows.session, rows.signals["target_is"]], axis=0, return_index=True)
     rng = np.random.default_rng(0)
     robot = rows.robot
     chosen = np.repeat(first, POSTURES)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from clampid.accuracy import stage_errors
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.accuracy import stage_errors
 from clampid.fit import Estimate, Prior, fit
 from clampid.gauge import independent_geometry
 from clampid.layout import layout_of
@@ -19,7 +19,7 @@ from clampid.nulls import null_directions
 from clampid.priors import description_priors
 from clampid.slots import Layout, Slot, Term, parse_term, slots_of_terms
 from clampid.stages.clamped import clamped_rows
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.experiment import experiment
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
 from clampid.stages.torques import torque_rows
@@ -294,7 +294,7 @@ def session_of(campaign: Campaign, reference: Array | None) -> Session:
     """What a model keeps of a campaign that it was fitted on."""
     temperature = None
     for table in ("poses", "free_air", "clamped"):
-        columns = [c for c in campaign.tables.get(table, ()) if c.startswith("temp_")]
+        columns = [c for c in campaign.tables.get(table, ()) if str(c).startswith("temp_")]
         if columns and temperature is None:
             values = campaign.tables[table][columns].to_numpy(float)
             temperature = (float(np.nanmin(values)), float(np.nanmax(values)))

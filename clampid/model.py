@@ -35,7 +35,8 @@ class Session:
     Attributes
     ----------
     base_reference
-        ``(4, 4)``: where the instrument sees the nominal base, before the fitted motion of the base; None without poses.
+        ``(4, 4)``: where the instrument sees the nominal base, before the fitted motion of the base; None without
+        poses.
     """
 
     name: str
@@ -212,9 +213,7 @@ def _to_json(model: Model) -> dict[str, Any]:
 def _stage_json(stage: StageModel) -> dict[str, Any]:
     parameters = [
         {"effect": s.effect, "parameter": s.parameter, "at": s.place, "value": v, "std": sd, "identified": ok}
-        for s, v, sd, ok in zip(
-            stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True
-        )
+        for s, v, sd, ok in zip(stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True)
     ]
     return {
         "effects": [term.label for term in stage.terms],

@@ -1,6 +1,7 @@
 """Noise: what the residual of a right model looks like, and how to make it white.
 
-Poses: independent numbers of known relative size. Torques, whether of a log or of a sweep, follow each other closely and
+Poses: independent numbers of known relative size. Torques, whether of a log or of a sweep, follow each other closely
+and
 are correlated, so that residual and columns alike pass an autoregressive filter, restarted at every contiguous stretch;
 unwhitened, ordinary tests fire on any clean log.
 """
@@ -44,7 +45,8 @@ class Noise:
     sigma
         ``(N, m)``: standard deviation of each number, all of its noise, SI.
     filters
-        Per channel the coefficients of predictors of order 0 to 12 with their relative variances; empty for white noise.
+        Per channel the coefficients of predictors of order 0 to 12 with their relative variances; empty for white
+        noise.
     """
 
     sigma: Array

@@ -19,7 +19,8 @@ CENTRE_MASS = 2.0  # kg: what a link described without mass may hold of a neighb
 def description_priors(rows: Rows) -> tuple[Prior, ...]:
     """The prior of the links' gravity parameters; none where the description has no masses.
 
-    Mass and centre of mass are off independently, m = M + dm and c = C + dc, so that m c = M C + dm C + M dc is correlated
+    Mass and centre of mass are off independently, m = M + dm and c = C + dc, so that m c = M C + dm C + M dc is
+    correlated
     with m. Base axes at the zero pose, SI.
     """
     robot = rows.robot

@@ -73,10 +73,13 @@ def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -
     Raises
     ------
     ModelError
-        The model is of another robot, has effects that are not known here, or no stage that the campaign has tables for.
+        The model is of another robot, has effects that are not known here, or no stage that the campaign has tables
+        for.
     """
     if campaign.robot.name != model.robot:
-        raise ModelError(f"the model is of the robot {model.robot}, the campaign {campaign.name} of {campaign.robot.name}")
+        raise ModelError(
+            f"the model is of the robot {model.robot}, the campaign {campaign.name} of {campaign.robot.name}"
+        )
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)
     for stage in model.stages.values():

@@ -70,7 +70,11 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             if not any(name == effect.name for name, _ in active):
                 out.append(Term(effect.name, None if effect.per != "robot" else effect.at))
             continue
-        out += [Term(effect.name, p) for p in layout.allowed(effect, estimate.experiment.stage) if (effect.name, p) not in active]
+        out += [
+            Term(effect.name, p)
+            for p in layout.allowed(effect, estimate.experiment.stage)
+            if (effect.name, p) not in active
+        ]
     return out
 
 

@@ -1,7 +1,9 @@
 """Confirmation on rows that a candidate was not chosen on.
 
-Stability: in each of five parts the candidate is selected again from the other four. Held-out falls: unit by unit, by how
-much the squared error falls once the candidate is fitted, on a verification table or by cross-validation; a one-sided sign
+Stability: in each of five parts the candidate is selected again from the other four. Held-out falls: unit by unit, by
+how
+much the squared error falls once the candidate is fitted, on a verification table or by cross-validation; a one-sided
+sign
 flip says whether that is more than chance.
 """
 

@@ -1,6 +1,7 @@
 """Probes: physics-free candidates, each joint's, frame's or motor's error against each recorded variable.
 
-Where probes fire and no effect does, structure is left that the catalogue does not explain; the probe says where it sits
+Where probes fire and no effect does, structure is left that the catalogue does not explain; the probe says where it
+sits
 and on what it depends.
 """
 
@@ -50,7 +51,9 @@ def _harmonics(angle: Array, orders: int) -> Array:
 def _scaled(x: Array) -> Array:
     """A covariate less its mean, over its spread; zeros if it does not vary."""
     spread = float(np.std(x))
-    return (x - np.mean(x)) / spread if spread > 1e-12 * (1 + float(np.max(np.abs(x), initial=0.0))) else np.zeros_like(x)
+    return (
+        (x - np.mean(x)) / spread if spread > 1e-12 * (1 + float(np.max(np.abs(x), initial=0.0))) else np.zeros_like(x)
+    )
 
 
 def _pose_probes(estimate: Estimate) -> list[Candidate]:
@@ -71,7 +74,11 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         own: list[Covariate] = [
             (f"harmonics of q{j + 1}", (f"q{j + 1}",), _harmonics(q, HARMONICS)),
             (f"q{j + 1} times dir{j + 1}", (f"q{j + 1}", f"dir{j + 1}"), np.column_stack([_scaled(q) * d])),
-            (f"load of joint {j + 1}", (f"tau{j + 1}",), np.column_stack([_scaled(load), _scaled(load) ** 2, _scaled(load) ** 3])),
+            (
+                f"load of joint {j + 1}",
+                (f"tau{j + 1}",),
+                np.column_stack([_scaled(load), _scaled(load) ** 2, _scaled(load) ** 3]),
+            ),
             ("time", ("time",), slow),
         ]
         for k in range(n):
@@ -79,9 +86,12 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
                 own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], 1)))
             own.append((f"dir{k + 1}", (f"dir{k + 1}",), s["direction"][:, k, None]))
         for kind in ("link", "motor"):
-            own.append((f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), _scaled(s[f"{kind}_temperature"][:, j])[:, None]))
+            own.append(
+                (f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), _scaled(s[f"{kind}_temperature"][:, j])[:, None])
+            )
         found += [
-            _probe(estimate, f"joint{j + 1}", what, variables, unit[:, :, None] * x[:, None, :]) for what, variables, x in own
+            _probe(estimate, f"joint{j + 1}", what, variables, unit[:, :, None] * x[:, None, :])
+            for what, variables, x in own
         ]
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
@@ -111,12 +121,24 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
         speed = np.abs(w)
         name = i + 1
         own: list[Covariate] = [
-            (f"speed of motor {name}", (f"qd{name}",), np.column_stack([sign * np.exp(-4 * speed), sign * np.exp(-speed), w * speed])),
+            (
+                f"speed of motor {name}",
+                (f"qd{name}",),
+                np.column_stack([sign * np.exp(-4 * speed), sign * np.exp(-speed), w * speed]),
+            ),
             (f"harmonics of q{name}", (f"q{name}",), _harmonics(q, HARMONICS)),
-            (f"motion times load of motor {name}", (f"qd{name}", f"tau{name}"), np.column_stack([sign * load, sign * np.abs(load)])),
+            (
+                f"motion times load of motor {name}",
+                (f"qd{name}", f"tau{name}"),
+                np.column_stack([sign * load, sign * np.abs(load)]),
+            ),
             (f"load of motor {name}", (f"tau{name}",), np.column_stack([load**2, load**3])),
             (f"motion times q{name}", (f"qd{name}", f"q{name}"), np.column_stack([sign * np.sin(q), sign * np.cos(q)])),
-            (f"motion times temperature of motor {name}", (f"qd{name}", f"temp_motor{name}"), np.column_stack([sign * warm, w * warm])),
+            (
+                f"motion times temperature of motor {name}",
+                (f"qd{name}", f"temp_motor{name}"),
+                np.column_stack([sign * warm, w * warm]),
+            ),
             (f"temperature of motor {name}", (f"temp_motor{name}",), warm[:, None]),
             ("constant", (f"tau{name}",), np.ones((len(rows), 1))),
             ("time", ("time",), np.column_stack([elapsed, elapsed**2])),
@@ -142,7 +164,11 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
         own: list[Covariate] = [
             ("constant", (f"tau{name}",), mine[:, None]),
             ("time", ("time",), np.column_stack([elapsed, fraction])),
-            (f"motion times time of motor {name}", (f"motor{name}", "time"), np.column_stack([sign * elapsed, sign * fraction])),
+            (
+                f"motion times time of motor {name}",
+                (f"motor{name}", "time"),
+                np.column_stack([sign * elapsed, sign * fraction]),
+            ),
         ]
         for k in range(n):
             x = rows.constants["wound"][:, k] * np.sqrt(stiff)
@@ -155,7 +181,13 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
             if k != i:
                 own.append((f"motion of motor {k + 1}", (f"motor{k + 1}",), turned[:, None]))
             else:
-                own.append((f"motion times angle of motor {k + 1}", (f"motor{k + 1}",), np.column_stack([turned * moved, turned * np.abs(moved)])))
+                own.append(
+                    (
+                        f"motion times angle of motor {k + 1}",
+                        (f"motor{k + 1}",),
+                        np.column_stack([turned * moved, turned * np.abs(moved)]),
+                    )
+                )
         out.append(own)
     return out
 

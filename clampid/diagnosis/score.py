@@ -1,7 +1,8 @@
 """The score test: what candidates explain of a residual, beyond what the active parameters could still absorb.
 
 Residual and columns are whitened; the columns are projected off the span of the active parameters' Jacobian (prior rows
-included), so that what the model could take up is not evidence. No candidate is refitted. The null is a sign flip of the
+included), so that what the model could take up is not evidence. No candidate is refitted. The null is a sign flip of
+the
 residual by pose or block: the maximum of -ln p over the whole dictionary (Westfall-Young) controls false alarms over
 everything that was looked at. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
 """
@@ -116,7 +117,7 @@ def space_of(estimate: Estimate) -> Space:
     norms = np.linalg.norm(jacobian, axis=0)
     Q, R, _ = linalg.qr(jacobian / np.where(norms > 0, norms, 1.0), mode="economic", pivoting=True)
     size_R = np.abs(np.diag(R))
-    basis = Q[:, : int(np.sum(size_R > 1e-10 * size_R.max(initial=0.0)))]
+    basis = np.asarray(Q, dtype=float)[:, : int(np.sum(size_R > 1e-10 * size_R.max(initial=0.0)))]
     residual = residual - basis @ (basis.T @ residual)
     count = len(white.residual)
     unit = estimate.experiment.rows.unit[white.entry]
@@ -159,14 +160,14 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     # Columns of unit length before the projection: a direction that keeps less than a millionth of itself is absorbed.
     inverse = np.where(seen, 1.0 / np.where(seen, length, 1.0), 0.0)
     values, vectors = np.linalg.eigh(Z2 * np.outer(inverse, inverse))
-    retained = float(np.clip(np.sum(left[seen] ** 2 * inverse[seen] ** 2) / seen.sum(), 0.0, 1.0))
+    retained = float(np.clip(np.sum(left[seen] ** 2 * inverse[seen] ** 2) / np.count_nonzero(seen), 0.0, 1.0))
     keep = values > ABSORBED
     if not keep.any():
         return nothing(retained, "absorbed")
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values[keep])
     amplitude = weights.T @ c.columns.times(space.residual)
     explained = float(amplitude @ amplitude) / space.scale**2
-    freedom = int(keep.sum())
+    freedom = int(np.count_nonzero(keep))
     return Scored(
         candidate=c,
         absorbed=absorbed,

@@ -113,40 +113,30 @@ def diagnose_stage(
     refit
         Fits the stage with other terms, from an earlier fit's values and given start values.
     """
-    estimate = fitted.estimate
-    stage = estimate.experiment.stage
+    stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
-    floor = noise_floor(estimate.experiment.rows, estimate.residual)
+    floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
     result.noise_floor = floor.norm if stage == "poses" else 1.0
-    result.outliers = _outliers(estimate)
-    held = _held_out(estimate, verification, floor, seed)
+    result.outliers = _outliers(fitted.estimate)
+    held = _held_out(fitted.estimate, verification, floor, seed)
     result.before = result.after = held.rms
-    first = estimate
+    first = fitted.estimate
     rejected: set[str] = set()
     refused: list[dict[str, Any]] = []
     for number in range(ROUNDS):
-        space = space_of(estimate)
-        named = score(space, named_candidates(estimate, effects))
-        free = score(space, probes(estimate))
-        named_null = flip_maxima(space, named, flips, seed + 2 * number)
-        free_null = flip_maxima(space, free, flips, seed + 2 * number + 1)
-        best = _best([s for s in named if s.candidate.label not in rejected])
-        probe = _best(free)
+        look = _look(fitted.estimate, effects, flips, seed + 2 * number, rejected)
         if number == 0:
-            result.testability = _testability(named, named_null, effects)
-        result.considered = _considered(named, named_null, effects)
-        fires = probe is not None and free_null.p_familywise(probe.log_p) <= RATE
-        if fires and probe is not None and not result.added:
-            result.depends_on = list(probe.candidate.depends_on)
-        if best is None or named_null.p_familywise(best.log_p) > RATE:
+            result.testability = _testability(look.named, look.named_null, effects)
+            if look.fires and look.probe is not None:
+                result.depends_on = list(look.probe.candidate.depends_on)
+        best = look.best
+        if best is None or look.stands_in:
             break
-        if fires and probe is not None and probe.bic - best.bic > SAME and best.explained < STANDS_IN * probe.explained:
-            break  # a name that explains so much less than a physics-free probe only stands in for something else
-        rivals = _rivals(space, named, best, rejected)
+        rivals = _rivals(look.space, look.named, best, rejected)
         if rivals:
             result.verdict = "ambiguous"
             for s in [best, *rivals]:
-                entry = _entry(s, named_null, effects, held.rms, None, rivals=[best, *rivals])
+                entry = _entry(s, look.named_null, effects, held.rms, None, rivals=[best, *rivals])
                 result.candidates.append({**entry, "alternative": True})
             result.next_measurement = separating_measurement(s.candidate.family for s in [best, *rivals])
             break
@@ -155,37 +145,79 @@ def diagnose_stage(
         trial, kept = _pruned(trial, best.candidate.terms, fitted.model.terms, refit)
         new = _held_out(trial.estimate, verification, floor, seed)
         p_held = held_out_p(held.squares, new.squares, held.unit, seed)
-        folds = estimate.experiment.rows.fold[estimate.whitened.entry]
-        again = stability(space, named, best, folds, seed)
+        again = stability(look.space, look.named, best, look.folds, seed)
         if p_held > HELD_OUT_RATE or again < STABLE:
             rejected.add(best.candidate.label)
-            why = "it is not the first choice without a fifth of the rows" if again < STABLE else "the held-out error does not fall"
-            refused.append({**_entry(best, named_null, effects, held.rms, new.rms), "reason": why})
+            why = "without a fifth of the rows it is not the first choice"
+            reason = why if again < STABLE else "the held-out error does not fall"
+            refused.append({**_entry(best, look.named_null, effects, held.rms, new.rms), "reason": reason})
             continue
-        entry = _entry(best, named_null, effects, held.rms, new.rms, trial.estimate, kept)
-        entry["stability"] = again
-        entry["p_held_out"] = p_held
-        entry["confusable_with"] = _confusable(named, best)
+        entry = _entry(best, look.named_null, effects, held.rms, new.rms, trial.estimate, kept)
+        entry |= {"stability": again, "p_held_out": p_held, "confusable_with": _confusable(look.named, best)}
         result.candidates.append(entry)
         result.added += kept
         result.verdict = "missing"
-        fitted, estimate, held = trial, trial.estimate, new
+        fitted, held = trial, new
         result.after = held.rms
-    if result.verdict != "ambiguous" and fires and probe is not None:
-        folds = estimate.experiment.rows.fold[estimate.whitened.entry]
-        again = stability(space, free, probe, folds, seed)
-        # Structure that is there is there on rows that no fit has seen, too.
-        p_held = probe_held_out_p(estimate, verification, probe.candidate.label, seed) if verification is not None else 0.0
-        if again >= STABLE and p_held <= HELD_OUT_RATE:
-            result.verdict = "unknown"
-            result.depends_on = _variables(free, free_null, probe)
-            result.considered = _stand_ins(result.considered, named, probe) + _considered(free, free_null, effects, 5)
-    result.considered = refused + result.considered
+    result.considered = refused + _considered(look.named, look.named_null)
+    if result.verdict != "ambiguous" and _something_left(look, fitted.estimate, verification, seed):
+        result.verdict = "unknown"
+        result.depends_on = _variables(look)
+        result.considered = _stand_ins(result.considered, look) + _considered(look.free, look.free_null, 5)
     result.candidates = _merged(result.candidates)
-    result.omission = _omission(first, estimate)
+    result.omission = _omission(first, fitted.estimate)
     result.fitted = fitted
     result.summary = _summary(result)
     return result
+
+
+@dataclass(frozen=True)
+class _Look:
+    """One look at what is left: both dictionaries scored, with their nulls."""
+
+    space: Space
+    named: list[Scored]
+    free: list[Scored]
+    named_null: Flips
+    free_null: Flips
+    best: Scored | None
+    probe: Scored | None
+    folds: Integers
+
+    @property
+    def fires(self) -> bool:
+        """Whether the best probe stands out of its null."""
+        return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
+
+    @property
+    def stands_in(self) -> bool:
+        """Whether the best name explains so much less than a probe that it only stands in for something else."""
+        if not self.fires or self.best is None or self.probe is None:
+            return False
+        less = self.probe.bic - self.best.bic > SAME
+        return less and self.best.explained < STANDS_IN * self.probe.explained
+
+
+def _look(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, rejected: set[str]) -> _Look:
+    space = space_of(estimate)
+    named = score(space, named_candidates(estimate, effects))
+    free = score(space, probes(estimate))
+    named_null = flip_maxima(space, named, flips, seed)
+    free_null = flip_maxima(space, free, flips, seed + 1)
+    best = _best([s for s in named if s.candidate.label not in rejected])
+    if best is not None and named_null.p_familywise(best.log_p) > RATE:
+        best = None
+    folds = estimate.experiment.rows.fold[estimate.whitened.entry]
+    return _Look(space, named, free, named_null, free_null, best, _best(free), folds)
+
+
+def _something_left(look: _Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:
+    """Whether a probe fires, again without a fifth of the rows, and on rows that no fit has seen."""
+    if not look.fires or look.probe is None or stability(look.space, look.free, look.probe, look.folds, seed) < STABLE:
+        return False
+    if verification is None:
+        return True
+    return probe_held_out_p(estimate, verification, look.probe.candidate.label, seed) <= HELD_OUT_RATE
 
 
 def _best(scored: Sequence[Scored]) -> Scored | None:
@@ -315,9 +347,7 @@ def _confusable(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:
     return sorted(out, key=lambda c: -c["cos2"])[:5]
 
 
-def _considered(
-    scored: Sequence[Scored], null: Flips, effects: dict[str, Effect], most: int = LISTED
-) -> list[dict[str, Any]]:
+def _considered(scored: Sequence[Scored], null: Flips, most: int = LISTED) -> list[dict[str, Any]]:
     able = sorted((s for s in scored if s.freedom), key=lambda s: -s.bic)[:most]
     return [
         {
@@ -335,9 +365,10 @@ def _considered(
     ]
 
 
-def _stand_ins(considered: list[dict[str, Any]], named: Sequence[Scored], probe: Scored) -> list[dict[str, Any]]:
-    """Mark names that merely absorb a part of what the probe explains."""
-    share = {s.candidate.label: s.explained / probe.explained for s in named if s.freedom and probe.explained > 0}
+def _stand_ins(considered: list[dict[str, Any]], look: _Look) -> list[dict[str, Any]]:
+    """Mark names that merely absorb a part of what the best probe explains."""
+    whole = look.probe.explained if look.probe is not None else 0.0
+    share = {s.candidate.label: s.explained / whole for s in look.named if s.freedom and whole > 0}
     for entry in considered:
         label = entry["name"] + ("@" + ",".join(entry["where"]) if entry["where"] else "")
         if share.get(label, 0.0) > 0.2:
@@ -345,12 +376,14 @@ def _stand_ins(considered: list[dict[str, Any]], named: Sequence[Scored], probe:
     return considered
 
 
-def _variables(free: Sequence[Scored], null: Flips, probe: Scored) -> list[str]:
+def _variables(look: _Look) -> list[str]:
     """The variables of the best probe, and of others at the same place that fire nearly as strongly."""
-    names = dict.fromkeys(probe.candidate.depends_on)
-    for s in sorted(free, key=lambda s: -s.bic):
-        close = s.bic > 0.8 * probe.bic and s.candidate.places == probe.candidate.places
-        if close and null.p_familywise(s.log_p) <= RATE:
+    if look.probe is None:
+        return []
+    names = dict.fromkeys(look.probe.candidate.depends_on)
+    for s in sorted(look.free, key=lambda s: -s.bic):
+        close = s.bic > 0.8 * look.probe.bic and s.candidate.places == look.probe.candidate.places
+        if close and look.free_null.p_familywise(s.log_p) <= RATE:
             names |= dict.fromkeys(s.candidate.depends_on)
     return list(names)
 
@@ -417,7 +450,7 @@ def _omission(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
         return []
     std = after.std
     new: dict[Slot, int] = {slot: k for k, slot in enumerate(after.slots)}
-    out = []
+    out: list[dict[str, Any]] = []
     for k, slot in enumerate(before.slots):
         if slot not in new:
             continue
@@ -432,33 +465,38 @@ def _omission(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
                     "unit": find_parameter(slot, dict(before.experiment.effects)).unit,
                 }
             )
-    return sorted(out, key=lambda o: -abs(o["shift"]) / o["std"])[:10]
+    return sorted(out, key=lambda o: -abs(float(o["shift"])) / float(o["std"]))[:10]
 
 
 def _summary(result: StageDiagnosis) -> str:
-    scale, unit = (1e6, "µm") if result.unit == "m" else (1.0, "of the motors' noise")
+    scale, unit = (1e6, "µm") if result.unit == "m" else (1.0, "σ of the motors' noise")
 
     def shown(x: float) -> str:
         return f"{x * scale:.3g} {unit}"
 
-    names = [c["effect"].replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "") for c in result.candidates]
-    confirmed = [n for n, c in zip(names, result.candidates, strict=True) if not c["alternative"]]
-    fall = f"with it the held-out error falls from {shown(result.before)} to {shown(result.after)} (noise floor {shown(result.noise_floor)})"
-    start = f"Missing: {'; '.join(confirmed)}; {fall}. " if confirmed else ""
+    def words(c: Mapping[str, Any]) -> str:
+        return str(c["effect"]).replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "")
+
+    confirmed = [words(c) for c in result.candidates if not c["alternative"]]
+    floor = f"noise floor {shown(result.noise_floor)}"
+    start = ""
+    if confirmed:
+        fall = f"the held-out error falls from {shown(result.before)} to {shown(result.after)} ({floor})"
+        start = f"Missing: {'; '.join(confirmed)}; with it {fall}. "
     match result.verdict:
         case "adequate":
             return (
-                f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, the noise floor "
-                f"{shown(result.noise_floor)}; effects above the listed limits would have been found with 90 % probability."
+                f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, {floor}; effects "
+                "above the listed limits would have been found with 90 % probability."
             )
         case "missing":
-            return start + "Beyond that nothing is left that stands out of the noise."
+            return start + "Beyond that nothing stands out of the noise."
         case "ambiguous":
-            rest = [n for n, c in zip(names, result.candidates, strict=True) if c["alternative"]]
+            rest = [words(c) for c in result.candidates if c["alternative"]]
             return start + f"These data cannot tell apart: {'; '.join(rest)}. To part them: {result.next_measurement}."
         case _:
+            error = "" if confirmed else f" (held-out error {shown(result.after)}, {floor})"
             return (
-                start
-                + f"Structure is left that no known effect explains; it depends on {', '.join(result.depends_on)} "
-                + f"(held-out error {shown(result.after)}, noise floor {shown(result.noise_floor)})."
+                f"{start}Structure is left that no known effect explains; it depends on "
+                f"{', '.join(result.depends_on)}{error}."
             )

@@ -9,7 +9,7 @@ from clampid.effect import Effect, Parameter
 
 
 def tilt(p: Any, x: Any) -> Any:
-    """w = C (M_x, M_y), M the moment about the base's origin of all that moves."""
+    """W = C (M_x, M_y), M the moment about the base's origin of all that moves."""
     mx, my = x.base_moment[0], x.base_moment[1]
     return rows(p.cxx * mx + p.cxy * my, p.cxy * mx + p.cyy * my, 0, 0, 0, 0)
 

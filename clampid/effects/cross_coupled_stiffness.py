@@ -9,7 +9,7 @@ from clampid.effect import Effect, Parameter
 
 
 def deflection(p: Any, x: Any) -> Any:
-    """dq = -T' X T tau, X symmetric with x_i between drives i - 1 and i."""
+    """Dq = -T' X T tau, X symmetric with x_i between drives i - 1 and i."""
     load = x.transmission @ x.torque
     wound = p.x * shifted_up(load) + shifted_down(p.x * load)
     return -x.transmission.T @ wound
@@ -20,7 +20,9 @@ EFFECT = Effect(
     family="cross_coupled_stiffness",
     acts={"joint_angle": deflection},
     parameters=(
-        Parameter("x", "rad/Nm", 0.05, "joint", meaning="compliance between this drive and the one before it, at the motors"),
+        Parameter(
+            "x", "rad/Nm", 0.05, "joint", meaning="compliance between this drive and the one before it, at the motors"
+        ),
     ),
     needs=("torque",),
     stages=("clamped", "poses"),

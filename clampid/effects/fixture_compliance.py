@@ -9,7 +9,7 @@ from clampid.effect import Effect, Parameter
 
 
 def motion(p: Any, x: Any) -> Any:
-    """w = diag(c_r) (M - d x F), v = diag(c_t) F - w x d: d from the flange to the pivot."""
+    """W = diag(c_r) (M - d x F), v = diag(c_t) F - w x d: d from the flange to the pivot."""
     moment, force = x.wrench[:3], x.wrench[3:]
     pivot = rows(p.dx, p.dy, p.dz)
     w = rows(p.crx, p.cry, p.crz) * (moment - cross(pivot, force))
@@ -24,7 +24,9 @@ EFFECT = Effect(
         *(Parameter(f"cr{a}", "rad/Nm", 1e-6, bounds=(0.0, 1e-2), meaning=f"rocks about {a} by moment") for a in "xyz"),
         *(Parameter(f"c{a}", "m/N", 1e-7, bounds=(0.0, 1e-3), meaning=f"shifts along {a} by force") for a in "xyz"),
         *(
-            Parameter(f"d{a}", "m", 0.5, bounds=(-3.0, 3.0), meaning=f"pivot beyond the flange along {a}", shape=True, grid=g)
+            Parameter(
+                f"d{a}", "m", 0.5, bounds=(-3.0, 3.0), meaning=f"pivot beyond the flange along {a}", shape=True, grid=g
+            )
             for a, g in (("x", (0.0, 0.0, 0.0)), ("y", (0.0, 0.0, 0.0)), ("z", (0.0, -0.4, -0.8)))
         ),
     ),

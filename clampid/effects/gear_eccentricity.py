@@ -9,7 +9,7 @@ from clampid.effect import Effect, Parameter
 
 
 def error(p: Any, x: Any) -> Any:
-    """dq = a1 sin q + b1 cos q + a2 sin 2q + b2 cos 2q."""
+    """Dq = a1 sin q + b1 cos q + a2 sin 2q + b2 cos 2q."""
     return p.a1 * sin(x.q) + p.b1 * cos(x.q) + p.a2 * sin(2 * x.q) + p.b2 * cos(2 * x.q)
 
 

@@ -13,7 +13,7 @@ from clampid.effect import Effect, Parameter
 
 
 def torque(p: Any, x: Any) -> Any:
-    """d tau = Y(q) d(m, m c)."""
+    """D tau = Y(q) d(m, m c)."""
     return x.regressor @ interleave(p.m, p.mx, p.my, p.mz)
 
 

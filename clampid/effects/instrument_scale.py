@@ -8,7 +8,7 @@ from clampid.effect import Effect, Parameter
 
 
 def error(p: Any, x: Any) -> Any:
-    """dx = s x, in the instrument's frame."""
+    """Dx = s x, in the instrument's frame."""
     return p.s * x.position
 
 

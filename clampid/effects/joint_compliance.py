@@ -8,7 +8,7 @@ from clampid.effect import Effect, Parameter
 
 
 def deflection(p: Any, x: Any) -> Any:
-    """dq = -T' diag(c) T tau: not diagonal in a coupled wrist."""
+    """Dq = -T' diag(c) T tau: not diagonal in a coupled wrist."""
     return -x.transmission.T @ (p.c * (x.transmission @ x.torque))
 
 

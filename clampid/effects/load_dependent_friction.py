@@ -1,6 +1,7 @@
 """Friction that grows with the torque that the gear transmits.
 
-In free air the joint moves against it. In a clamped sweep the motor does, while the joint stands still; then the springs'
+In free air the joint moves against it. In a clamped sweep the motor does, while the joint stands still; then the
+springs'
 torque is the load.
 """
 

@@ -8,7 +8,7 @@ from clampid.effect import Effect, Parameter
 
 
 def deflection(p: Any, x: Any) -> Any:
-    """dq = -T' (h (T tau)^3)."""
+    """Dq = -T' (h (T tau)^3)."""
     load = x.transmission @ x.torque
     return -x.transmission.T @ (p.h * load**3)
 

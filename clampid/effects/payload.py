@@ -9,7 +9,7 @@ from clampid.effect import Effect, Parameter
 
 
 def torque(p: Any, x: Any) -> Any:
-    """d tau = Y_flange(q) d(m, m c): the tool moves with the last link."""
+    """D tau = Y_flange(q) d(m, m c): the tool moves with the last link."""
     return x.tool_regressor @ rows(p.m, p.mx, p.my, p.mz)
 
 

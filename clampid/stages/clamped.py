@@ -4,8 +4,10 @@ With the flange held the arm cannot move, so that every joint's spring, gap and 
 
     T' theta_m + dq(tau) = q_clamp + offset + J^-1 (motion of the fixture)
 
-is solved for the joint torques tau, row by row; then tau_motor = T (tau + friction at the joint) + friction at the motor. The offset is the posture at which the
-arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there too.
+is solved for the joint torques tau, row by row; then tau_motor = T (tau + friction at the joint) + friction at the
+motor. The offset is the posture at which the
+arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there
+too.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 
 from clampid.chain import Chain, Deviations
 from clampid.slots import Layout
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Integers, Rows
 from clampid.stages.torques import temperatures
 from experiments.campaign import Campaign
 from kinematics.poe import forward, space_jacobian
@@ -24,9 +26,9 @@ from kinematics.poe import forward, space_jacobian
 __all__ = ["clamped_rows", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
-STILL = 0.02  # of the driven motor's step: less is a motor held
+STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
 NEWTON_STEPS = 60
-GAP_SOFTNESS = 2e-3  # of a joint's rated torque: how sharply a gap closes, far below the noise of a torque
+GAP_SOFTNESS = 0.1  # of a torque's noise, at the joint: how sharply a gap closes
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
@@ -119,7 +121,9 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     robot, n = campaigns[0].robot, campaigns[0].robot.n
     T = np.asarray(robot.transmission)
     frames = [c.tables["clamped"] for c in campaigns if "clamped" in c.tables]
-    session = np.concatenate([np.full(len(c.tables["clamped"]), s) for s, c in enumerate(campaigns) if "clamped" in c.tables])
+    session = np.concatenate(
+        [np.full(len(c.tables["clamped"]), s) for s, c in enumerate(campaigns) if "clamped" in c.tables]
+    )
     joined = pd.concat(frames, ignore_index=True)
     _, sweep = np.unique(np.c_[session, joined["sweep"].to_numpy()], axis=0, return_inverse=True)
     sweep = sweep.astype(np.int64)
@@ -133,39 +137,37 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
     motion, travel = np.zeros((count, n)), np.zeros((count, n))
     used, fraction = np.ones((count, n), dtype=bool), np.zeros(count)
+    typical = _typical_steps(motor, driven, sweep)
     for s in range(sweeps):
         rows = np.flatnonzero(sweep == s)
         fraction[rows] = np.linspace(0.0, 1.0, len(rows))
-        # A coupled joint's sweep turns several motors: each has its own friction, by its own steps.
-        steps = np.diff(motor[rows], axis=0, prepend=motor[rows[:1]])
-        if len(rows) > 1:
-            steps[0] = steps[1]
-        own = np.abs(steps[:, driven[rows[0]]])
-        still = STILL * (np.median(own[own > 0]) if np.any(own > 0) else 1.0)
+        steps = _steps(motor[rows])
         for j in range(n):
-            sign = np.where(np.abs(steps[:, j]) > still, np.sign(steps[:, j]), 0.0)
+            # A coupled joint's sweep turns several motors a little: each has its own friction, by its own steps.
+            sign = np.where(np.abs(steps[:, j]) > STILL * typical[j], np.sign(steps[:, j]), 0.0)
             if not sign.any():
                 continue  # a held motor: its friction is a constant that the offsets take up
             for i in range(1, len(sign)):
                 sign[i] = sign[i] or sign[i - 1]
             motion[rows, j] = sign
-            # Friction builds up again over the first step after a reversal; that row's friction is not known.
             turned = np.r_[True, sign[1:] != sign[:-1]]
-            used[rows[turned], j] = False
             path = np.cumsum(np.abs(steps[:, j]))
             travel[rows, j] = path - np.maximum.accumulate(np.where(turned, path, 0.0))
+            # Friction builds up again over the first step after a reversal; until then it is not known.
+            used[rows[travel[rows, j] < SETTLED * typical[j]], j] = False
     inverse, wrench = np.zeros((sweeps, n, 6)), np.zeros((sweeps, 6, n))
     for s in range(sweeps):
         chain_q = np.asarray(robot.linkage) @ reference[s]
         J = _flange_jacobian(robot, chain_q)
         inverse[s] = np.linalg.pinv(J, rcond=1e-3)
         wrench[s] = inverse[s].T
+    noise = step_noise(measured, motion, sweep)
     signals = {
         "q": q,
         "motor": motor,
         "motor_motion": motion,
         "joint_motion": np.sign(motion @ T),
-        "rest_direction": np.tile(GAP_SOFTNESS * rated, (count, 1)),
+        "rest_direction": np.tile(GAP_SOFTNESS * noise / np.abs(np.diag(T)), (count, 1)),
         "wrench_map": wrench[sweep],
         "elapsed": time - time.min(),
         "travel": travel,
@@ -179,7 +181,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         layout=layout,
         signals=signals,
         measured=measured,
-        sigma=np.tile(step_noise(measured, motion, sweep), (count, 1)),
+        sigma=np.tile(noise, (count, 1)),
         used=used,
         unit=blocks.astype(np.int64),
         fold=sweep,
@@ -201,6 +203,28 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     )
 
 
+def _steps(motor: Array) -> Array:
+    """Steps ``(N, n)`` of the motors from row to row; the first counts as the second."""
+    steps = np.diff(motor, axis=0, prepend=motor[:1])
+    if len(motor) > 1:
+        steps[0] = steps[1]
+    return steps
+
+
+def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
+    """The usual size ``(n,)`` of a motor's step in the sweeps that drive it; of the smallest, where none does."""
+    n = motor.shape[1]
+    out = np.full(n, np.nan)
+    for j in range(n):
+        own = [np.abs(_steps(motor[sweep == s])[:, j]) for s in np.unique(sweep[driven == j])]
+        moved = np.concatenate(own) if own else np.zeros(0)
+        moved = moved[moved > 0]
+        if len(moved):
+            out[j] = np.median(moved)
+    known = out[np.isfinite(out)]
+    return np.where(np.isfinite(out), out, known.min() if len(known) else 1.0)
+
+
 def loop_compliance(rows: Rows) -> Array:
     """A rough compliance of each drive at its motor ``(n,)``, rad/Nm: the slope of its own loops, direction by direction."""
     n = rows.robot.n
@@ -220,7 +244,7 @@ def loop_compliance(rows: Rows) -> Array:
             slope = float(a @ t) / max(float(a @ a), 1e-300)
             if slope > 0:
                 out[j] = 1.0 / slope
-    return np.clip(out, 1e-3, 1e2)
+    return np.asarray(np.clip(out, 1e-3, 1e2))
 
 
 def step_noise(measured: Array, motion: Array, sweep: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Array:
@@ -228,9 +252,9 @@ def step_noise(measured: Array, motion: Array, sweep: np.ndarray[tuple[int], np.
     same = (sweep[2:] == sweep[:-2]) & np.all(motion[2:] == motion[:-2], axis=1)
     second = (measured[2:] - 2 * measured[1:-1] + measured[:-2])[same]
     if len(second) < 8:
-        return np.maximum(measured.std(axis=0), 1e-9)
+        return np.asarray(np.maximum(measured.std(axis=0), 1e-9))
     # Median absolute value, so that steps of stick and slip do not count; var(second difference) = 6 var.
-    return np.maximum(1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0), 1e-9)
+    return np.asarray(np.maximum(1.4826 * np.median(np.abs(second), axis=0) / np.sqrt(6.0), 1e-9))
 
 
 def _flange_jacobian(robot: object, q: Array) -> Array:

@@ -24,7 +24,8 @@ class Experiment:
     """Rows and active slots of one stage.
 
     The parameter vector is ``(P + K,)``: the slots, then K offsets that belong to single runs or sweeps (in ``clamped``
-    the posture at which each sweep was clamped, in ``free_air`` the friction of joints that stood still; in ``poses`` none).
+    the posture at which each sweep was clamped, in ``free_air`` the friction of joints that stood still; in ``poses``
+    none).
     """
 
     rows: Rows

@@ -38,7 +38,8 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     """Moments and forces that the weight puts on the base, on bearings and on links, base axes at the zero pose.
 
     ``base_moment`` ``(N, 3)`` about the base's origin, base frame; ``transverse_moment`` ``(N, n, 3)`` across joint i's
-    axis, in the link before it; ``link_moment``, ``link_force`` ``(N, n, 3)`` at link i's far end, in link i. Each comes
+    axis, in the link before it; ``link_moment``, ``link_force`` ``(N, n, 3)`` at link i's far end, in link i. Each
+    comes
     with its ``…_regressor``, the derivative by the links' (m, m c), rows flattened.
     """
     robot, n = campaign.robot, campaign.robot.n

@@ -118,7 +118,12 @@ def _one(
         table=np.full(count, table),
         row=np.arange(1, count + 1),
         session=np.full(count, session),
-        constants={"target": target, "rotation": rotation, "base_reference": np.tile(reference, (count, 1, 1)), "time": time},
+        constants={
+            "target": target,
+            "rotation": rotation,
+            "base_reference": np.tile(reference, (count, 1, 1)),
+            "time": time,
+        },
         per_row=("target", "rotation", "base_reference", "time"),
     )
 

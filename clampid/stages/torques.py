@@ -1,7 +1,8 @@
 """The torque experiments, free air and wrist: motor torques of an arm that moves and stops.
 
 tau_motor = T tau_joint + motor friction. Static friction is indeterminate, so that a motor at rest says nothing here;
-its rows are predicted but not used. Where a motor turns while a joint that it is coupled with has not moved in the whole
+its rows are predicted but not used. Where a motor turns while a joint that it is coupled with has not moved in the
+whole
 run, the dry friction of that joint's arm side is an unknown constant of the run.
 """
 
@@ -22,6 +23,7 @@ __all__ = ["residual", "torque_rows"]
 
 FIFTHS = 5  # a log of one run is held out by contiguous fifths
 CLEAR_MOTION = 0.02  # of the top speed of the log
+STEADY = 0.3  # of the log's largest acceleration of a joint
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
@@ -35,7 +37,11 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     deviations = chain.evaluate(theta, rows.signals)
     T = np.asarray(rows.robot.transmission)
     n = rows.robot.n
-    joint = rows.signals["gravity_torque"] + rows.signals["inertia_torque"] + deviations.values[:, chain.offsets["joint_torque"]]
+    joint = (
+        rows.signals["gravity_torque"]
+        + rows.signals["inertia_torque"]
+        + deviations.values[:, chain.offsets["joint_torque"]]
+    )
     joint = joint + rows.offset_table(offsets)
     predicted = joint @ T.T + deviations.values[:, chain.offsets["motor_torque"]]
     sensitivity = np.concatenate([T, np.eye(n)], axis=1)  # (n, 2n): joint torques, then motor torques
@@ -118,7 +124,8 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     # and where that is more than a fraction of the noise, the row is left out.
     inertial = np.abs(signals["inertia_torque"] @ T.T)
     noise = NORMAL * np.median(np.abs(np.diff(measured, axis=0)), axis=0) / np.sqrt(2.0)
-    used = moving & ~undecided & (inertial <= INERTIA_SHARE * noise)
+    steady = np.abs(qdd) <= STEADY * np.abs(qdd).max(axis=0, initial=0.0)  # rotors and links have inertia of their own
+    used = moving & ~undecided & (inertial <= INERTIA_SHARE * noise) & steady
     signals["torque_rate"] = np.gradient(measured, axis=0)
     stretch = segments(run, time, np.ones(len(run), dtype=bool))
     _, unit = np.unique(np.c_[stretch, np.floor(time / BLOCK_S)], axis=0, return_inverse=True)
