@@ -34,8 +34,9 @@ def error_falling(run: Mapping[str, Any], path: Path) -> None:
         if abs(before - after) > 0.2:
             arrow = {"arrowstyle": "-|>", "color": AFTER, "linewidth": 2, "shrinkA": 6, "shrinkB": 5}
             axes.annotate("", (after, y), (before, y), arrowprops=arrow, zorder=1)
-        axes.scatter([before], [y], color=BEFORE, s=70, zorder=2, label="standard model" if y == 0 else None)
-        axes.scatter([after], [y], color=AFTER, s=70, zorder=3, label="with what was found" if y == 0 else None)
+        first = y == 0  # one label in the legend is enough
+        axes.scatter([before], [y], color=BEFORE, s=70, zorder=2, label="standard model" if first else None)
+        axes.scatter([after], [y], color=AFTER, s=70, zorder=3, label="with what was named" if first else None)
         texts = [error_text(error, table["unit"]) for error in errors]
         words = " → ".join(dict.fromkeys(texts))
         axes.annotate(words, (max(before, after), y), (10, 0), textcoords="offset points", va="center", color=INK)

@@ -19,7 +19,7 @@ def test_what_is_drawn_can_be_hidden_and_found_and_is_not_in_the_standard_model(
     assert not set(DRAWN) & standard
 
 
-def test_confirmed_candidates_and_the_first_alternative_are_added() -> None:
+def test_confirmed_candidates_and_alternatives_are_kept_apart() -> None:
     def candidate(effect: str, *where: str, alternative: bool = False) -> dict[str, object]:
         return {"effect": effect, "where": list(where), "alternative": alternative}
 
@@ -35,7 +35,9 @@ def test_confirmed_candidates_and_the_first_alternative_are_added() -> None:
             },
         }
     }
-    assert terms_to_add(diagnosis) == {"poses": ["poses=a@joint1", "poses=a@joint2", "poses=b@base"]}
+    confirmed, alternatives = terms_to_add(diagnosis)
+    assert confirmed == {"poses": ["poses=a@joint1", "poses=a@joint2"]}
+    assert alternatives == {"poses": [["poses=b@base"], ["poses=c@base"]]}
 
 
 @pytest.mark.slow
