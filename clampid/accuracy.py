@@ -19,7 +19,7 @@ FOLDS = 5
 QUIET_S = 2.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
 QUIET_ROWS = 6  # the same for sweeps of single steps
 SAME_TEMPERATURE_K = 0.5
-ENOUGH_RETURNS = 8  # degrees of freedom below which replicates say less than the instrument's maker
+ENOUGH_RETURNS = 30  # degrees of freedom (7 % of a sigma) below which the maker knows better than replicates
 
 
 @dataclass(frozen=True)
@@ -122,11 +122,9 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
 
 def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Array]:
     """Residuals of all rows, each predicted by a fit without its fold (whole poses, runs or sweeps; five parts)."""
-    folds = np.unique(rows.fold)
-    part_of = dict(
-        zip(folds.tolist(), (np.random.default_rng(seed).permutation(len(folds)) % FOLDS).tolist(), strict=True)
-    )
-    part = np.array([part_of[f] for f in rows.fold.tolist()])
+    order = rows.shuffled_folds(seed)
+    place = np.argsort(order)  # order holds each fold once
+    part = (place % FOLDS)[np.searchsorted(np.sort(order), rows.fold)]
     residual = np.zeros_like(rows.measured)
     for k in np.unique(part):
         out, keep = np.flatnonzero(part == k), np.flatnonzero(part != k)

@@ -171,83 +171,87 @@ def build_chain(
     EffectError
         A slot's effect does not act in this stage, or reads a signal that it did not declare.
     """
-    theta = ca.SX.sym("theta", len(slots))
-    index = {slot: k for k, slot in enumerate(slots)}
     active = [effects[name] for name in dict.fromkeys(slot.effect for slot in slots)]
     for effect in active:
         if stage not in effect.stages:
             raise EffectError(f"effect {effect.name} does not act in {stage}; it does in: {', '.join(effect.stages)}")
-    flats: dict[str, Any] = {}
-    signals: dict[str, Any] = {}
-
-    def signal(name: str) -> Any:
-        if name not in signals:
-            shape = SIGNALS[name].shape if name in SIGNALS else _INTERNAL[name]
-            flats[name], signals[name] = _symbol(name, _size(shape, layout))
-        return signals[name]
-
-    constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
+    theta = ca.SX.sym("theta", len(slots))
+    index = {slot: k for k, slot in enumerate(slots)}
     parameters = {effect.name: _parameters(effect, layout, index, theta) for effect in active}
-
-    shift = _gravity_shift(parameters)
-
-    def read(name: str) -> Any:
-        """A signal; what gravity puts on base, bearings and links follows the masses as they are now."""
-        if name in MOMENTS and shift is not None and name not in moved:
-            by_mass = signal(f"{name}_regressor") @ shift
-            shape = _size(SIGNALS[name].shape, layout)
-            moved[name] = signal(name) + (by_mass if len(shape) == 1 else ca.reshape(by_mass, shape[1], shape[0]).T)
-        return moved.get(name, signal(name))
-
-    moved: dict[str, Any] = {}
-
-    def total(station: str, only: Sequence[Effect]) -> Any:
-        value = ca.SX(*_matrix(_size(STATIONS[station][0], layout)))
-        for effect in only:
-            if station in effect.acts:
-                x = SimpleNamespace(**constants, **{name: read(name) for name in effect.needs})
-                try:
-                    value = value + effect.acts[station](parameters[effect.name], x)
-                except AttributeError as error:
-                    raise EffectError(f"effect {effect.name} reads what it does not declare: {error}") from error
-        return value
-
-    extra: list[Any] = []
-    if stage == "clamped":
-        torque = signal("torque")
-        # Inside the gap the torque is nearly zero and the flank undecided: a smooth sign whose width is far below
-        # the noise keeps the equilibrium solvable by Newton's method.
-        width = signal("rest_direction")
-        signals["flank"] = torque / ca.sqrt(torque**2 + width**2)
-        if any("wrench" in effect.needs for effect in active):
-            signals["wrench"] = signal("wrench_map") @ torque
-    elif any({"torque", "flank"} & set(effect.needs) for effect in active):
-        load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
-        if stage == "free_air":  # friction acts on the load, not on itself
-            load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
-        signals["torque"] = signal("gravity_torque") + total("joint_torque", load)
-        if stage == "poses":
-            # A joint without load rests on the side it came from; any load beyond that decides the flank.
-            signals["flank"] = ca.sign(signals["torque"] + signal("rest_direction"))
+    constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
+    row = _Row(layout, constants, parameters)
+    _offer_torque(row, stage, active)
     values, offsets, start = [], {}, 0
     for station in OUTPUTS[stage]:
-        value = ca.vec(total(station, active).T)
+        value = ca.vec(row.total(station, active).T)
         values.append(value)
         offsets[station] = slice(start, start + value.shape[0])
         start += value.shape[0]
     stacked = ca.densify(ca.vertcat(*values))
     jacobian = ca.jacobian(stacked, theta)
-    row, column = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
+    station_of, parameter_of = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
+    outputs = [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)]
     if stage == "clamped":
-        extra = [ca.densify(ca.jacobian(stacked, flats["torque"]))]
-    order = tuple(flats)
-    function = ca.Function(
-        "deviations",
-        [theta, ca.vertcat(*(flats[k] for k in order))],
-        [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1), *extra],
-    )
-    widths = tuple((name, flats[name].shape[0]) for name in order)
-    return Chain(stage, tuple(slots), offsets, widths, _Blocks(function), row, column)
+        outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
+    function = ca.Function("deviations", [theta, ca.vertcat(*row.flats.values())], outputs)
+    widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
+    return Chain(stage, tuple(slots), offsets, widths, _Blocks(function), station_of, parameter_of)
+
+
+class _Row:
+    """The signals of a row as symbols, made when they are first read, and the sums of deviations at stations."""
+
+    def __init__(self, layout: Layout, constants: Mapping[str, Any], parameters: Mapping[str, SimpleNamespace]) -> None:
+        self.layout, self.constants, self.parameters = layout, constants, parameters
+        self.flats: dict[str, Any] = {}
+        self.offered: dict[str, Any] = {}
+        self.shift = _gravity_shift(parameters)
+
+    def recorded(self, name: str) -> Any:
+        """A signal as it comes with the row."""
+        if name not in self.offered:
+            shape = SIGNALS[name].shape if name in SIGNALS else _INTERNAL[name]
+            self.flats[name], self.offered[name] = _symbol(name, _size(shape, self.layout))
+        return self.offered[name]
+
+    def read(self, name: str) -> Any:
+        """A signal as effects see it: loads on base, bearings and links follow the masses as they are now."""
+        if name not in MOMENTS or self.shift is None:
+            return self.recorded(name)
+        by_mass = self.recorded(f"{name}_regressor") @ self.shift
+        shape = _size(SIGNALS[name].shape, self.layout)
+        return self.recorded(name) + (by_mass if len(shape) == 1 else ca.reshape(by_mass, shape[1], shape[0]).T)
+
+    def total(self, station: str, only: Sequence[Effect]) -> Any:
+        """The sum of the effects' deviations at a station."""
+        value = ca.SX(*_matrix(_size(STATIONS[station][0], self.layout)))
+        for effect in only:
+            if station in effect.acts:
+                x = SimpleNamespace(**self.constants, **{name: self.read(name) for name in effect.needs})
+                try:
+                    value = value + effect.acts[station](self.parameters[effect.name], x)
+                except AttributeError as error:
+                    raise EffectError(f"effect {effect.name} reads what it does not declare: {error}") from error
+        return value
+
+
+def _offer_torque(row: _Row, stage: Stage, active: Sequence[Effect]) -> None:
+    """Offer joint torques, the flank they press on, and the wrench on a clamp, to the effects that read them."""
+    if stage == "clamped":
+        torque = row.recorded("torque")
+        # Inside the gap the torque is nearly zero and the flank undecided: a smooth sign whose width is far below
+        # the noise keeps the equilibrium solvable by Newton's method.
+        row.offered["flank"] = torque / ca.sqrt(torque**2 + row.recorded("rest_direction") ** 2)
+        if any("wrench" in effect.needs for effect in active):
+            row.offered["wrench"] = row.recorded("wrench_map") @ torque
+    elif any({"torque", "flank"} & set(effect.needs) for effect in active):
+        load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
+        if stage == "free_air":  # friction acts on the load, not on itself
+            load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
+        row.offered["torque"] = row.recorded("gravity_torque") + row.total("joint_torque", load)
+        if stage == "poses":
+            # A joint without load rests on the side it came from; any load beyond that decides the flank.
+            row.offered["flank"] = ca.sign(row.offered["torque"] + row.recorded("rest_direction"))
 
 
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:

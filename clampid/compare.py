@@ -82,8 +82,8 @@ def compare(
         if stage == "poses" and (refit or opened.session is None):
             if not refit and opened.session is None:
                 raise ModelError(
-                    f"the model was not fitted on {campaign.name}, so that nothing says where its instrument and targets "
-                    "stand: use --refit base,tool"
+                    f"the model was not fitted on {campaign.name}, so that nothing says where its instrument and "
+                    "targets stand: use --refit base,tool"
                 )
             tables["poses"] = _refitted(opened, refit, refit_fraction, seed)
         else:

@@ -84,7 +84,7 @@ class Estimate:
 
     @property
     def identified(self) -> Bools:
-        """Which parameters these data, with what earlier stages knew, tell to within their reasonable size ``(P + K,)``."""
+        """Which parameters are known to within their reasonable size ``(P + K,)``."""
         return self.std < self.experiment.sizes()
 
     def values(self) -> dict[Slot, float]:

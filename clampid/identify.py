@@ -168,12 +168,16 @@ def held_out_folds(rows: Rows, share: float, seed: int) -> tuple[tuple[int, ...]
     """Whole poses, runs or sweeps to keep out of a fit: per session their fold numbers."""
     if share <= 0:
         return ()
-    out = []
-    rng = np.random.default_rng(seed)
+    out: list[tuple[int, ...]] = []
     for s in range(len(rows.layout.sessions)):
-        folds = np.unique(rows.local_fold[rows.session == s])
-        count = min(round(share * len(folds)), len(folds) - 1)
-        out.append(tuple(sorted(int(f) for f in rng.permutation(folds)[:count])))
+        part = rows.take(np.flatnonzero(rows.session == s))
+        if not len(part):
+            out.append(())
+            continue
+        order = part.shuffled_folds(seed)
+        count = min(round(share * len(order)), len(order) - 1)
+        picked = order[((np.arange(count) + 0.5) * len(order) / max(count, 1)).astype(int)]
+        out.append(tuple(sorted(int(f) for f in picked - part.fold.min())))
     return tuple(out)
 
 

@@ -36,7 +36,7 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
     fold
         ``(M,)``: folds of the whitened entries.
     """
-    able = [s for s in scored if s.freedom]
+    able = [s for s in scored if s.freedom and s.state in ("testable", "weak")]
     names = np.unique(fold)
     part_of = np.random.default_rng(seed).permutation(len(names)) % FOLDS
     part = np.r_[part_of[np.searchsorted(names, fold)], np.full(len(space.residual) - len(fold), -1)]
@@ -75,7 +75,7 @@ def held_out_p(before: Array, after: Array, unit: Integers, seed: int) -> float:
 
 
 def probe_held_out_p(estimate: Estimate, verification: Rows, label: str, seed: int) -> float:
-    """One-sided p of what a pose probe, fitted with everything else in one linear step, brings on a verification table."""
+    """One-sided p of what a pose probe, fitted along in one linear step, brings on a verification table."""
     rows = estimate.experiment.rows
     both = join_rows([rows, verification])
     joined = estimate.experiment.with_rows(both)

@@ -84,7 +84,7 @@ class Scored:
     retained
         Share of the columns that the active parameters cannot absorb.
     state
-        ``absent``, ``absorbed``, ``weak`` or ``testable``.
+        ``absent``, ``absorbed``, ``weak``, ``testable``, or ``implausible``: of a size or sign that cannot be.
     unit_limit
         ``(k,)``: the residual's scale over each projected column's length, parameter units.
     """
@@ -192,7 +192,7 @@ def canonical(a: Scored, b: Scored) -> float:
     """Largest squared canonical correlation of two candidates, 0 to 1."""
     if not a.freedom or not b.freedom:
         return 0.0
-    return float(min(np.linalg.norm(_overlap(a, b), 2) ** 2, 1.0))
+    return min(float(np.linalg.norm(_overlap(a, b), 2)) ** 2, 1.0)
 
 
 def explained_together(space: Space, a: Scored, b: Scored) -> float:

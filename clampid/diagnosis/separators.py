@@ -15,10 +15,10 @@ _SEPARATORS: dict[frozenset[str], str] = {
         (("thermal_expansion", "base_tilt"), "restart cold and measure the same poses in another order"),
         (("gear_eccentricity", "coupling_ratio_error"), "poses over the full range of the joint"),
         (("joint_compliance", "link_bending"), "loaded poses with the arm folded, or the same poses with two payloads"),
-        (("joint_compliance", "bearing_tilt"), "the same poses with two payloads, joint 4 turned by 90 degrees between"),
+        (("joint_compliance", "bearing_tilt"), "the same poses with two payloads, joint 4 turned between"),
         (("joint_compliance", "base_tilt"), "poses at other angles of joint 1 with equal loads on joint 2, or a target "
          "on the base plate"),
-        (("asymmetric_friction", "torque_offset"), "nothing on one axis: they are the same there; a reading of the torque "
+        (("asymmetric_friction", "torque_offset"), "nothing on one axis, where they are the same; a reading of the torque "
          "with the brakes on gives the offset"),
         (("gravity", "payload"), "the same program with and without the tool"),
         (("payload", "joint_compliance"), "the same poses without the tool"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -40,6 +40,8 @@ SAME = 20.0  # explained beyond another candidate less than this: these data can
 CONFUSABLE, ALIASED = 0.8, 0.999
 STABLE = 0.6
 STANDS_IN = 0.9
+IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
+ABLE = ("testable", "weak")
 ROUNDS = 8
 LISTED = 12
 POWER = 0.9
@@ -134,11 +136,7 @@ def diagnose_stage(
             break
         rivals = _rivals(look.space, look.named, best, rejected)
         if rivals:
-            result.verdict = "ambiguous"
-            for s in [best, *rivals]:
-                entry = _entry(s, look.named_null, effects, held.rms, None, rivals=[best, *rivals])
-                result.candidates.append({**entry, "alternative": True})
-            result.next_measurement = separating_measurement(s.candidate.family for s in [best, *rivals])
+            _undecided(result, look, [best, *rivals], effects, held.rms)
             break
         terms = [*fitted.model.terms, *best.candidate.terms]
         trial = refit(terms, fitted, best.candidate.shapes)
@@ -148,8 +146,9 @@ def diagnose_stage(
         again = stability(look.space, look.named, best, look.folds, seed)
         if p_held > HELD_OUT_RATE or again < STABLE:
             rejected.add(best.candidate.label)
-            why = "without a fifth of the rows it is not the first choice"
-            reason = why if again < STABLE else "the held-out error does not fall"
+            reason = (
+                "the held-out error does not fall" if again >= STABLE else "without a fifth of the rows it is not first"
+            )
             refused.append({**_entry(best, look.named_null, effects, held.rms, new.rms), "reason": reason})
             continue
         entry = _entry(best, look.named_null, effects, held.rms, new.rms, trial.estimate, kept)
@@ -169,6 +168,17 @@ def diagnose_stage(
     result.fitted = fitted
     result.summary = _summary(result)
     return result
+
+
+def _undecided(
+    result: StageDiagnosis, look: _Look, rivals: Sequence[Scored], effects: dict[str, Effect], before: float
+) -> None:
+    """Set down candidates that these rows cannot tell apart, and what would."""
+    result.verdict = "ambiguous"
+    for s in rivals:
+        entry = _entry(s, look.named_null, effects, before, None, rivals=rivals)
+        result.candidates.append({**entry, "alternative": True})
+    result.next_measurement = separating_measurement(s.candidate.family for s in rivals)
 
 
 @dataclass(frozen=True)
@@ -204,6 +214,7 @@ def _look(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int,
     free = score(space, probes(estimate))
     named_null = flip_maxima(space, named, flips, seed)
     free_null = flip_maxima(space, free, flips, seed + 1)
+    named = [s if _plausible(s, effects, space.scale) else replace(s, state="implausible") for s in named]
     best = _best([s for s in named if s.candidate.label not in rejected])
     if best is not None and named_null.p_familywise(best.log_p) > RATE:
         best = None
@@ -221,8 +232,20 @@ def _something_left(look: _Look, estimate: Estimate, verification: Rows | None, 
 
 
 def _best(scored: Sequence[Scored]) -> Scored | None:
-    able = [s for s in scored if s.freedom and s.state in ("testable", "weak")]
+    able = [s for s in scored if s.freedom and s.state in ABLE]
     return max(able, key=lambda s: s.bic, default=None)
+
+
+def _plausible(s: Scored, effects: Mapping[str, Effect], scale: float) -> bool:
+    """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
+    value = s.weights @ s.amplitude
+    spread = scale * np.sqrt(np.sum(s.weights**2, axis=1))
+    for slot, v, sd in zip(s.candidate.slots, value, spread, strict=True):
+        parameter = find_parameter(slot, effects)
+        lower, upper = parameter.bounds
+        if abs(v) - SURE * sd > IMPOSSIBLE * parameter.size or v + SURE * sd < lower or v - SURE * sd > upper:
+            return False
+    return True
 
 
 def _rivals(space: Space, named: Sequence[Scored], best: Scored, rejected: set[str]) -> list[Scored]:
@@ -231,7 +254,13 @@ def _rivals(space: Space, named: Sequence[Scored], best: Scored, rejected: set[s
     mine = set(best.candidate.terms)
     for other in sorted(named, key=lambda s: -s.bic):
         theirs = set(other.candidate.terms)
-        if other is best or not other.freedom or theirs <= mine or mine <= theirs or other.candidate.label in rejected:
+        if (
+            other is best
+            or other.state not in ABLE
+            or theirs <= mine
+            or mine <= theirs
+            or other.candidate.label in rejected
+        ):
             continue
         if other.candidate.name == best.candidate.name and (theirs & mine):
             continue
@@ -330,7 +359,7 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
 
 
 def _confusable(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:
-    out = []
+    out: list[dict[str, Any]] = []
     for other in scored:
         if other.candidate.family == s.candidate.family or not other.freedom:
             continue
@@ -344,7 +373,7 @@ def _confusable(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:
                     "aliased": square > ALIASED,
                 }
             )
-    return sorted(out, key=lambda c: -c["cos2"])[:5]
+    return sorted(out, key=lambda c: -float(c["cos2"]))[:5]
 
 
 def _considered(scored: Sequence[Scored], null: Flips, most: int = LISTED) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The clamp, or the block it sits on, yields under the wrench of the clamped arm: it rocks about a pivot, and shifts."""
+"""The clamp, or the block it sits on, yields to the wrench of the clamped arm: it rocks about a pivot, and shifts."""
 
 from __future__ import annotations
 

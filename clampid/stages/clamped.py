@@ -73,7 +73,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
 def _equilibrium(
     rows: Rows, chain: Chain, theta: Array, shift: Array, inverse: Array
 ) -> tuple[Array, Deviations, Array]:
-    """Joint torques ``(N, n)`` at which springs and gaps take up ``shift`` ``(N, n)``: damped Newton, all rows at once."""
+    """Joint torques ``(N, n)`` at which springs and gaps take up ``shift`` ``(N, n)``: Newton, all rows at once."""
     n = rows.robot.n
     fixture = chain.offsets["fixture"]
 
@@ -226,7 +226,7 @@ def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
 
 
 def loop_compliance(rows: Rows) -> Array:
-    """A rough compliance of each drive at its motor ``(n,)``, rad/Nm: the slope of its own loops, direction by direction."""
+    """A rough compliance of each drive ``(n,)``, rad/Nm at the motor: the slope of its own loops, by direction."""
     n = rows.robot.n
     motion, driven, sweep = rows.signals["motor_motion"], rows.constants["driven"], rows.constants["run"]
     out = np.full(n, 0.3)
@@ -248,7 +248,7 @@ def loop_compliance(rows: Rows) -> Array:
 
 
 def step_noise(measured: Array, motion: Array, sweep: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Array:
-    """Noise ``(n,)`` of the torques from second differences along branches: a smooth curve leaves none of itself there."""
+    """Noise ``(n,)`` of the torques from second differences along branches, where a smooth curve leaves little."""
     same = (sweep[2:] == sweep[:-2]) & np.all(motion[2:] == motion[:-2], axis=1)
     second = (measured[2:] - 2 * measured[1:-1] + measured[:-2])[same]
     if len(second) < 8:

@@ -22,7 +22,7 @@ __all__ = ["link_points", "link_vectors", "predict", "residual"]
 
 
 def link_points(robot: Any) -> Array:
-    """Where each link's far end is at the zero pose ``(n, 3)``: the next joint's point; the last one's is the flange."""
+    """Where each link's far end is at the zero pose ``(n, 3)``: the next joint's point; at last the flange."""
     return np.array([*(joint.point for joint in robot.joints[1:]), robot.flange[:3, 3]])
 
 
@@ -83,7 +83,7 @@ def predict(rows: Rows, deviations: Deviations, offsets: Mapping[str, slice]) ->
 
 
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
-    """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m is 3, or 6 with rotations."""
+    """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m = 6 with rotations."""
     deviations = chain.evaluate(theta, rows.signals)
     position, rotation, sensitivity = predict(rows, deviations, chain.offsets)
     width = rows.measured.shape[1]

@@ -89,11 +89,22 @@ class Rows:
 
     @property
     def local_fold(self) -> Integers:
-        """Folds numbered from 0 within each session ``(N,)``: numbers that mean the same whichever sessions are read."""
+        """Folds numbered from 0 within each session ``(N,)``: the same whichever sessions are read."""
         out = self.fold.copy()
         for s in np.unique(self.session):
             _, out[self.session == s] = np.unique(self.fold[self.session == s], return_inverse=True)
         return out
+
+    def shuffled_folds(self, seed: int) -> Integers:
+        """The folds in random order, alike ones (the same table, the same joint driven) next to each other.
+
+        Taking every fifth of them then never takes all sweeps of a joint at once, where there are several.
+        """
+        folds, first = np.unique(self.fold, return_index=True)
+        driven = self.constants.get("driven", np.zeros(len(self), dtype=np.int64))
+        order = np.random.default_rng(seed).permutation(len(folds))
+        kind = [(str(self.table[first[k]]), int(driven[first[k]])) for k in order]
+        return np.asarray(folds[order[sorted(range(len(order)), key=lambda i: kind[i])]])
 
     def in_folds(self, held: Sequence[Sequence[int]]) -> Bools:
         """Which rows ``(N,)`` are in the given folds (per session their local numbers)."""

@@ -15,7 +15,7 @@ import numpy as np
 from clampid.chain import Chain
 from clampid.slots import Layout
 from clampid.stages.loads import gravity_signals, inertia_torque
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import Campaign
 from experiments.signals import acceleration, held_sign, rest_threshold, segments, speeds
 
@@ -110,16 +110,7 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             signals.setdefault(name, np.zeros((len(q), *values.shape[1:])))[chosen] = values
     signals["rest_direction"] = np.zeros_like(q)
     measured = joined[[f"tau{i + 1}_Nm" for i in range(n)]].to_numpy(float)
-    still, unknown = [], np.zeros(q.shape, dtype=bool)
-    for j in layout.wrist:
-        for r in np.unique(run):
-            inside = run == r
-            if not motion[inside, j].any():
-                still.append((int(r), j))
-            else:
-                slow = (np.abs(qd[:, j]) > rest[j]) & (np.abs(qd[:, j]) <= clear[j])
-                unknown[inside, j] = slow[inside] | (motion[inside, j] == 0)  # creeping, or not moved yet in this run
-    undecided = (unknown.astype(float) @ (T != 0).T.astype(float)) > 0
+    still, undecided = _standing(layout, T, run, qd, motion, rest, clear)
     # Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
     # and where that is more than a fraction of the noise, the row is left out.
     inertial = np.abs(signals["inertia_torque"] @ T.T)
@@ -146,6 +137,22 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         constants={"time": time, "run": run, "offset_keys": np.array(still, dtype=np.int64).reshape(-1, 2)},
         per_row=("time", "run"),
     )
+
+
+def _standing(
+    layout: Layout, T: Array, run: Integers, qd: Array, motion: Array, rest: Array, clear: Array
+) -> tuple[list[tuple[int, int]], Bools]:
+    """Coupled joints that stand still for a whole run, and motors ``(N, n)`` whose joint's friction is open."""
+    still, unknown = [], np.zeros(qd.shape, dtype=bool)
+    for j in layout.wrist:
+        for r in np.unique(run):
+            inside = run == r
+            if not motion[inside, j].any():
+                still.append((int(r), j))
+            else:
+                slow = (np.abs(qd[:, j]) > rest[j]) & (np.abs(qd[:, j]) <= clear[j])
+                unknown[inside, j] = slow[inside] | (motion[inside, j] == 0)  # creeping, or not moved yet in this run
+    return still, np.asarray((unknown.astype(float) @ (T != 0).T.astype(float)) > 0)
 
 
 def temperatures(table: object, n: int) -> dict[str, Array]:
