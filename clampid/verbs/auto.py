@@ -27,13 +27,16 @@ def auto(
     from clampid.auto import auto as find_all
     from clampid.catalogue import with_user_effects
     from clampid.model import save_model
+    from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.show import model_json, show_model
 
     with out.working("reading"):
         read = read_checked(campaigns, out)
     with out.working("identifying, diagnosing, adding"):
-        model, *_ = find_all(read, chosen, seed=seed, user_effects=effects_from, progress=out.step)
+        model, diagnosis = find_all(read, chosen, seed=seed, user_effects=effects_from, progress=out.step)
     save_model(model, output)
+    found = diagnosis.to_json()
     show_model(model, with_user_effects(effects_from), out)
+    show_diagnosis(found, out)
     out.say(f"model: {output}")
-    out.result({"model": str(output), **model_json(model)})
+    out.result({"model": str(output), **model_json(model), "diagnosis": found})
