@@ -18,7 +18,7 @@ _SEPARATORS: dict[frozenset[str], str] = {
         (("joint_compliance", "bearing_tilt"), "the same poses with two payloads, joint 4 turned between"),
         (("joint_compliance", "base_tilt"), "poses at other angles of joint 1 with equal loads on joint 2, or a target "
          "on the base plate"),
-        (("asymmetric_friction", "torque_offset"), "nothing on one axis, where they are the same; a reading of the torque "
+        (("asymmetric_friction", "torque_offset"), "nothing on one axis, where they are the same: a torque reading "
          "with the brakes on gives the offset"),
         (("gravity", "payload"), "the same program with and without the tool"),
         (("payload", "joint_compliance"), "the same poses without the tool"),
