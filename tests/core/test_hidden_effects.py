@@ -1,0 +1,169 @@
+"""The main job on the virtual robot: a hidden effect is named first, and adding it is worth what the true one is.
+
+The virtual robot shares no code with the effects. A case is an effect, where the start model lacks it, and a seed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+from conftest import Simulated
+
+from clampid.add import add
+from clampid.catalogue import catalogue
+from clampid.diagnose import diagnose
+from clampid.diagnosis.stage import StageDiagnosis
+from clampid.effect import EffectError, Stage
+from clampid.identify import identify
+from clampid.model import Model
+from experiments.campaign import Campaign
+from experiments.simulate import hidden_file
+
+TORQUES = ("free_air", "wrist")
+POSES = ("poses", "verification")
+STANDARD: dict[Stage, tuple[str, ...]] = {
+    "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
+    "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
+    "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
+}
+WITHIN = 1.10  # of the held-out error that the true effect set reaches
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is hidden, which tables are measured, and in which stages it must be found.
+
+    Attributes
+    ----------
+    lacking
+        Whether the start model leaves out an effect that the standard set has.
+    """
+
+    effect: str
+    tables: tuple[str, ...]
+    stages: tuple[Stage, ...]
+    lacking: bool = False
+
+
+CASES = {
+    case.effect: case
+    for case in (
+        Case("gear_eccentricity", (*TORQUES, *POSES), ("poses",)),
+        Case("thermal_expansion", (*TORQUES, *POSES), ("poses",)),
+        Case("base_tilt", (*TORQUES, *POSES), ("poses",)),
+        Case("stribeck_friction", TORQUES, ("free_air",)),
+        Case("torque_offset", TORQUES, ("free_air",)),
+        Case("fixture_compliance", ("clamped",), ("clamped",)),
+        Case("backlash", (*TORQUES, *POSES), ("poses",), lacking=True),
+        Case("joint_compliance", (*TORQUES, *POSES), ("poses",), lacking=True),
+    )
+}
+
+
+@pytest.fixture(scope="module")
+def table(request: pytest.FixtureRequest) -> Iterator[list[str]]:
+    """Lines that are printed when all cases are done."""
+    lines: list[str] = []
+    yield lines
+    capture = request.config.pluginmanager.getplugin("capturemanager")
+    with capture.global_and_fixture_disabled():
+        print("\n" + "\n".join(sorted(lines)))
+
+
+def start_model(case: Case, campaign: Campaign, more: dict[Stage, str] | None = None) -> Model:
+    """The standard set where there are tables for it, without the hidden effect, and with what else is asked for."""
+    wanted: dict[Stage, tuple[str, ...]] = {}
+    for stage, names in STANDARD.items():
+        if stage not in campaign.tables:
+            continue
+        kept = tuple(n for n in names if not (case.lacking and n == case.effect and stage in case.stages))
+        wanted[stage] = (*kept, *([more[stage]] if more and stage in more else []))
+    return identify(campaign, wanted)
+
+
+def terms_of(stage: Stage, found: StageDiagnosis) -> list[str]:
+    """What `clampid add` is told after this verdict: what was confirmed, else the first of the alternatives."""
+    named = [c for c in found.candidates if not c["alternative"]] or found.candidates[:1]
+    out: list[str] = []
+    for c in named:
+        places = c["where"] if catalogue()[c["name"]].per != "robot" else []
+        out += [f"{stage}={c['name']}@{p}" for p in places] or [f"{stage}={c['name']}"]
+    return out
+
+
+def truth_of(case: Case, where: str) -> str:
+    """The term of the true effect; a missing standard effect is missing at every joint."""
+    effect = catalogue()[case.effect]
+    if case.lacking or effect.per == "robot":
+        return case.effect
+    return f"{case.effect}@{effect.per}{where.lstrip('abcdefghijklmnopqrstuvwxyz')}"
+
+
+def check(case: Case, seed: int, simulated: Simulated, table: list[str]) -> None:
+    campaign = simulated(seed=seed, poses=200, tables=case.tables, hidden=(case.effect,))
+    where = _hidden_where(campaign)
+    model = start_model(case, campaign)
+    found = diagnose(model, campaign).stages
+    failures = []
+    for stage in case.stages:
+        verdict = found[stage]
+        first = verdict.candidates[0] if verdict.candidates else None
+        names = [f"{c['effect']}@{','.join(c['where'])}" for c in verdict.candidates]
+        told = f"{case.effect}@{where} seed {seed} {stage}: {verdict.verdict} {names}"
+        listed = verdict.candidates if verdict.verdict == "ambiguous" and first and first["alternative"] else [first]
+        named = any(c is not None and c["effect"] == case.effect for c in listed)
+        reached = best = float("nan")
+        if verdict.candidates:
+            try:
+                _, addition = add(model, campaign, terms_of(stage, verdict))
+                reached = addition.stages[stage].after.heldout_rms
+            except EffectError as error:
+                told += f" ({error})"
+            true_model = start_model(case, campaign, {stage: truth_of(case, where)})
+            best = next(r.heldout_rms for r in true_model.ledger if r.stage == stage)
+        fine = named and reached <= WITHIN * best
+        table.append(
+            f"{'ok    ' if fine else 'FAILED'} {told}: {verdict.before:.4g} -> {reached:.4g}, truth {best:.4g}"
+        )
+        if not fine:
+            failures.append(table[-1])
+    assert not failures, "\n".join(failures)
+
+
+def _hidden_where(campaign: Campaign) -> str:
+    assert campaign.path is not None
+    return str(json.loads(hidden_file(campaign.path).read_text())[0]["where"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("effect", CASES)
+def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Simulated, table: list[str]):
+    check(CASES[effect], seed, simulated, table)
+
+
+@pytest.mark.parametrize("effect", ["gear_eccentricity", "torque_offset"])
+def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
+    check(CASES[effect], 4, simulated, table)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_nothing_hidden_is_adequate(simulated: Simulated, table: list[str]):
+    """Thirty stage verdicts on ten robots: at most four may find something."""
+    alarms, verdicts = [], 0
+    for seed in range(10):
+        campaign = simulated(seed=100 + seed, poses=150)
+        for stage, verdict in diagnose(identify(campaign), campaign).stages.items():
+            verdicts += 1
+            names = [f"{c['effect']}@{','.join(c['where'])}" for c in verdict.candidates] + verdict.depends_on
+            line = f"nothing hidden, seed {100 + seed} {stage}: {verdict.verdict}"
+            if verdict.verdict != "adequate":
+                line += f" {names} {verdict.before:.4g} -> {verdict.after:.4g}"
+                alarms.append(line)
+            table.append(line)
+    assert verdicts == 30
+    assert len(alarms) <= 4, "\n".join(alarms)
