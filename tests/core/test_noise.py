@@ -1,0 +1,223 @@
+"""Whitening, and the calibration of the score test: what is called unlikely must be as rare as it says."""
+
+from __future__ import annotations
+
+from math import lgamma
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.columns import Columns
+from clampid.diagnosis.score import Flips, Space, canonical, explained_together, flip_maxima, log_tail, score
+from clampid.effect import Stage
+from clampid.noise import initial_noise, learn_noise
+from clampid.slots import Slot
+from clampid.stages.rows import Rows
+
+LAGS = 20
+
+
+def log_of(rows: Rows, residual: np.ndarray, run: np.ndarray) -> Rows:
+    """A torque log of one motor's numbers, evenly sampled, in the given runs."""
+    count = len(residual)
+    first = rows.take(np.zeros(count, dtype=int))
+    constants = {**first.constants, "run": run, "time": 0.1 * np.arange(count), "offset_keys": np.zeros((0, 2), int)}
+    return Rows(
+        **{
+            **vars(first),
+            "measured": residual,
+            "sigma": np.ones_like(residual),
+            "used": np.ones_like(residual, dtype=bool),
+            "constants": constants,
+        }
+    )
+
+
+def coloured(rng: np.random.Generator, count: int, share: float = 0.6, memory: float = 0.9) -> np.ndarray:
+    """White noise and an AR(1) process, of unit variance together."""
+    slow = np.zeros(count)
+    steps = rng.standard_normal(count) * np.sqrt(1 - memory**2)
+    for i in range(1, count):
+        slow[i] = memory * slow[i - 1] + steps[i]
+    return np.sqrt(share) * slow + np.sqrt(1 - share) * rng.standard_normal(count)
+
+
+def portmanteau(x: np.ndarray) -> float:
+    """Ljung and Box's statistic, chi-square with about LAGS degrees of freedom for white x."""
+    n, x = len(x), x - x.mean()
+    rho = np.array([x[k:] @ x[:-k] for k in range(1, LAGS + 1)]) / (x @ x)
+    return float(n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, LAGS + 1))))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_whitener_leaves_no_autocorrelation(few_rows: dict[Stage, Rows], seed: int):
+    rng, count = np.random.default_rng(seed), 4000
+    residual = 0.3 * np.c_[[coloured(rng, count) for _ in range(6)]].T
+    rows = log_of(few_rows["free_air"], residual, np.zeros(count, dtype=np.int64))
+    white = learn_noise(rows, residual).whiten(rows, residual, np.zeros((count, 6, 0)))
+    limit = stats.chi2.isf(1e-4, LAGS)
+    for channel in range(6):
+        x = white.residual[white.channel == channel]
+        assert portmanteau(residual[:, channel]) > 10 * limit
+        assert portmanteau(x) < limit
+        assert np.std(x) == pytest.approx(1.0, abs=0.05)
+
+
+def test_whitener_starts_anew_at_every_run(few_rows: dict[Stage, Rows]):
+    rng, count = np.random.default_rng(3), 600
+    residual = np.tile(coloured(rng, count)[:, None], (1, 6))
+    run = np.repeat(np.arange(3), count // 3).astype(np.int64)
+    rows = log_of(few_rows["free_air"], residual, run)
+    noise = learn_noise(rows, residual)
+    joined = noise.whiten(rows, residual, np.zeros((count, 6, 0))).residual
+    changed = residual.copy()
+    changed[run == 0] += 5.0  # a run may not leak into the next one
+    other = noise.whiten(rows, changed, np.zeros((count, 6, 0))).residual
+    later = np.tile(run > 0, 6)
+    np.testing.assert_array_equal(other[later], joined[later])
+    assert np.all(other[~later] != joined[~later])
+
+
+def test_residual_and_columns_pass_one_filter(few_rows: dict[Stage, Rows]):
+    """Whitening is linear: a residual that is a column is whitened to that whitened column."""
+    rng, count = np.random.default_rng(4), 500
+    residual = np.c_[[coloured(rng, count) for _ in range(6)]].T
+    rows = log_of(few_rows["free_air"], residual, np.zeros(count, dtype=np.int64))
+    column = rng.standard_normal((count, 6))
+    white = learn_noise(rows, residual).whiten(rows, column, column[:, :, None])
+    np.testing.assert_allclose(white.residual, white.jacobian[:, 0], atol=1e-13)
+
+
+def test_numbers_not_used_do_not_count(few_rows: dict[Stage, Rows]):
+    rows = few_rows["free_air"]
+    residual = np.random.default_rng(5).standard_normal(rows.measured.shape)
+    white = initial_noise(rows).whiten(rows, residual, np.zeros((*residual.shape, 0)))
+    assert len(white.residual) == rows.used.sum()
+    spoilt = np.where(rows.used, residual, 1e6)
+    again = initial_noise(rows).whiten(rows, spoilt, np.zeros((*residual.shape, 0)))
+    np.testing.assert_array_equal(again.residual, white.residual)
+
+
+def candidate(columns: np.ndarray, name: str = "made") -> Candidate:
+    slots = tuple(Slot(name, f"p{k}", "robot") for k in range(columns.shape[1]))
+    return Candidate(name, name, (), slots, {}, Columns(((0, columns),), columns.shape[1]), (), ())
+
+
+def space(J: np.ndarray, y: np.ndarray, unit: np.ndarray | None = None) -> Space:
+    """The space of a linear fit without a prior."""
+    Q, _ = np.linalg.qr(J)
+    r = y - Q @ (Q.T @ y)
+    freedom = len(y) - J.shape[1]
+    units = np.arange(len(y)) if unit is None else unit
+    return Space(r, Q, units, float(np.sqrt(r @ r / freedom)), freedom, len(y))
+
+
+def test_p_values_are_uniform_where_nothing_is_missing():
+    rng, p = np.random.default_rng(0), []
+    for _ in range(300):
+        J, D, y = rng.standard_normal((150, 6)), rng.standard_normal((150, 2)), rng.standard_normal(150)
+        p.append(np.exp(score(space(J, y), [candidate(D)])[0].log_p))
+    assert stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_score_is_the_fall_of_the_squares_when_refitted():
+    rng = np.random.default_rng(1)
+    J, D, y = rng.standard_normal((80, 5)), rng.standard_normal((80, 3)), rng.standard_normal(80)
+    D = D @ rng.standard_normal((3, 3)) * 1e-6  # units do not matter
+    found = score(space(J, y), [candidate(D)])[0]
+
+    def squares(A: np.ndarray) -> float:
+        return float(np.sum((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2))
+
+    fall = squares(J) - squares(np.c_[J, D * 1e6])
+    assert found.explained == pytest.approx(fall / (squares(J) / 75), rel=1e-9)
+    assert found.freedom == 3
+
+
+def test_flips_hold_the_familywise_error():
+    """Rows that share their unit's noise, and a dictionary of 40: 5 % of null data may alarm."""
+    rng, alarms, runs = np.random.default_rng(2), 0, 200
+    unit = np.repeat(np.arange(60), 3)
+    for run in range(runs):
+        y = rng.standard_normal(60)[unit] + 0.7 * rng.standard_normal(180)
+        sp = space(rng.standard_normal((180, 5)), y, unit)
+        scored = score(sp, [candidate(rng.standard_normal((180, 1 + k % 2))) for k in range(40)])
+        null = flip_maxima(sp, scored, 99, run)
+        alarms += min(null.p_familywise(s.log_p) for s in scored) <= 0.05
+    assert alarms <= stats.binom.isf(1e-3, runs, 0.05)
+    assert alarms >= stats.binom.ppf(1e-3, runs, 0.05)
+
+
+def test_flips_find_what_is_there():
+    rng = np.random.default_rng(3)
+    J, D = rng.standard_normal((200, 5)), rng.standard_normal((200, 1))
+    sp = space(J, rng.standard_normal(200) + 0.5 * D[:, 0])
+    scored = score(sp, [candidate(D, "true"), *(candidate(rng.standard_normal((200, 1))) for _ in range(30))])
+    null = flip_maxima(sp, scored, 199, 0)
+    assert max(scored, key=lambda s: s.bic).candidate.name == "true"
+    assert null.p_familywise(scored[0].log_p) == pytest.approx(1 / 200)
+    assert np.array_equal(null.maxima, flip_maxima(sp, scored, 199, 0).maxima)
+
+
+def test_familywise_p_counts_the_flips_beyond():
+    null = Flips(np.array([1.0, 2.0, 3.0, 4.0]))
+    assert null.p_familywise(-2.5) == pytest.approx(3 / 5)
+    assert null.p_familywise(-10.0) == pytest.approx(1 / 5)
+    assert null.p_familywise(0.0) == 1.0
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 7, 12, 30])
+def test_log_tail(freedom: int):
+    x = np.array([0.0, 1e-3, 0.5, 3.0, 40.0, 300.0, 900.0])
+    np.testing.assert_allclose(log_tail(x, freedom), stats.chi2.logsf(x, freedom), rtol=1e-10)
+    # Far out the tail itself is too small for a number.
+    for far in (1.5e3, 1e4, 1e6):
+        assert log_tail(far, freedom) == pytest.approx(_log_tail_by_series(far, freedom), rel=2e-4)
+    grid = np.linspace(900.0, 1100.0, 400)
+    assert np.all(np.diff(log_tail(grid, freedom)) < 0)  # no step where the formulas meet
+
+
+def _log_tail_by_series(x: float, freedom: int) -> float:
+    """Upper incomplete gamma function by its asymptotic series, DLMF 8.11.2."""
+    a, h = freedom / 2, x / 2
+    term = total = 1.0
+    for k in range(1, 15):
+        term *= (a - k) / h
+        total += term
+    return float((a - 1) * np.log(h) - h - lgamma(a) + np.log(total))
+
+
+def test_states():
+    rng = np.random.default_rng(5)
+    J = rng.standard_normal((100, 4))
+    fresh = rng.standard_normal((100, 1))
+    sp = space(J, rng.standard_normal(100))
+    weak = J[:, :1] + 0.05 * fresh
+    made: dict[str, Any] = {
+        "absent": np.zeros((100, 1)),
+        "absorbed": J[:, :2] @ rng.standard_normal((2, 2)),
+        "weak": weak,
+        "testable": fresh,
+    }
+    for state, columns in made.items():
+        found = score(sp, [candidate(columns)])[0]
+        assert found.state == state
+        assert found.freedom == (0 if state in ("absent", "absorbed") else 1)
+    partly = score(sp, [candidate(np.c_[J[:, :1], fresh])])[0]
+    assert partly.freedom == 1
+    assert partly.retained == pytest.approx(0.5, abs=0.05)
+
+
+def test_the_same_space_is_one_explanation():
+    rng = np.random.default_rng(6)
+    J, D = rng.standard_normal((120, 4)), rng.standard_normal((120, 2))
+    sp = space(J, rng.standard_normal(120) + D[:, 0])
+    turned = D @ rng.standard_normal((2, 2)) + J[:, :2]  # what the model absorbs makes no difference
+    a, b, c = score(sp, [candidate(D), candidate(turned), candidate(rng.standard_normal((120, 2)))])
+    assert canonical(a, b) == pytest.approx(1.0, abs=1e-9)
+    assert canonical(a, c) < 0.3
+    assert explained_together(sp, a, b) == pytest.approx(a.explained, rel=1e-6)
+    assert explained_together(sp, a, c) > a.explained
