@@ -19,7 +19,13 @@ EFFECT = Effect(
     family="base_tilt",
     acts={"base_twist": tilt},
     parameters=tuple(
-        Parameter(name, "rad/Nm", 1e-7, meaning=f"tilt of the base about {a} by moment about {b}")
+        Parameter(
+            name,
+            "rad/Nm",
+            1e-7,
+            bounds=(-5e-6 if name == "cxy" else 0.0, 5e-6),
+            meaning=f"tilt of the base about {a} by moment about {b}",
+        )
         for name, a, b in (("cxx", "x", "x"), ("cxy", "x and y", "y and x"), ("cyy", "y", "y"))
     ),
     needs=("base_moment",),

@@ -23,7 +23,7 @@ EFFECT = Effect(
     name="link_bending",
     family="link_bending",
     acts={"link_twist": bending},
-    parameters=(Parameter("f", "1/(N m^2)", 2e-7, "link", meaning="flexibility of the link, 1/(E I)"),),
+    parameters=(Parameter("f", "1/(N m^2)", 2e-7, "link", (0.0, 1e-6), "flexibility of the link, 1/(E I)"),),
     needs=("link_force", "link_moment"),
     stages=("poses",),
     equation="w = (M L + F L^2/2)/(E I), v = (M L^2/2 + F L^3/3)/(E I)",
