@@ -16,7 +16,7 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 __all__ = ["Floor", "StageErrors", "cross_validated", "noise_floor", "predicted", "stage_errors"]
 
 FOLDS = 5
-QUIET_S = 5.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
+QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
 QUIET_ROWS = 6  # the same for sweeps of single steps
 SAME_TEMPERATURE_K = 0.5
 ENOUGH_RETURNS = 30  # degrees of freedom (7 % of a sigma) below which the maker knows better than replicates

@@ -11,7 +11,7 @@ from scipy import optimize, stats
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, rms_of, size_of
 from clampid.diagnosis.candidates import named_candidates
-from clampid.diagnosis.confirm import held_out_p, probe_held_out_p, stability
+from clampid.diagnosis.confirm import cross_fitted_p, held_out_p, probe_held_out_p, stability
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import (
     Flips,
@@ -40,6 +40,7 @@ SAME = 20.0  # explained beyond another candidate less than this: these data can
 CONFUSABLE, ALIASED = 0.8, 0.999
 STABLE = 0.6
 STANDS_IN = 0.9
+FAR_OFF = 2.0  # noise floors: so much is not noise, even if the instrument's maker was an optimist
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
 ABLE = ("testable", "weak")
 ROUNDS = 8
@@ -159,10 +160,9 @@ def diagnose_stage(
         fitted, held = trial, new
         result.after = held.rms
     result.considered = refused + _considered(look.named, look.named_null)
-    if result.verdict != "ambiguous" and _something_left(look, fitted.estimate, verification, seed):
-        result.verdict = "unknown"
-        result.depends_on = _variables(look)
-        result.considered = _stand_ins(result.considered, look) + _considered(look.free, look.free_null, 5)
+    excess = result.after > FAR_OFF * result.noise_floor
+    if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
+        _unknown(result, look)
     result.candidates = _merged(result.candidates)
     result.omission = _omission(first, fitted.estimate)
     result.fitted = fitted
@@ -179,6 +179,13 @@ def _undecided(
         entry = _entry(s, look.named_null, effects, before, None, rivals=rivals)
         result.candidates.append({**entry, "alternative": True})
     result.next_measurement = separating_measurement(s.candidate.family for s in rivals)
+
+
+def _unknown(result: StageDiagnosis, look: _Look) -> None:
+    """Set down that something is left which no name explains, and on what it depends."""
+    result.verdict = "unknown"
+    result.depends_on = _variables(look)
+    result.considered = _stand_ins(result.considered, look) + _considered(look.free, look.free_null, 5)
 
 
 @dataclass(frozen=True)
@@ -227,7 +234,7 @@ def _something_left(look: _Look, estimate: Estimate, verification: Rows | None, 
     if not look.fires or look.probe is None or stability(look.space, look.free, look.probe, look.folds, seed) < STABLE:
         return False
     if verification is None:
-        return True
+        return cross_fitted_p(estimate, look.probe, seed) <= HELD_OUT_RATE
     return probe_held_out_p(estimate, verification, look.probe.candidate.label, seed) <= HELD_OUT_RATE
 
 

@@ -23,7 +23,7 @@ EFFECT = Effect(
             name,
             "rad/Nm",
             1e-7,
-            bounds=(-5e-6 if name == "cxy" else 0.0, 5e-6),
+            bounds=(-5e-5 if name == "cxy" else 0.0, 5e-5),
             meaning=f"tilt of the base about {a} by moment about {b}",
         )
         for name, a, b in (("cxx", "x", "x"), ("cxy", "x and y", "y and x"), ("cyy", "y", "y"))
