@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clampid.diagnosis.stage import StageDiagnosis, diagnose_stage
-from clampid.effect import Stage
+from clampid.effect import Effect, Stage
 from clampid.identify import TABLES_OF, FittedStage, fit_stage
 from clampid.model import Model
 from clampid.reopen import Reopened, reopen
@@ -67,4 +67,21 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
         return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage))
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
-    return diagnose_stage(fitted, dict(opened.effects), refit, verification, seed, flips)
+    return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+
+
+def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
+    """The effects that a stage looks for.
+
+    What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one that
+    these did not call for: a spring on a joint bends the arm just as an eccentric gear does.
+    """
+    effects = dict(opened.effects)
+    if stage != "poses" or not any(t in opened.campaign.tables for t in TABLES_OF["free_air"]):
+        return effects
+    known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}
+    return {
+        name: e
+        for name, e in effects.items()
+        if set(e.acts) != {"joint_torque"} or "free_air" not in e.stages or name in known
+    }

@@ -275,7 +275,10 @@ def _rivals(space: Space, named: Sequence[Scored], best: Scored, rejected: set[s
             continue
         if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
             found.setdefault((other.candidate.name, other.candidate.places), other)
-    return list(found.values())[:4]
+    kept = [
+        s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
+    ]
+    return kept[:4]
 
 
 def _pruned(

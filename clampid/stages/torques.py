@@ -23,7 +23,7 @@ __all__ = ["residual", "torque_rows"]
 
 FIFTHS = 5  # a log of one run is held out by contiguous fifths
 CLEAR_MOTION = 0.02  # of the top speed of the log
-STEADY = 0.3  # of the log's largest acceleration of a joint
+STEADY = 0.15  # of the log's largest acceleration of a joint
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
