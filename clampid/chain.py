@@ -57,6 +57,8 @@ class Deviations:
         ``(nonzeros,)``: which entry of S and which parameter each column of ``partials`` belongs to.
     by_torque
         ``(N, S, n)``: d values / d joint torque, in the stage ``clamped``; else None.
+    pressing
+        ``(N, n)``: in ``poses``, where an effect reads flanks, the torque whose sign is the flank, Nm; else None.
     """
 
     values: Array
@@ -64,6 +66,7 @@ class Deviations:
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
     by_torque: Array | None
+    pressing: Array | None
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,13 @@ class Chain:
         by_torque = None
         if self.stage == "clamped":
             by_torque = out[2].reshape(count, -1, out[0].shape[1]).transpose(0, 2, 1)
-        return Deviations(out[0], out[1], self.station, self.parameter, by_torque)
+        pressing = out[2] if self.stage == "poses" and len(out) > 2 else None
+        return Deviations(out[0], out[1], self.station, self.parameter, by_torque, pressing)
+
+    @property
+    def reads_flanks(self) -> bool:
+        """Whether the pose stage's flanks matter to any effect."""
+        return self.stage == "poses" and any(name == "flank" for name, _ in self.signals)
 
 
 class _Blocks:
@@ -193,6 +202,9 @@ def build_chain(
     outputs = [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)]
     if stage == "clamped":
         outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
+    elif "flank" in row.flats:
+        # A joint without load rests on the side it came from; any load beyond that decides the flank.
+        outputs.append(ca.densify(row.offered["torque"] + row.recorded("rest_direction")))
     function = ca.Function("deviations", [theta, ca.vertcat(*row.flats.values())], outputs)
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
     return Chain(stage, tuple(slots), offsets, widths, _Blocks(function), station_of, parameter_of)
@@ -249,9 +261,6 @@ def _offer_torque(row: _Row, stage: Stage, active: Sequence[Effect]) -> None:
         if stage == "free_air":  # friction acts on the load, not on itself
             load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
         row.offered["torque"] = row.recorded("gravity_torque") + row.total("joint_torque", load)
-        if stage == "poses":
-            # A joint without load rests on the side it came from; any load beyond that decides the flank.
-            row.offered["flank"] = ca.sign(row.offered["torque"] + row.recorded("rest_direction"))
 
 
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:

@@ -73,8 +73,8 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
 def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
     """The effects that a stage looks for.
 
-    What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one that
-    these did not call for: a spring on a joint bends the arm just as an eccentric gear does.
+    What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one
+    that these did not call for: a spring on a joint bends the arm just as an eccentric gear does.
     """
     effects = dict(opened.effects)
     if stage != "poses" or not any(t in opened.campaign.tables for t in TABLES_OF["free_air"]):

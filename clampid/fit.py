@@ -21,6 +21,7 @@ OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
+FLANK_ROUNDS = 8
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
@@ -149,11 +150,27 @@ class _Point:
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
     """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
 
+    The flanks on which gears rest jump with the loads, and the loads depend on free parameters: flanks are held in each
+    search and follow between searches, until they stay.
+
     Raises
     ------
     FitError
         The model gives no finite prediction.
     """
+    held = experiment.with_flanks(theta)
+    estimate = _search(held, theta, noise, precision, mean)
+    for _ in range(FLANK_ROUNDS):
+        moved = experiment.with_flanks(estimate.theta)
+        if moved is experiment or np.array_equal(moved.rows.signals["flank"], held.rows.signals["flank"]):
+            break
+        held = moved
+        estimate = _search(held, estimate.theta, noise, precision, mean)
+    return replace(estimate, experiment=experiment)
+
+
+def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
+    """Damped Gauss-Newton with flanks held."""
     size = experiment.sizes()
     lower, upper = experiment.bounds()
     bounded = experiment.shapes() | (experiment.stage == "clamped")

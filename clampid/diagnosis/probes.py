@@ -60,7 +60,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     experiment = estimate.experiment
     rows, n = experiment.rows, experiment.rows.robot.n
     theta = estimate.theta[: len(experiment.slots)]
-    deviations = experiment.chain.evaluate(theta, rows.signals)
+    deviations = poses.evaluate(rows, experiment.chain, theta)
     _, _, sensitivity = poses.predict(rows, deviations, experiment.chain.offsets)
     width = rows.measured.shape[1]
     offsets = experiment.chain.offsets

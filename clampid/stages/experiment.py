@@ -58,6 +58,15 @@ class Experiment:
         """The same effects on other rows of the same layout."""
         return replace(self, rows=rows)
 
+    def with_flanks(self, theta: Array) -> Experiment:
+        """The same with the flanks held where these parameters put them; only poses have any."""
+        if self.stage != "poses":
+            return self
+        found = poses.flanks(self.rows, self.chain, theta[: len(self.slots)])
+        if found is None:
+            return self
+        return replace(self, rows=replace(self.rows, signals={**self.rows.signals, "flank": found}))
+
     def with_slots(self, slots: Sequence[Slot]) -> Experiment:
         """The same rows with other slots active."""
         return experiment(self.rows, self.effects, slots)

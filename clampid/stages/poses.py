@@ -18,7 +18,7 @@ from clampid.chain import Chain, Deviations
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import cayley, cayley_left_jacobian, exp_se3, hat3, log_so3
 
-__all__ = ["link_points", "link_vectors", "predict", "residual"]
+__all__ = ["evaluate", "flanks", "link_points", "link_vectors", "predict", "residual"]
 
 
 def link_points(robot: Any) -> Array:
@@ -82,9 +82,26 @@ def predict(rows: Rows, deviations: Deviations, offsets: Mapping[str, slice]) ->
     return position + s[:, offsets["measurement"]], rotation, sensitivity
 
 
+def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
+    """Sides on which the torques press at these parameters ``(N, n)``, or None if no effect asks."""
+    if not chain.reads_flanks:
+        return None
+    open_ = {**rows.signals, "flank": np.zeros((len(rows), rows.robot.n))}
+    pressing = chain.evaluate(theta, open_).pressing
+    return None if pressing is None else np.sign(pressing)
+
+
+def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
+    """Deviations at the flanks that the rows come with, or else at those that these parameters give."""
+    if chain.reads_flanks and "flank" not in rows.signals:
+        found = flanks(rows, chain, theta)
+        return chain.evaluate(theta, {**rows.signals, "flank": found} if found is not None else rows.signals)
+    return chain.evaluate(theta, rows.signals)
+
+
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
     """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m = 6 with rotations."""
-    deviations = chain.evaluate(theta, rows.signals)
+    deviations = evaluate(rows, chain, theta)
     position, rotation, sensitivity = predict(rows, deviations, chain.offsets)
     width = rows.measured.shape[1]
     error = np.empty((len(rows), width))
