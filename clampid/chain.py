@@ -65,8 +65,8 @@ class Deviations:
     partials: Array
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
-    by_torque: Array | None
-    pressing: Array | None
+    by_torque: Array | None = None
+    pressing: Array | None = None
 
 
 @dataclass(frozen=True)

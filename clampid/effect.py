@@ -159,6 +159,8 @@ class Effect:
         Keys of ``appendix_data/sources.bib``.
     at
         Name of the place of an effect that has just one, such as ``base``.
+    beyond
+        An effect that this one refines: diagnosis looks for it only where that one is active.
     coupled_only
         Stages in which it can sit only at joints that the transmission couples with others.
     tried
@@ -175,6 +177,7 @@ class Effect:
     source: tuple[str, ...]
     at: str = "robot"
     coupled_only: tuple[Stage, ...] = ()
+    beyond: str | None = None
     tried: Literal["places", "together", "both"] = "both"
     meaning: str = field(default="")
 

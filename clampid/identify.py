@@ -65,8 +65,8 @@ def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
 def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
     """The standard set for the tables present.
 
-    Poses alone, without a torque log to say what the links weigh, get geometry, and backlash where approach directions
-    were recorded; everything else is for diagnosis to find.
+    Poses alone get geometry, the drives' springs where the description says what the links weigh, and backlash where
+    approach directions were recorded; everything else is for diagnosis to find.
     """
     found = stages_of(campaigns)
     names: dict[Stage, tuple[str, ...]] = {
@@ -78,7 +78,8 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         n = campaigns[0].robot.n
         columns = [f"dir{i + 1}" for i in range(n)]
         directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
-        names["poses"] = ("geometry", "backlash") if directed else ("geometry",)
+        springs = ("joint_compliance",) if campaigns[0].robot.has_masses else ()
+        names["poses"] = ("geometry", *springs, "backlash") if directed else ("geometry", *springs)
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
 

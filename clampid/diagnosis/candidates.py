@@ -66,6 +66,8 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     for effect in effects.values():
         if estimate.experiment.stage not in effect.stages:
             continue
+        if effect.beyond is not None and not any(name == effect.beyond for name, _ in active):
+            continue
         if effect.tried == "together" or effect.per == "robot":
             if not any(name == effect.name for name, _ in active):
                 out.append(Term(effect.name, None if effect.per != "robot" else effect.at))

@@ -29,4 +29,5 @@ EFFECT = Effect(
     equation="dq = -T' X T tau, X_(i-1,i) = X_(i,i-1) = x_i",
     source=("Thesis", "Klimchik"),
     tried="places",
+    beyond="joint_compliance",
 )

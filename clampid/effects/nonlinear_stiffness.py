@@ -24,4 +24,5 @@ EFFECT = Effect(
     stages=("clamped", "poses"),
     equation="d theta_m = tau_m/k + h tau_m^3",
     source=("Klimchik",),
+    beyond="joint_compliance",
 )

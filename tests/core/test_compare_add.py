@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import Simulated
 
 from clampid.add import add
 from clampid.compare import compare
@@ -14,6 +14,8 @@ from clampid.effect import EffectError
 from clampid.identify import identify
 from clampid.model import Model, ModelError
 from experiments.campaign import Campaign
+
+Simulated = Callable[..., Campaign]
 
 POSES = ("poses", "verification")
 STANDARD = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction")
@@ -132,10 +134,6 @@ def test_add_the_true_effect(eccentric: Campaign, eccentric_model: Model):
     assert compared == pytest.approx(stage["heldout_rms_after"], rel=1e-3)
 
 
-@pytest.mark.xfail(
-    reason="flanks jump with free masses where arm-side friction is not: every step is refused, the fit stands still",
-    strict=True,
-)
 def test_add_moves_where_flanks_follow_free_masses(eccentric: Campaign):
     model = identify(eccentric, {"poses": ("geometry", "joint_compliance", "backlash", "gravity")}, holdout=0.2, seed=1)
     _, addition = add(model, eccentric, ["gear_eccentricity@joint3"])

@@ -105,7 +105,8 @@ def test_vanishes_without_amplitude(name: str, stage: Stage, few_rows: dict[Stag
         for k, slot in enumerate(trial.slots):
             grid = find_parameter(slot, EFFECTS).grid
             theta[k] = grid[min(level, len(grid) - 1)] if grid else 0.0
-        values = trial.chain.evaluate(theta, rows.signals, torque if stage == "clamped" else None).values
+        signals = {**rows.signals, "flank": rows.signals["motor_motion"]}
+        values = trial.chain.evaluate(theta, signals, torque if stage == "clamped" else None).values
         np.testing.assert_array_equal(values, 0.0)
 
 

@@ -6,11 +6,10 @@ The virtual robot shares no code with the effects. A case is an effect, where th
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
-from conftest import Simulated
 
 from clampid.add import add
 from clampid.catalogue import catalogue
@@ -21,6 +20,8 @@ from clampid.identify import identify
 from clampid.model import Model
 from experiments.campaign import Campaign
 from experiments.simulate import hidden_file
+
+Simulated = Callable[..., Campaign]
 
 TORQUES = ("free_air", "wrist")
 POSES = ("poses", "verification")

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Simulated
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clampid.identify import identify
 from clampid.model import FORMAT, Model, ModelError, load_model, save_model, write_text
+from experiments.campaign import Campaign
+
+Simulated = Callable[..., Campaign]
 
 
 @pytest.fixture(scope="module")
