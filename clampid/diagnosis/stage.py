@@ -246,11 +246,12 @@ def _best(scored: Sequence[Scored]) -> Scored | None:
 def _plausible(s: Scored, effects: Mapping[str, Effect], scale: float) -> bool:
     """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
     value = s.weights @ s.amplitude
-    spread = scale * np.sqrt(np.sum(s.weights**2, axis=1))
+    spread = SURE * scale * np.sqrt(np.sum(s.weights**2, axis=1))
+    alone = len(s.candidate.terms) < 2  # of several places, one step from zero may put a few on the wrong side
     for slot, v, sd in zip(s.candidate.slots, value, spread, strict=True):
         parameter = find_parameter(slot, effects)
         lower, upper = parameter.bounds
-        if abs(v) - SURE * sd > IMPOSSIBLE * parameter.size or v + SURE * sd < lower or v - SURE * sd > upper:
+        if abs(v) - sd > IMPOSSIBLE * parameter.size or (alone and (v + sd < lower or v - sd > upper)):
             return False
     return True
 
