@@ -14,13 +14,12 @@ from clampid.catalogue import with_user_effects
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.identify import FittedStage, fit_stage, session_of, stage_rows, stages_of
+from clampid.identify import FittedStage, fit_stage, session_of, stage_rows, stages_of, verification_rows
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, Round, StageModel
 from clampid.reopen import reopen
 from clampid.slots import Layout, Term, find_parameter, parse_term
-from clampid.stages.pose_rows import pose_rows
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -109,7 +108,7 @@ def add(
         new = (
             fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held) if new_terms else old
         )
-        verification = _verification(several, layout, stage, new.base_reference)
+        verification = verification_rows(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
         references |= new.base_reference
         mended[stage] = new.model
@@ -218,11 +217,3 @@ def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Ef
         ]
         out.append({"effect": effects[name].family, "name": name, "where": places, "parameters": parameters})
     return tuple(out)
-
-
-def _verification(
-    campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
-) -> Rows | None:
-    if stage != "poses" or not any("verification" in c.tables for c in campaigns):
-        return None
-    return pose_rows(campaigns, layout, "verification", base)

@@ -35,6 +35,7 @@ __all__ = [
     "stage_rows",
     "stages_of",
     "standard_effects",
+    "verification_rows",
 ]
 
 TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
@@ -264,7 +265,7 @@ def identify(
         fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
         stages[stage] = fitted.model
         reference |= fitted.base_reference
-        verification = _verification(several, layout, stage, fitted.base_reference)
+        verification = verification_rows(several, layout, stage, fitted.base_reference)
         errors = stage_errors(fitted.estimate, rows, held, verification, seed)
         labels = tuple(t.label for t in wanted)
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor))
@@ -273,9 +274,10 @@ def identify(
     return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path)
 
 
-def _verification(
+def verification_rows(
     campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
 ) -> Rows | None:
+    """The rows of the table verification of the pose stage, or None where there is none."""
     if stage != "poses" or not any("verification" in c.tables for c in campaigns):
         return None
     return pose_rows(campaigns, layout, "verification", base)
