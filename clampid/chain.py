@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from clampid.compiled import Blocks
 from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
 from clampid.slots import Layout, Slot
 
@@ -31,7 +32,6 @@ OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
 """The stations whose deviations a stage's measurement sees."""
 
 MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
-BLOCK = 256  # rows evaluated at once
 _INTERNAL: Mapping[str, tuple[str | int, ...]] = {
     "gravity_torque": ("n",),
     "rest_direction": ("n",),
@@ -83,7 +83,7 @@ class Chain:
     slots: tuple[Slot, ...]
     offsets: Mapping[str, slice]
     signals: tuple[tuple[str, int], ...]
-    function: _Blocks
+    function: Blocks
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
 
@@ -96,8 +96,7 @@ class Chain:
             if values is None:
                 raise ValueError("the chain of the stage clamped needs the joint torques it is to be evaluated at")
             columns.append(np.reshape(values, (count, width)))
-        rows = np.concatenate(columns, axis=1) if columns else np.zeros((count, 0))
-        out = self.function(theta, rows)
+        out = self.function(theta, *(columns or [np.zeros((count, 0))]))
         by_torque = None
         if self.stage == "clamped":
             by_torque = out[2].reshape(count, -1, out[0].shape[1]).transpose(0, 2, 1)
@@ -108,35 +107,6 @@ class Chain:
     def reads_flanks(self) -> bool:
         """Whether the pose stage's flanks matter to any effect."""
         return self.stage == "poses" and any(name == "flank" for name, _ in self.signals)
-
-
-class _Blocks:
-    """A function evaluated over blocks of rows through casadi's buffers: one crossing into casadi per block."""
-
-    def __init__(self, function: Any) -> None:
-        mapped = function.map("rows", "serial", BLOCK, [0], [])
-        self.theta = np.zeros(function.nnz_in(0))
-        self.rows = np.zeros((BLOCK, function.nnz_in(1)))
-        self.out = [np.zeros((BLOCK, function.nnz_out(i))) for i in range(function.n_out())]
-        self.buffer, self.trigger = mapped.buffer()
-        for i, array in enumerate((self.theta, self.rows)):
-            if array.size:
-                self.buffer.set_arg(i, array.data)
-        for i, array in enumerate(self.out):
-            if array.size:
-                self.buffer.set_res(i, array.data)
-
-    def __call__(self, theta: Array, rows: Array) -> list[Array]:
-        count = len(rows)
-        results = [np.empty((count, o.shape[1])) for o in self.out]
-        self.theta[:] = theta
-        for start in range(0, count, BLOCK):
-            stop = min(start + BLOCK, count)
-            self.rows[: stop - start] = rows[start:stop]
-            self.trigger()
-            for result, o in zip(results, self.out, strict=True):
-                result[start:stop] = o[: stop - start]
-        return results
 
 
 def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
@@ -207,7 +177,7 @@ def build_chain(
         outputs.append(ca.densify(row.offered["torque"] + row.recorded("rest_direction")))
     function = ca.Function("deviations", [theta, ca.vertcat(*row.flats.values())], outputs)
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
-    return Chain(stage, tuple(slots), offsets, widths, _Blocks(function), station_of, parameter_of)
+    return Chain(stage, tuple(slots), offsets, widths, Blocks(function), station_of, parameter_of)
 
 
 class _Row:

@@ -23,7 +23,7 @@ import numpy as np
 
 from clampid.model import Model, ModelError, write_text
 from clampid.slots import Slot
-from clampid.stages.poses import link_points
+from clampid.stages.pose_kernel import link_points
 from clampid.stages.rows import Array
 from kinematics.description import load_robot
 from kinematics.dh import Convention, DHRow, DHTable

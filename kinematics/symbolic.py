@@ -12,7 +12,61 @@ import numpy.typing as npt
 
 from kinematics.screws import hat3
 
-__all__ = ["exponential_sx", "forward_sx"]
+__all__ = ["cayley_left_jacobian_sx", "cayley_sx", "exponential_sx", "forward_sx", "hat_sx"]
+
+
+def hat_sx(w: Any) -> Any:
+    """
+    Give the matrix of the cross product with a symbolic vector.
+
+    Parameters
+    ----------
+    w
+        Column of 3 casadi expressions.
+
+    Returns
+    -------
+    casadi expression
+        Matrix (3, 3), sparse on its diagonal. Source: Lynch & Park, Modern Robotics, definition 3.7.
+    """
+    return ca.vertcat(ca.horzcat(0, -w[2], w[1]), ca.horzcat(w[2], 0, -w[0]), ca.horzcat(-w[1], w[0], 0))
+
+
+def cayley_sx(w: Any) -> Any:
+    """
+    Give `kinematics.screws.cayley` of a symbolic vector.
+
+    Parameters
+    ----------
+    w
+        Column of 3 casadi expressions [rad, for small angles].
+
+    Returns
+    -------
+    casadi expression
+        Rotation (3, 3). Source: Cayley's formula; Lynch & Park, Modern Robotics, appendix B.
+    """
+    r = w / 2
+    H = hat_sx(r)
+    return ca.SX.eye(3) + 2 / (1 + ca.dot(r, r)) * (H + H @ H)
+
+
+def cayley_left_jacobian_sx(w: Any) -> Any:
+    """
+    Give `kinematics.screws.cayley_left_jacobian` of a symbolic vector.
+
+    Parameters
+    ----------
+    w
+        Column of 3 casadi expressions [rad, for small angles].
+
+    Returns
+    -------
+    casadi expression
+        Matrix (3, 3). Source: as `kinematics.screws.cayley_left_jacobian`.
+    """
+    r = w / 2
+    return (ca.SX.eye(3) + hat_sx(r)) / (1 + ca.dot(r, r))
 
 
 def exponential_sx(screw: npt.ArrayLike, q: Any) -> Any:
@@ -36,11 +90,13 @@ def exponential_sx(screw: npt.ArrayLike, q: Any) -> Any:
     M = np.zeros((4, 4))
     M[:3, :3], M[:3, 3] = hat3(S[:3]), S[3:]
     length = float(np.linalg.norm(S[:3]))
+    # Sparse where a screw has zeros, so that they cost nothing in the compiled expression.
+    powers = [ca.sparsify(ca.DM(np.linalg.matrix_power(M, k))) for k in range(4)]
     if length == 0.0:
-        return ca.DM(np.eye(4)) + q * ca.DM(M)
+        return powers[0] + q * powers[1]
     angle = length * q
     second, third = (1 - ca.cos(angle)) / length**2, (angle - ca.sin(angle)) / length**3
-    return ca.DM(np.eye(4)) + q * ca.DM(M) + second * ca.DM(M @ M) + third * ca.DM(M @ M @ M)
+    return powers[0] + q * powers[1] + second * powers[2] + third * powers[3]
 
 
 def forward_sx(screws: npt.ArrayLike, home: npt.ArrayLike, q: Any) -> Any:

@@ -61,7 +61,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     rows, n = experiment.rows, experiment.rows.robot.n
     theta = estimate.theta[: len(experiment.slots)]
     deviations = poses.evaluate(rows, experiment.chain, theta)
-    _, _, sensitivity = poses.predict(rows, deviations, experiment.chain.offsets)
+    _, _, sensitivity = poses.predict(rows, deviations)
     width = rows.measured.shape[1]
     offsets = experiment.chain.offsets
     s = rows.signals

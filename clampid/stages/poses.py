@@ -9,21 +9,18 @@ X_0 is a constant guess of where the instrument sees the base; M_0 and M_i come 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from clampid.chain import Chain, Deviations
+from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
-from kinematics.screws import cayley, cayley_left_jacobian, exp_se3, hat3, log_so3
+from kinematics.screws import log_so3
 
-__all__ = ["evaluate", "flanks", "link_points", "link_vectors", "predict", "residual"]
+__all__ = ["evaluate", "flanks", "link_vectors", "predict", "residual"]
 
-
-def link_points(robot: Any) -> Array:
-    """Where each link's far end is at the zero pose ``(n, 3)``: the next joint's point; at last the flange."""
-    return np.array([*(joint.point for joint in robot.joints[1:]), robot.flange[:3, 3]])
+_NOTHING = np.zeros(0)
 
 
 def link_vectors(robot: Any) -> Array:
@@ -31,7 +28,7 @@ def link_vectors(robot: Any) -> Array:
     return np.asarray(link_points(robot) - np.array([joint.point for joint in robot.joints]))
 
 
-def predict(rows: Rows, deviations: Deviations, offsets: Mapping[str, slice]) -> tuple[Array, Array, Array]:
+def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
     """Positions and orientations, and what a deviation at each station does to them.
 
     Returns
@@ -43,43 +40,16 @@ def predict(rows: Rows, deviations: Deviations, offsets: Mapping[str, slice]) ->
     sensitivity
         ``(N, 6, S)``: d (position, rotation vector) / d station entries, instrument frame.
     """
-    robot, s = rows.robot, deviations.values
-    count, n = len(rows), robot.n
-    screws, points = np.asarray(robot.screws), link_points(robot)
-    q = rows.signals["q"] @ np.asarray(robot.linkage).T + s[:, offsets["joint_angle"]]
-    base = s[:, offsets["base_twist"]]
-    links = s[:, offsets["link_twist"]].reshape(count, n, 6)
-    target = rows.constants["target"] + s[:, offsets["target_shift"]]
-    # Forward, remembering what every deviation's frame is.
-    R, p = _compose(*_split(rows.constants["base_reference"]), np.zeros(3), base)
-    frames = [(_split(rows.constants["base_reference"])[0], p, base)]
-    joints = []
-    for i in range(n):
-        joints.append((R, p))
-        E = exp_se3(screws[i] * q[:, i, None])
-        R, p = R @ E[:, :3, :3], p + np.einsum("nij,nj->ni", R, E[:, :3, 3])
-        before = R
-        R, p = _compose(R, p, points[i], links[:, i])
-        frames.append((before, p + np.einsum("nij,j->ni", R, points[i]), links[:, i]))
-    end = robot.flange[:3, :3] @ target[:, :, None]
-    position = p + np.einsum("nij,nj->ni", R, end[:, :, 0] + robot.flange[:3, 3])
-    rotation = R @ robot.flange[:3, :3]
-    sensitivity = np.zeros((count, 6, s.shape[1]))
-    for i, (Rj, pj) in enumerate(joints):
-        w = np.einsum("nij,j->ni", Rj, screws[i, :3])
-        v = np.einsum("nij,j->ni", Rj, screws[i, 3:])
-        column = offsets["joint_angle"].start + i
-        sensitivity[:, :3, column] = np.cross(w, position - pj) + v
-        sensitivity[:, 3:, column] = w
-    starts = [offsets["base_twist"].start, *(offsets["link_twist"].start + 6 * i for i in range(n))]
-    for start, (before, pivot, twist) in zip(starts, frames, strict=True):
-        turn = before @ cayley_left_jacobian(twist[:, :3])
-        sensitivity[:, :3, start : start + 3] = -hat3(position - pivot) @ turn
-        sensitivity[:, 3:, start : start + 3] = turn
-        sensitivity[:, :3, start + 3 : start + 6] = before
-    sensitivity[:, :3, offsets["target_shift"]] = rotation
-    sensitivity[:, :3, offsets["measurement"]] = np.eye(3)
-    return position + s[:, offsets["measurement"]], rotation, sensitivity
+    reference = rows.constants["base_reference"]
+    position, rotation, sensitivity = kernel(rows.robot)(
+        _NOTHING,
+        rows.signals["q"],
+        reference[:, :3, :3].reshape(-1, 9),
+        reference[:, :3, 3],
+        rows.constants["target"],
+        deviations.values,
+    )
+    return position, rotation.reshape(-1, 3, 3), sensitivity.reshape(len(rows), 6, -1)
 
 
 def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
@@ -102,24 +72,26 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
     """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m = 6 with rotations."""
     deviations = evaluate(rows, chain, theta)
-    position, rotation, sensitivity = predict(rows, deviations, chain.offsets)
+    position, rotation, sensitivity = predict(rows, deviations)
     width = rows.measured.shape[1]
     error = np.empty((len(rows), width))
     error[:, :3] = rows.measured[:, :3] - position
     if width == 6:
         error[:, 3:] = log_so3(rows.constants["rotation"] @ np.swapaxes(rotation, 1, 2))
-    jacobian = np.zeros((len(rows), width, len(chain.slots)))
-    for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
-        jacobian[:, :, parameter] += sensitivity[:, :width, station] * deviations.partials[:, k, None]
-    return error, jacobian
+    return error, _by_parameter(sensitivity[:, :width], deviations, len(chain.slots))
 
 
-def _split(transform: Array) -> tuple[Array, Array]:
-    return transform[:, :3, :3], transform[:, :3, 3]
-
-
-def _compose(R: Array, p: Array, pivot: Array, twist: Array) -> tuple[Array, Array]:
-    """(R, p) followed by a small motion about ``pivot``: x -> pivot + v + C(w)(x - pivot)."""
-    C = cayley(twist[:, :3])
-    moved = pivot + twist[:, 3:] - np.einsum("nij,j->ni", C, pivot)
-    return R @ C, p + np.einsum("nij,nj->ni", R, moved)
+def _by_parameter(sensitivity: Array, deviations: Deviations, count: int) -> Array:
+    """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves."""
+    order = np.argsort(deviations.parameter, kind="stable")
+    parameter = deviations.parameter[order]
+    # One product per (station, parameter); with parameters together, sums are over neighbours.
+    products = sensitivity[:, :, deviations.station[order]]
+    products *= deviations.partials[:, None, order]
+    present, first = np.unique(parameter, return_index=True)
+    if len(present) == count == len(parameter):
+        return np.asarray(products)
+    jacobian = np.zeros((*sensitivity.shape[:2], count))
+    if len(present):
+        jacobian[:, :, present] = np.add.reduceat(products, first, axis=2)
+    return jacobian

@@ -73,14 +73,14 @@ def _deviations(rows: Rows, values: np.ndarray) -> Deviations:
     return Deviations(values, np.zeros((len(rows), 0)), nothing, nothing, None)
 
 
-def _offsets(rows: Rows) -> tuple[dict[str, slice], int]:
+def _width(rows: Rows) -> int:
     chain = experiment(rows, catalogue(), (Slot("geometry", "x", "link1"),)).chain
-    return dict(chain.offsets), max(s.stop for s in chain.offsets.values())
+    return max(s.stop for s in chain.offsets.values())
 
 
 def test_without_deviations_it_is_the_nominal_robot(rows: Rows):
-    offsets, width = _offsets(rows)
-    position, rotation, _ = poses.predict(rows, _deviations(rows, np.zeros((len(rows), width))), offsets)
+    width = _width(rows)
+    position, rotation, _ = poses.predict(rows, _deviations(rows, np.zeros((len(rows), width))))
     X = rows.constants["base_reference"] @ forward(rows.robot.screws, rows.robot.flange, rows.signals["q"])
     target = np.c_[rows.constants["target"], np.ones(len(rows))]
     np.testing.assert_allclose(position, np.einsum("nij,nj->ni", X, target)[:, :3], atol=1e-12)
@@ -89,15 +89,15 @@ def test_without_deviations_it_is_the_nominal_robot(rows: Rows):
 
 @pytest.mark.parametrize("size", [0.0, 1e-3, 0.2])
 def test_sensitivities_are_differences(rows: Rows, size: float):
-    offsets, width = _offsets(rows)
+    width = _width(rows)
     rng = np.random.default_rng(7)
     values = size * rng.standard_normal((len(rows), width))
-    *_, sensitivity = poses.predict(rows, _deviations(rows, values), offsets)
+    *_, sensitivity = poses.predict(rows, _deviations(rows, values))
     step = 1e-5
     for k in range(width):
         shift = step * np.eye(width)[k]
-        p1, R1, _ = poses.predict(rows, _deviations(rows, values + shift), offsets)
-        p0, R0, _ = poses.predict(rows, _deviations(rows, values - shift), offsets)
+        p1, R1, _ = poses.predict(rows, _deviations(rows, values + shift))
+        p0, R0, _ = poses.predict(rows, _deviations(rows, values - shift))
         np.testing.assert_allclose((p1 - p0) / (2 * step), sensitivity[:, :3, k], atol=1e-8)
         turned = log_so3(R1 @ np.swapaxes(R0, 1, 2)) / (2 * step)
         np.testing.assert_allclose(turned, sensitivity[:, 3:, k], atol=1e-8)

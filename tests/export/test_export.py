@@ -49,7 +49,7 @@ def stage_prediction(model: Model, q: Array) -> Array:
         "poses", robot, model.layout, {"q": q}, np.zeros((count, 6)), none, none.astype(bool), index, index,
         index.astype(np.str_), index, index, constants,
     )  # fmt: skip
-    position, rotation, _ = predict(rows, Deviations(stations, none, index[:0], index[:0], None), offsets)
+    position, rotation, _ = predict(rows, Deviations(stations, none, index[:0], index[:0], None))
     out = np.zeros((count, 4, 4))
     out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = rotation, position, 1.0
     return out

@@ -1,0 +1,126 @@
+"""Functions of single rows run over whole blocks of rows, in compiled C where a C compiler is found.
+
+Without one they run in casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache
+folder under the hash of its source, so that each function is compiled once on a machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import platformdirs
+
+__all__ = ["Blocks", "compile_function", "compiler"]
+
+Array = npt.NDArray[np.float64]
+
+BLOCK = 256  # rows evaluated at once
+OPTIONS = ("-O2", "-fPIC", "-shared", "-std=c99")
+COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
+
+_log = logging.getLogger(__name__)
+
+
+class Blocks:
+    """A function of (parameters, row) over blocks of rows through casadi's buffers: one crossing per block."""
+
+    def __init__(self, function: Any) -> None:
+        mapped = function.map("rows", "serial", BLOCK, [0], [])
+        self.theta = np.zeros(function.nnz_in(0))
+        self.rows = np.zeros((BLOCK, function.nnz_in(1)))
+        self.out = [np.zeros((BLOCK, function.nnz_out(i))) for i in range(function.n_out())]
+        self.buffer, self.trigger = mapped.buffer()
+        for i, array in enumerate((self.theta, self.rows)):
+            if array.size:
+                self.buffer.set_arg(i, array.data)
+        for i, array in enumerate(self.out):
+            if array.size:
+                self.buffer.set_res(i, array.data)
+
+    def __call__(self, theta: Array, *columns: Array) -> list[Array]:
+        """Evaluate at ``theta`` for rows whose columns come in blocks ``(N, k)`` one beside the other."""
+        count = len(columns[0]) if columns else 0
+        results = [np.empty((count, o.shape[1])) for o in self.out]
+        self.theta[:] = theta
+        for start in range(0, count, BLOCK):
+            stop = min(start + BLOCK, count)
+            at = 0
+            for block in columns:
+                self.rows[: stop - start, at : at + block.shape[1]] = block[start:stop]
+                at += block.shape[1]
+            self.trigger()
+            for result, o in zip(results, self.out, strict=True):
+                result[start:stop] = o[: stop - start]
+        return results
+
+
+def compiler() -> list[str] | None:
+    """The command of the C compiler, or None where there is none.
+
+    It is ``$CC`` or ``cc``; ``CLAMPID_COMPILER`` goes before both, and ``CLAMPID_COMPILER=none`` means none.
+    """
+    asked = os.environ.get("CLAMPID_COMPILER") or os.environ.get("CC") or "cc"
+    command = shlex.split(asked)
+    if not command or asked == "none" or shutil.which(command[0]) is None:
+        return None
+    return command
+
+
+def compile_function(function: Any) -> Any:
+    """The same casadi function, compiled to C if that can be had; else the function itself.
+
+    Parameters
+    ----------
+    function
+        A ``casadi.Function`` without calls to anything that has no C source.
+    """
+    command = compiler()
+    if command is None:
+        return function
+    name = function.name()
+    generator = ca.CodeGenerator(name)
+    generator.add(function)
+    source = generator.dump()
+    key = hashlib.sha256("\0".join([ca.CasadiMeta.version(), *command, *OPTIONS, source]).encode()).hexdigest()[:24]
+    folder = Path(platformdirs.user_cache_dir("clampid", appauthor=False)) / "compiled"
+    library = folder / f"{name}-{key}.so"
+    try:
+        if not library.exists():
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            _build(command, source, library)
+        return ca.external(name, str(library))
+    except (OSError, subprocess.SubprocessError, RuntimeError) as error:
+        _log.info("%s runs uncompiled: %s", name, error)
+        return function
+
+
+def _build(command: list[str], source: str, library: Path) -> None:
+    """Compile beside the library's place and move it there whole, so that another process never loads half of it."""
+    with _scratch(library.parent) as folder:
+        (folder / "function.c").write_text(source, encoding="utf-8")
+        subprocess.run(
+            [*command, *OPTIONS, "-o", str(folder / "function.so"), str(folder / "function.c"), "-lm"],
+            check=True,
+            capture_output=True,
+            timeout=COMPILE_SECONDS,
+        )
+        (folder / "function.so").replace(library)
+
+
+@contextmanager
+def _scratch(parent: Path) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(dir=parent) as name:
+        yield Path(name)

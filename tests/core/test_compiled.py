@@ -1,0 +1,59 @@
+"""Compiled or not, functions give the same numbers; without a compiler, or with a broken one, nothing is lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from clampid.compiled import BLOCK, Blocks, compile_function, compiler
+
+
+def function() -> ca.Function:
+    theta, row = ca.SX.sym("theta", 2), ca.SX.sym("row", 3)
+    out = ca.vertcat(theta[0] * ca.sin(row[0]) + row[1] ** 3, ca.exp(theta[1] * row[2]))
+    return ca.Function("some", [theta, row], [out, ca.densify(ca.jacobian(out, theta))])
+
+
+def expected(theta: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.c_[theta[0] * np.sin(rows[:, 0]) + rows[:, 1] ** 3, np.exp(theta[1] * rows[:, 2])]
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("count", [1, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
+def test_every_row_of_every_block_is_evaluated(count: int):
+    rng = np.random.default_rng(count)
+    theta, rows = rng.normal(size=2), rng.normal(size=(count, 3))
+    value, jacobian = Blocks(function())(theta, rows[:, :1], rows[:, 1:])
+    np.testing.assert_allclose(value, expected(theta, rows), rtol=1e-14)
+    assert jacobian.shape == (count, 4)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+def test_compiled_once_it_gives_the_same_numbers(cache: Path):
+    rng = np.random.default_rng(0)
+    theta, rows = rng.normal(size=2), rng.normal(size=(300, 3))
+    fast = compile_function(function())
+    (library,) = cache.rglob("*.so")
+    made = library.stat().st_mtime_ns
+    again = compile_function(function())
+    assert library.stat().st_mtime_ns == made
+    assert [p for p in library.parent.iterdir() if p != library] == []
+    for f in (fast, again):
+        np.testing.assert_allclose(Blocks(f)(theta, rows)[0], expected(theta, rows), rtol=1e-13)
+
+
+@pytest.mark.parametrize("command", ["none", "no-such-compiler-anywhere", "false"])
+def test_without_a_working_compiler_it_runs_uncompiled(cache: Path, command: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CLAMPID_COMPILER", command)
+    f = compile_function(function())
+    assert not list(cache.rglob("*.so"))
+    theta, rows = np.ones(2), np.ones((4, 3))
+    np.testing.assert_allclose(Blocks(f)(theta, rows)[0], expected(theta, rows), rtol=1e-14)
