@@ -1,0 +1,25 @@
+"""What follows from a log without any model: speeds, states of motion, contiguous stretches, faults of its clock.
+
+Nothing here knows of effects or of a robot.
+"""
+
+from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows
+from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
+from experiments.signals.motion import held_sign, rest_threshold
+from experiments.signals.window import choose_window
+
+__all__ = [
+    "Gap",
+    "acceleration",
+    "accelerations",
+    "choose_window",
+    "differentiate",
+    "gaps",
+    "held_sign",
+    "irregularity",
+    "low_pass",
+    "rest_threshold",
+    "segments",
+    "speeds",
+    "stale_rows",
+]
