@@ -114,6 +114,7 @@ def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
         "n": layout.joints,
         "3n": 3 * layout.joints,
         "4n": 4 * layout.joints,
+        "6n": 6 * layout.joints,
         "m": len(layout.targets),
         "s": len(layout.sessions),
     }

@@ -61,6 +61,7 @@ SIGNALS: Mapping[str, Signal] = {
     "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
     "torque_rate": Signal(("n",), "Nm/s", "rate of the torque measured at the motors"),
     "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),
+    "link_inertia_regressor": Signal(("n", "6n"), "1/s^2", "d tau_joint / d (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) of links"),
     "tool_regressor": Signal(("n", 4), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of the tool, flange frame"),
     "base_moment": Signal((3,), "Nm", "moment of the weight of all that moves, about the base's origin, base frame"),
     "transverse_moment": Signal(("n", 3), "Nm", "moment across each joint's axis, base axes at the zero pose"),

@@ -22,7 +22,7 @@ from clampid.stages.clamped import clamped_rows
 from clampid.stages.experiment import experiment
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
-from clampid.stages.torques import torque_rows
+from clampid.stages.torques import steady_share, torque_rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
@@ -30,6 +30,7 @@ __all__ = [
     "TABLES_OF",
     "FittedStage",
     "fit_stage",
+    "has_inertia",
     "identify",
     "session_of",
     "stage_rows",
@@ -45,6 +46,7 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
 }
 SHARED = ("gravity", "payload", "wrist_coupling_friction", "joint_compliance", "backlash")
 """Effects whose values a later stage takes over as its start, or as its prior where the stage knew them for certain."""
+MOSTLY = 0.5  # of a log's motion
 AS_PRIOR = ("gravity", "wrist_coupling_friction")
 """Effects that enter the pose stage with their covariance from the torque stage: loads and flanks."""
 
@@ -67,7 +69,8 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     """The standard set for the tables present.
 
     Poses alone get geometry, the drives' springs where the description says what the links weigh, and backlash where
-    approach directions were recorded; everything else is for diagnosis to find.
+    approach directions were recorded. Logs whose motion is accelerated for the most part get inertia, because hardly
+    anything would be left of them without. Everything else is for diagnosis to find.
     """
     found = stages_of(campaigns)
     names: dict[Stage, tuple[str, ...]] = {
@@ -81,6 +84,8 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
         springs = ("joint_compliance",) if campaigns[0].robot.has_masses else ()
         names["poses"] = ("geometry", *springs, "backlash") if directed else ("geometry", *springs)
+    if "free_air" in found and min(steady_share(c) for c in campaigns) < MOSTLY:
+        names["free_air"] += ("inertia",)
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
 
@@ -90,15 +95,21 @@ def stage_rows(
     stage: Stage,
     base: Mapping[int, Array] | None = None,
     table: str = "poses",
+    accelerating: bool = False,
 ) -> Rows:
-    """The rows of a stage, or of the table ``verification``."""
+    """The rows of a stage, or of the table ``verification``; ``accelerating``: logs with their accelerations."""
     match stage:
         case "free_air":
-            return torque_rows(campaigns, layout)
+            return torque_rows(campaigns, layout, accelerating)
         case "clamped":
             return clamped_rows(campaigns, layout)
         case _:
             return pose_rows(campaigns, layout, table, base)
+
+
+def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
+    """Whether some terms explain torques of acceleration, so that such rows can be used."""
+    return any(t.effect in effects and effects[t.effect].family == "inertia" for t in terms)
 
 
 def resolve_terms(
@@ -260,7 +271,7 @@ def identify(
     ledger: list[Round] = []
     reference: dict[int, Array] = {}
     for stage, wanted in terms.items():
-        rows = stage_rows(several, layout, stage)
+        rows = stage_rows(several, layout, stage, accelerating=has_inertia(wanted, catalogue))
         held = held_out_folds(rows, holdout, seed)
         fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
         stages[stage] = fitted.model

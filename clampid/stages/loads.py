@@ -6,10 +6,12 @@ import numpy as np
 
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
+from kinematics.dynamics import inertial_parameters, inertial_regressor
 from kinematics.gravity import gravity_parameters, gravity_regressor
 from kinematics.poe import joint_transforms
+from kinematics.robot import RobotDescription
 
-__all__ = ["bearing_signals", "gravity_signals", "inertia_torque"]
+__all__ = ["bearing_signals", "gravity_signals", "inertia_torque", "inertial_signals"]
 
 
 def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
@@ -23,10 +25,7 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     Y = gravity_regressor(robot.screws, chain_q, campaign.gravity)
     # The linkage maps the controller's joints to the chain's, so that torques go the other way (power is conserved).
     Y = np.asarray(robot.linkage).T @ Y
-    to_base = np.eye(4)
-    to_base[1:, 0] = robot.flange[:3, 3]
-    to_base[1:, 1:] = robot.flange[:3, :3]
-    tool = Y[:, :, -4:] @ to_base
+    tool = Y[:, :, -4:] @ _flange_to_base(robot)
     declared = campaign.tool.mass * np.r_[1.0, campaign.tool.com]
     torque = tool @ declared
     if robot.has_masses:
@@ -99,47 +98,41 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     }
 
 
-def inertia_torque(campaign: Campaign, q: Array, speed: Array, acceleration: Array) -> Array:
-    """Joint torques ``(N, n)``, Nm, that described masses and declared tool need in motion, beyond gravity.
+def inertial_signals(campaign: Campaign, q: Array, speed: Array, acceleration: Array) -> dict[str, Array]:
+    """Regressors and nominal torque of motion ``(N, n)`` each, gravity left out.
 
-    Masses count as points at their centres (and with their inertia tensors where described): J' m a, J the Jacobian of
-    each centre of mass.
+    ``regressor`` ``(N, n, 4n)`` of the links' (m, m c) with their inertias about their own joints held;
+    ``tool_regressor`` ``(N, n, 4)``; ``link_inertia_regressor`` ``(N, n, 6n)``; ``inertia_torque`` ``(N, n)``, Nm, of
+    described masses (points at their centres where no inertia is described) and declared tool.
     """
     robot, n = campaign.robot, campaign.robot.n
-    if not robot.has_masses:
-        return np.zeros_like(q)
-    linkage = np.asarray(robot.linkage)
-    G = joint_transforms(robot.screws, q @ linkage.T)
-    qd, qdd = speed @ linkage.T, acceleration @ linkage.T
-    J = np.stack([_moved(G[:, i], np.asarray(robot.screws[i])) for i in range(n)], axis=1)  # (N, n, 6), space screws
-    tool = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
-    bodies = [(k, link.mass, np.asarray(link.com), link.inertia) for k, link in enumerate(robot.links)]
-    bodies.append((n - 1, campaign.tool.mass, tool, None))
+    linkage, points = np.asarray(robot.linkage), np.array([joint.point for joint in robot.joints])
+    Y = inertial_regressor(robot.screws, points, q @ linkage.T, speed @ linkage.T, acceleration @ linkage.T)
+    Y = linkage.T @ Y
     torque = np.zeros_like(q)
-    for k, mass, com, inertia in bodies:
-        R, at = G[:, k + 1, :3, :3], np.einsum("nij,j->ni", G[:, k + 1, :3, :3], com) + G[:, k + 1, :3, 3]
-        w = alpha = v = a = np.zeros((len(q), 3))
-        for i in range(k + 1):  # spatial acceleration of the body: sum J qdd + sum ad(V_before) J qd
-            Jw, Jv = J[:, i, :3], J[:, i, 3:]
-            rate = qd[:, i, None]
-            alpha = alpha + Jw * qdd[:, i, None] + np.cross(w, Jw) * rate
-            a = a + Jv * qdd[:, i, None] + (np.cross(w, Jv) + np.cross(v, Jw)) * rate
-            w, v = w + Jw * rate, v + Jv * rate
-        velocity = v + np.cross(w, at)
-        force = mass * (a + np.cross(alpha, at) + np.cross(w, velocity))
-        moment = np.zeros_like(force)
-        if inertia is not None:
-            own = R @ np.asarray(inertia) @ np.swapaxes(R, 1, 2)
-            spin = np.einsum("nij,nj->ni", own, w)
-            moment = np.einsum("nij,nj->ni", own, alpha) + np.cross(w, spin)
-        moment = moment + np.cross(at, force)
-        for i in range(k + 1):
-            torque[:, i] += np.einsum("ni,ni->n", J[:, i, :3], moment) + np.einsum("ni,ni->n", J[:, i, 3:], force)
-    return torque @ linkage
+    if robot.has_masses:
+        bodies = [inertial_parameters(b.mass, b.com, b.inertia, at) for b, at in zip(robot.links, points, strict=True)]
+        tool = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
+        bodies[-1] = bodies[-1] + inertial_parameters(campaign.tool.mass, tool, None, points[-1])
+        torque = Y @ np.concatenate(bodies)
+    by_link = Y.reshape(len(q), n, n, 10)
+    masses = by_link[..., :4].reshape(len(q), n, 4 * n)
+    return {
+        "regressor": masses,
+        "tool_regressor": masses[:, :, -4:] @ _flange_to_base(robot),
+        "link_inertia_regressor": np.ascontiguousarray(by_link[..., 4:]).reshape(len(q), n, 6 * n),
+        "inertia_torque": torque,
+    }
 
 
-def _moved(G: Array, screw: Array) -> Array:
-    """The screw ``(6,)`` carried along by motions ``(N, 4, 4)``: Ad_G xi."""
-    w = np.einsum("nij,j->ni", G[:, :3, :3], screw[:3])
-    v = np.einsum("nij,j->ni", G[:, :3, :3], screw[3:]) + np.cross(G[:, :3, 3], w)
-    return np.concatenate([w, v], axis=1)
+def inertia_torque(campaign: Campaign, q: Array, speed: Array, acceleration: Array) -> Array:
+    """Joint torques ``(N, n)``, Nm, that described masses and declared tool need in motion, beyond gravity."""
+    return inertial_signals(campaign, q, speed, acceleration)["inertia_torque"]
+
+
+def _flange_to_base(robot: RobotDescription) -> Array:
+    """From (m, m c) in the flange frame to (m, m c) in the base frame at the zero pose ``(4, 4)``."""
+    out = np.eye(4)
+    out[1:, 0] = robot.flange[:3, 3]
+    out[1:, 1:] = robot.flange[:3, :3]
+    return out

@@ -14,12 +14,12 @@ import numpy as np
 
 from clampid.chain import Chain
 from clampid.slots import Layout
-from clampid.stages.loads import gravity_signals, inertia_torque
+from clampid.stages.loads import gravity_signals, inertial_signals
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import Campaign
 from experiments.signals import acceleration, held_sign, rest_threshold, segments, speeds
 
-__all__ = ["residual", "torque_rows"]
+__all__ = ["residual", "steady_share", "torque_rows"]
 
 FIFTHS = 5  # a log of one run is held out by contiguous fifths
 CLEAR_MOTION = 0.02  # of the top speed of the log
@@ -54,8 +54,11 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     return rows.measured - predicted, jacobian
 
 
-def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
-    """Rows of the tables free_air and wrist of one or several sessions."""
+def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: bool = False) -> Rows:
+    """Rows of the tables free_air and wrist of one or several sessions.
+
+    Rows in acceleration are used only where the model has the bodies' and rotors' inertia (``accelerating``).
+    """
     import pandas as pd
 
     frames, names, sessions = [], [], []
@@ -105,7 +108,8 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             continue
         own = gravity_signals(campaign, q[session == s])
         chosen = session == s
-        own["inertia_torque"] = inertia_torque(campaign, q[chosen], qd[chosen], qdd[chosen])
+        for name, values in inertial_signals(campaign, q[chosen], qd[chosen], qdd[chosen]).items():
+            own[name] = own[name] + values if name in own else values
         for name, values in own.items():
             signals.setdefault(name, np.zeros((len(q), *values.shape[1:])))[chosen] = values
     signals["rest_direction"] = np.zeros_like(q)
@@ -116,7 +120,9 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     inertial = np.abs(signals["inertia_torque"] @ T.T)
     noise = NORMAL * np.median(np.abs(np.diff(measured, axis=0)), axis=0) / np.sqrt(2.0)
     steady = np.abs(qdd) <= STEADY * np.abs(qdd).max(axis=0, initial=0.0)  # rotors and links have inertia of their own
-    used = moving & ~undecided & (inertial <= INERTIA_SHARE * noise) & steady
+    used = moving & ~undecided
+    if not accelerating:
+        used &= (inertial <= INERTIA_SHARE * noise) & steady
     signals["torque_rate"] = np.gradient(measured, axis=0)
     stretch = segments(run, time, np.ones(len(run), dtype=bool))
     _, unit = np.unique(np.c_[stretch, np.floor(time / BLOCK_S)], axis=0, return_inverse=True)
@@ -137,6 +143,23 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         constants={"time": time, "run": run, "offset_keys": np.array(still, dtype=np.int64).reshape(-1, 2)},
         per_row=("time", "run"),
     )
+
+
+def steady_share(campaign: Campaign) -> float:
+    """The share, 0 to 1, of a log's motion that is steady; 1 for a campaign without logs."""
+    steady = moving = 0
+    n = campaign.robot.n
+    for name in ("free_air", "wrist"):
+        if name in campaign.tables:
+            table = campaign.tables[name]
+            q, time = table[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float), table["time_s"].to_numpy(float)
+            run = table["run"].to_numpy(np.int64)
+            qd = speeds(q, time, run, window_s=0.02)
+            qdd = acceleration(qd, time, run, window_s=0.02)
+            moves = np.abs(qd) > np.maximum(rest_threshold(qd), CLEAR_MOTION * np.abs(qd).max(axis=0, initial=0.0))
+            moving += int(moves.sum())
+            steady += int((moves & (np.abs(qdd) <= STEADY * np.abs(qdd).max(axis=0, initial=0.0))).sum())
+    return steady / moving if moving else 1.0
 
 
 def _standing(
