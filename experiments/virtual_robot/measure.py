@@ -191,9 +191,12 @@ def _poses(site: Site, plant: Plant, wanted: Sequence[str], poses: int, streams:
 
 
 def _header(robot: RobotDescription, plant: Plant) -> dict[str, Any]:
+    return {"format": "clampid-campaign/1", "robot": robot.name, **declared(plant)}
+
+
+def declared(plant: Plant) -> dict[str, Any]:
+    """Return what the cell declares of gravity, tool, targets and instrument, as ``campaign.toml`` has it."""
     return {
-        "format": "clampid-campaign/1",
-        "robot": robot.name,
         "gravity_m_s2": [float(g) for g in GRAVITY],
         "tool": {"mass_kg": TOOL_MASS, "com_m": [float(c) for c in TOOL_COM]},
         "targets_m": {name: list(p) for name, p in TARGETS.items()},

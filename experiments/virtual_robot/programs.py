@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -44,11 +45,26 @@ class Path:
         return self.knots[k] + s[:, None] * step, ds[:, None] * step, dds[:, None] * step
 
 
+class Course(Protocol):
+    """Any motion that a run can follow: one of ours, or one that a plan from outside gives."""
+
+    @property
+    def knots(self) -> Array:
+        """Where it stops, rad, (m+1, n)."""
+
+    @property
+    def length(self) -> float:
+        """Time from start to end, s."""
+
+    def at(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return joint angles, speeds and accelerations, rad and s, (N, n), at times, s, (N,)."""
+
+
 @dataclass(frozen=True)
 class Run:
     """One logged program: its path, and when it starts on the clock of its table, s."""
 
-    path: Path
+    path: Course
     start: float
 
 

@@ -1,0 +1,93 @@
+"""What a set of measurements will tell: standard errors, observability, and what stays open, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from clampid.fit import PRIOR_SIZES, Estimate
+from clampid.noise import Noise, Whitened
+from clampid.nulls import null_directions
+from clampid.planning.indices import observability
+from clampid.priors import description_priors
+from clampid.slots import find_parameter
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array
+from experiments.plans.model import Expected, ExpectedParameter
+
+__all__ = ["expected_of", "predicted_covariance", "prior_precision"]
+
+
+def prior_precision(experiment: Experiment) -> Array:
+    """What a fit of these slots knows before any row ``(P, P)``: the weak prior, and the description's masses."""
+    count = len(experiment.slots)
+    size, shapes = experiment.sizes()[:count], experiment.shapes()[:count]
+    precision = np.diag(1.0 / (np.where(shapes, 1.0, PRIOR_SIZES) * size) ** 2)
+    index = {slot: k for k, slot in enumerate(experiment.slots)}
+    for prior in description_priors(experiment.rows):
+        shared = [k for k, slot in enumerate(prior.slots) if slot in index]
+        where = [index[prior.slots[k]] for k in shared]
+        if where:
+            precision[np.ix_(where, where)] = linalg.pinvh(prior.covariance[np.ix_(shared, shared)])
+    return precision
+
+
+def predicted_covariance(information: Array, precision: Array, size: Array) -> Array:
+    """Covariance ``(P, P)``, SI, from information and prior ``(P, P)``; ``size`` ``(P,)`` scales the inversion."""
+    scaled = (information + precision) * np.outer(size, size)
+    return np.asarray(linalg.pinvh(scaled) * np.outer(size, size))
+
+
+def expected_of(
+    experiment: Experiment, information: Array, rows: int, noise: str, extra: tuple[str, ...] = ()
+) -> Expected:
+    """What the plan says of itself.
+
+    Parameters
+    ----------
+    experiment
+        Any rows of the plan, with its slots.
+    information
+        ``(P, P)`` of all planned rows, SI, single runs' unknown constants already taken off.
+    rows
+        Number of measured values.
+    noise
+        The noise that was assumed, in words.
+    extra
+        Further sentences on what stays open.
+    """
+    count = len(experiment.slots)
+    size = experiment.sizes()[:count]
+    precision = prior_precision(experiment)
+    covariance = predicted_covariance(information, precision, size)
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    parameters = []
+    for k, slot in enumerate(experiment.slots):
+        parameter = find_parameter(slot, experiment.effects)
+        parameters.append(
+            ExpectedParameter(slot.label, parameter.unit, parameter.size, float(std[k]), bool(std[k] < parameter.size))
+        )
+    scaled = information * np.outer(size, size)
+    open_ = null_directions(_estimate(experiment, information, covariance, precision))
+    return Expected(observability(scaled, rows), tuple(parameters), (*extra, *open_), noise)
+
+
+def _estimate(experiment: Experiment, information: Array, covariance: Array, precision: Array) -> Estimate:
+    """The estimate that rows with this information would give, for those who word what an estimate leaves open."""
+    values, vectors = np.linalg.eigh(information)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    count = len(information)
+    bare = experiment.with_rows(experiment.rows.take(np.zeros(0, dtype=np.int64)))
+    still = np.zeros(count, dtype=np.int64)
+    return Estimate(
+        experiment=bare,
+        theta=np.zeros(count),
+        covariance=covariance,
+        noise=Noise(bare.rows.sigma),
+        whitened=Whitened(np.zeros(count), root, still, still),
+        residual=bare.rows.measured,
+        outliers=np.zeros(0, dtype=bool),
+        prior_precision=precision,
+        prior_mean=np.zeros(count),
+        iterations=0,
+    )

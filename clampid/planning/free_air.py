@@ -1,0 +1,249 @@
+"""Plans free air: configurations visited at several speeds, so that gravity and friction are known best for the time.
+
+Information comes from the moves, so that what a configuration is worth depends on where the arm comes from. The path
+is grown stop by stop, each time with the candidate that gains most determinant per second, and then improved by
+exchanging stops for others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+import numpy as np
+
+from clampid.catalogue import catalogue
+from clampid.planning.choose import log_det
+from clampid.planning.expected import expected_of, prior_precision
+from clampid.planning.logs import STANDARD, LogBench, TorqueNoise
+from clampid.planning.sampling import configurations
+from clampid.planning.scene import Scene
+from clampid.stages.rows import Array
+from clampid.threads import single_threaded
+from experiments.plans.errors import PlanError
+from experiments.plans.limits import Limits, course_of
+from experiments.plans.model import Cell, Plan, Run
+from experiments.plans.motion import Course
+from experiments.plans.press import rated_motor_torque
+from experiments.plans.validate import validate_plan
+
+__all__ = ["plan_free_air", "torque_noise_of"]
+
+POOL = 400
+AT_ONCE = 16  # candidates looked at for the next stop
+TRIALS = 4  # candidates looked at in an exchange
+PASSES = 1
+FEWEST = 4  # stops: fewer do not make a program
+NOISE_SHARE = 0.01  # of the rated torque
+
+
+def torque_noise_of(
+    cell: Cell, share: float | None, rated: Sequence[float] | None
+) -> tuple[TorqueNoise, tuple[str, ...]]:
+    """Noise of the motor torques as a share of their rated ones, and what had to be assumed.
+
+    Raises
+    ------
+    PlanError
+        The share is not above 0, or no rated torques are known.
+    """
+    if share is not None and not share > 0:
+        raise PlanError(f"torque noise: expected a share of the rated torque above 0, found {share:g}")
+    motor = rated_motor_torque(cell.robot, None if rated is None else np.asarray(rated, dtype=float))
+    used = NOISE_SHARE if share is None else share
+    words = () if share is not None else (f"torque noise of {used:.0%} of the rated motor torques",)
+    return TorqueNoise(used * motor), words
+
+
+@single_threaded
+def plan_free_air(
+    cell: Cell,
+    limits: Limits,
+    noise: TorqueNoise,
+    *,
+    time: float = 1200.0,
+    speeds: Sequence[float] = (0.15, 0.06),
+    effects: Sequence[str] = STANDARD,
+    scene: Scene | None = None,
+    dwell: float = 1.0,
+    rate: float = 10.0,
+    seed: int = 0,
+    assumed: Sequence[str] = (),
+) -> Plan:
+    """Plan a free-air campaign.
+
+    Parameters
+    ----------
+    cell, limits, noise
+        What it is for.
+    time
+        Budget, s, for all runs.
+    speeds
+        Shares of the top speeds at which the whole program runs, once each.
+    effects
+        What is asked, ``effect`` or ``effect@joint3``.
+    scene
+        What the arm must not touch; only the floor by default.
+    dwell
+        s at each stop.
+    rate
+        Hz of the log.
+    seed
+        Of the candidates.
+    assumed
+        What had to be assumed so far, for the plan.
+
+    Raises
+    ------
+    PlanError
+        A number is out of range, the time is too short, or the limits allow nothing.
+    """
+    check_program(time, speeds, dwell, rate)
+    around = scene or Scene.floor_only(cell)
+    bench = LogBench(cell, catalogue(), effects, noise, rate)
+    pool = configurations(limits, POOL, around.clear, seed, why="clear of floor and obstacles")
+    search = _Search(cell, limits, bench, around, pool, tuple(speeds), dwell, time, np.random.default_rng(seed))
+    search.grow()
+    search.improve()
+    runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), speeds, strict=True))
+    told = bench.tell([run.course for run in runs])
+    information = np.sum([t.information.sum(axis=0) for t in told], axis=0)
+    rows = int(sum(t.rows.sum() for t in told))
+    plan = Plan(
+        kind="free_air",
+        cell=cell,
+        limits=limits,
+        duration=sum(run.course.length for run in runs),
+        runs=runs,
+        rate=rate,
+        expected=expected_of(bench.experiment, information, rows, noise.words),
+        assumed=(*assumed, *around.assumed),
+        wished=MappingProxyType(
+            {"time_s": time, "speeds": ", ".join(f"{s:g}" for s in speeds), "effects": ", ".join(effects), "seed": seed}
+        ),
+    )
+    validate_plan(plan)
+    return plan
+
+
+def check_program(time: float, speeds: Sequence[float], dwell: float, rate: float) -> None:
+    """Refuse numbers that no program can have.
+
+    Raises
+    ------
+    PlanError
+        The first of them.
+    """
+    if not time > 0 or not np.isfinite(time):
+        raise PlanError(f"time: expected seconds above 0, found {time:g}")
+    if len(speeds) < 2 or len(set(speeds)) < len(speeds):
+        raise PlanError(f"speeds: expected two or more different shares of the top speeds, found {list(speeds)}")
+    for share in speeds:
+        if not 0.0 < share <= 1.0:
+            raise PlanError(f"speeds: expected shares of the top speeds above 0 and at most 1, found {share:g}")
+    if not dwell > 0:
+        raise PlanError(f"dwell: expected seconds above 0, found {dwell:g}")
+    if not rate > 0:
+        raise PlanError(f"rate: expected Hz above 0, found {rate:g}")
+
+
+class _Search:
+    """A path that grows and is improved; all its runs go through the same stops."""
+
+    def __init__(
+        self, cell: Cell, limits: Limits, bench: LogBench, scene: Scene, pool: Array, speeds: tuple[float, ...],
+        dwell: float, budget: float, rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self.cell, self.limits, self.bench, self.scene = cell, limits, bench, scene
+        self.pool, self.speeds, self.dwell, self.budget, self.rng = pool, speeds, dwell, budget, rng
+        middle = (limits.lower + limits.upper) / 2
+        self.knots: list[Array] = [pool[int(np.argmin(np.linalg.norm(pool - middle, axis=1)))]]
+        size = bench.size
+        self.information: Array = prior_precision(bench.experiment) * np.outer(size, size)
+        self.moves: list[Array] = []  # information of each move, scaled
+        self.spent = len(speeds) * dwell
+
+    def courses(self, knots: Sequence[Array]) -> list[Course]:
+        """The path at every speed."""
+        return [
+            course_of(self.cell.robot, self.limits, np.array(knots), speed_share=s, dwell=self.dwell)
+            for s in self.speeds
+        ]
+
+    def _value(self, paths: Sequence[Sequence[Array]]) -> tuple[list[Array], Array]:
+        """Scaled information of the moves of each path (all speeds), ``(moves, P, P)`` each, and the times, s."""
+        courses = [course for path in paths for course in self.courses(path)]
+        told = self.bench.tell(courses)
+        size, many = self.bench.size, len(self.speeds)
+        out, cost = [], np.zeros(len(paths))
+        for p in range(len(paths)):
+            mine = slice(p * many, (p + 1) * many)
+            out.append(np.sum([t.information for t in told[mine]], axis=0) * np.outer(size, size))
+            cost[p] = sum(c.length - self.dwell for c in courses[mine])  # the first stop is the last one's
+        return out, cost
+
+    def _looked_at(self, count: int, *neighbours: Array) -> list[Array]:
+        """Random candidates that can be reached from all neighbours without touching anything."""
+        found = []
+        for k in self.rng.permutation(len(self.pool)):
+            q = self.pool[k]
+            if any(np.array_equal(q, knot) for knot in self.knots):
+                continue
+            if all(self.scene.way_clear(q, other) for other in neighbours):
+                found.append(q)
+                if len(found) == count:
+                    break
+        return found
+
+    def grow(self) -> None:
+        """Add stops while there is time."""
+        while True:
+            options = self._looked_at(AT_ONCE, self.knots[-1])
+            if not options:
+                break
+            told, cost = self._value([[self.knots[-1], q] for q in options])
+            fits = cost <= self.budget - self.spent
+            if not fits.any():
+                break
+            base = log_det(self.information)
+            gain = np.array(
+                [log_det(self.information + t[0]) - base if ok else -np.inf for t, ok in zip(told, fits, strict=True)]
+            )
+            best = int(np.argmax(np.where(fits, gain / cost, -np.inf)))
+            self.knots.append(options[best])
+            self.moves.append(told[best][0])
+            self.information = self.information + told[best][0]
+            self.spent += float(cost[best])
+        if len(self.knots) < FEWEST:
+            raise PlanError(
+                f"time: expected enough for at least {FEWEST} stops at {len(self.speeds)} speeds, found "
+                f"{self.budget:g} s, which is enough for {len(self.knots)}"
+            )
+
+    def improve(self) -> None:
+        """Exchange stops for others as long as the determinant grows and the time is kept."""
+        for _ in range(PASSES):
+            moved = False
+            for k in range(1, len(self.knots)):
+                moved |= self._exchange(k)
+            if not moved:
+                break
+
+    def _exchange(self, k: int) -> bool:
+        before = self.knots[k - 1]
+        after = self.knots[k + 1 : k + 2]
+        options = self._looked_at(TRIALS, before, *after)
+        if not options:
+            return False
+        told, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])
+        old = told[0].sum(axis=0)
+        value = np.array([log_det(self.information - old + t.sum(axis=0)) for t in told])
+        value[cost - cost[0] > self.budget - self.spent] = -np.inf
+        best = int(np.argmax(value))
+        if best == 0 or value[best] <= value[0] + 1e-9:
+            return False
+        self.information = self.information - old + told[best].sum(axis=0)
+        self.moves[k - 1 : k + 1] = list(told[best])
+        self.spent += float(cost[best] - cost[0])
+        self.knots[k] = options[best - 1]
+        return True

@@ -1,0 +1,51 @@
+"""Observability indices of a set of measurements: five ways to condense the singular values of the scaled Jacobian.
+
+With s_1 ≥ … ≥ s_L the singular values and m the number of measured values::
+
+    O1 = (s_1 ⋯ s_L)^(1/L) / √m   Menq and Borm: the volume, as D-optimality
+    O2 = s_L / s_1                Driels and Pathre: the inverse condition number
+    O3 = s_L                      Nahvi, Hollerbach and Hayward: the worst direction, as E-optimality
+    O4 = s_L² / s_1               Nahvi and Hollerbach: noise amplification
+    O5 = 1 / (1/s_1 + … + 1/s_L)  Sun and Hollerbach: after A-optimality
+
+Sources: Borm, Menq, Determination of optimal measurement configurations for robot calibration based on observability
+measure, IJRR 10, 1991; Driels, Pathre, Significance of observation strategy on the design of robot calibration
+experiments, J. Robotic Systems 7, 1990; Nahvi, Hollerbach, Hayward, ICRA 1994; Nahvi, Hollerbach, The noise
+amplification index for optimal pose selection in robot calibration, ICRA 1996; Sun, Hollerbach, Observability index
+selection for robot calibration, ICRA 2008.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["observability"]
+
+Array = npt.NDArray[np.float64]
+
+
+def observability(information: Array, rows: int) -> dict[str, float]:
+    """The five indices, and of how many ``parameters``.
+
+    Parameters
+    ----------
+    information
+        ``(P, P)``, Jᵀ J of the whitened Jacobian in parameters scaled by their reasonable size, noise in units of its
+        standard deviation. Directions in which it says less than such a size (eigenvalue below 1) are not counted:
+        they are reported as not identified, and would make every index zero.
+    rows
+        Number of measured values, m.
+    """
+    values = np.linalg.eigvalsh(information) if information.size else np.zeros(0)
+    s = np.sqrt(values[values >= 1.0])[::-1]
+    if not len(s):
+        return {"O1": 0.0, "O2": 0.0, "O3": 0.0, "O4": 0.0, "O5": 0.0, "parameters": 0}
+    return {
+        "O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(max(rows, 1))),
+        "O2": float(s[-1] / s[0]),
+        "O3": float(s[-1]),
+        "O4": float(s[-1] ** 2 / s[0]),
+        "O5": float(1.0 / np.sum(1.0 / s)),
+        "parameters": len(s),
+    }

@@ -1,0 +1,197 @@
+"""What a planned log of motor torques will tell: information of every move on the asked parameters.
+
+Only what a fit uses counts: motors that clearly move, at steady speed, where inertia is small against the noise. Noise
+of torque logs is correlated: part of its variance is white, the rest is forgotten within a correlation time; each move
+is whitened with that covariance, and different moves are independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+
+from clampid.effect import Effect
+from clampid.layout import layout_of
+from clampid.planning.bench import imagined
+from clampid.slots import Slot, parse_term, slots_of_terms
+from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.rows import Array, Bools, Integers
+from clampid.stages.torques import CLEAR_MOTION, INERTIA_SHARE, torque_rows
+from experiments.plans.errors import PlanError
+from experiments.plans.model import Cell
+from experiments.plans.motion import Course
+
+__all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise"]
+
+STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
+SETTLING = 0.25  # s after a change of speed in which a differentiated log still shows it
+
+
+@dataclass(frozen=True)
+class TorqueNoise:
+    """Noise of the torque logs.
+
+    Attributes
+    ----------
+    sigma
+        ``(n,)`` Nm at the motors.
+    slow
+        Share of the variance that is correlated.
+    memory
+        Its correlation time, s.
+    """
+
+    sigma: Array
+    slow: float = 0.5
+    memory: float = 2.0
+
+    @property
+    def words(self) -> str:
+        """For the plan."""
+        each = ", ".join(f"{s:.3g}" for s in self.sigma)
+        return f"motor torques: {each} Nm, {self.slow:.0%} of the variance correlated over {self.memory:g} s"
+
+
+@dataclass(frozen=True)
+class Told:
+    """Information of moves ``(m, P, P)``, SI, and how many measured values each counts ``(m,)``."""
+
+    information: Array
+    rows: Array
+
+
+class LogBench:
+    """Finds what courses tell about a set of parameters.
+
+    Parameters
+    ----------
+    cell
+        Robot, gravity and tool.
+    effects
+        The catalogue.
+    wanted
+        Names of the effects asked for, ``effect`` or ``effect@joint3``.
+    noise
+        Of the torques.
+    rate
+        Hz, of the log.
+    """
+
+    def __init__(
+        self, cell: Cell, effects: Mapping[str, Effect], wanted: Sequence[str], noise: TorqueNoise, rate: float
+    ) -> None:
+        self.cell, self.noise, self.rate = cell, noise, rate
+        n = cell.robot.n
+        self._blank = imagined(cell, free_air=self._table([_still(n)]))
+        self.layout = layout_of([self._blank])
+        terms = [parse_term(name, effects, self.layout) for name in wanted]
+        for term in terms:
+            if "free_air" not in effects[term.effect].stages:
+                acts = ", ".join(effects[term.effect].stages)
+                raise PlanError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
+        self.slots: tuple[Slot, ...] = slots_of_terms(terms, effects, self.layout, "free_air")
+        if not self.slots:
+            raise PlanError(f"{', '.join(wanted)}: nothing of it can be seen in free air at {cell.robot.name}")
+        self.experiment: Experiment = experiment(torque_rows([self._blank], self.layout), effects, self.slots)
+        self.size: Array = self.experiment.sizes()[: len(self.slots)]
+
+    def _table(self, courses: Sequence[Course]) -> pd.DataFrame:
+        """The logs of courses, each a run of its own, without torques."""
+        times = [np.arange(0.0, course.length, 1 / self.rate) for course in courses]
+        parts = [course.at(time)[:2] for course, time in zip(courses, times, strict=True)]
+        q, qd = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        run = np.repeat(np.arange(len(courses)), [len(t) for t in times])
+        data = {"run": run, "time_s": np.concatenate(times)}
+        for name, values, unit in (("q", q, "rad"), ("qd", qd, "rad_s"), ("tau", 0 * q, "Nm")):
+            data |= {f"{name}{i + 1}_{unit}": values[:, i] for i in range(q.shape[1])}
+        return pd.DataFrame(data)
+
+    def tell(self, courses: Sequence[Course]) -> list[Told]:
+        """Information of every move of every course; each course is a run of its own."""
+        joined = self._table(courses)
+        rows = torque_rows([imagined(self.cell, free_air=joined)], self.layout)
+        used = self._used(rows.signals, courses, rows.constants["run"])
+        here = self.experiment.with_rows(rows)
+        _, jacobian = here.residual(np.zeros(len(self.slots) + rows.offsets))
+        time, run = joined["time_s"].to_numpy(), joined["run"].to_numpy()
+        out = []
+        for number, course in enumerate(courses):
+            inside = np.flatnonzero(run == number)
+            move, _ = course.phase(time[inside])
+            out.append(self._course(jacobian[inside], used[inside], time[inside], move, len(course.duration)))
+        return out
+
+    def _used(self, signals: Mapping[str, Array], courses: Sequence[Course], run: Integers) -> Bools:
+        """Which motors' torques a fit would use ``(N, n)``."""
+        robot = self.cell.robot
+        T = np.asarray(robot.transmission)
+        top = np.array([j.max_speed or 1.0 for j in robot.joints]) / np.abs(np.diag(T))
+        fastest = np.maximum(np.abs(signals["motor_speed"]).max(axis=0), 1e-3 * top)
+        moving = np.abs(signals["motor_speed"]) > CLEAR_MOTION * fastest
+        steady = np.concatenate([_steady(course, self.rate) for course in courses])
+        inertial = np.abs(signals["inertia_torque"] @ T.T)
+        # The noise between neighbouring rows, as a fit would find it in the log.
+        between = self.noise.sigma * np.sqrt(
+            (1 - self.noise.slow) + self.noise.slow * (1 - np.exp(-1 / self.rate / self.noise.memory))
+        )
+        # The dry friction of a coupled joint that has not moved yet in its run is not known.
+        open_ = np.zeros_like(moving, dtype=float)
+        for j in self.layout.wrist:
+            open_[:, j] = (signals["joint_motion"][:, j] == 0) & _moves_later(signals["joint_motion"][:, j], run)
+        undecided = (open_ @ (T != 0).T.astype(float)) > 0
+        return np.asarray(moving & steady[:, None] & (inertial <= INERTIA_SHARE * between) & ~undecided)
+
+    def _course(self, jacobian: Array, used: Bools, time: Array, move: Integers, moves: int) -> Told:
+        """Information of each move of one run, the run's unknown constants taken off the whole in proportion."""
+        count = len(self.slots)
+        width = jacobian.shape[2]
+        information, rows = np.zeros((moves, width, width)), np.zeros(moves)
+        for m in range(moves):
+            for channel in range(jacobian.shape[1]):
+                at = np.flatnonzero(used[:, channel] & (move == m))
+                if not len(at):
+                    continue
+                touched = np.flatnonzero(np.any(jacobian[at, channel], axis=0))
+                white = self._white(time[at], jacobian[at, channel][:, touched]) / self.noise.sigma[channel]
+                information[m][np.ix_(touched, touched)] += white.T @ white
+                rows[m] += len(at)
+        if width > count:  # what a run's own constants could take up is not information on the slots
+            whole = information.sum(axis=0)
+            C = whole[count:, count:]
+            B = information[:, :count, count:]
+            inverse = linalg.pinvh(C, rtol=1e-10)
+            projected = whole[:count, :count] - whole[:count, count:] @ inverse @ whole[count:, :count]
+            own = information[:, :count, :count] - np.einsum("mpk,kl,mql->mpq", B, inverse, B)
+            own[-1] += projected - own.sum(axis=0)  # cross terms between moves: only the sum is meant
+            information = own
+        return Told(information[:, :count, :count], rows)
+
+    def _white(self, time: Array, columns: Array) -> Array:
+        gap = np.abs(time[:, None] - time[None, :])
+        covariance = self.noise.slow * np.exp(-gap / self.noise.memory)
+        covariance[np.diag_indices(len(time))] = 1.0
+        return np.asarray(linalg.solve_triangular(linalg.cholesky(covariance, lower=True), columns, lower=True))
+
+
+def _still(n: int) -> Course:
+    return Course(np.zeros((2, n)), np.ones(1), np.full(1, 0.25), 0.5)
+
+
+def _steady(course: Course, rate: float) -> Bools:
+    """Whether the speed does not change about a row of a course's log ``(N,)``."""
+    time = np.arange(0.0, course.length, 1 / rate)
+    move, since = course.phase(time)
+    T, r = course.duration[move], course.ramp[move]
+    return np.asarray((since > r + SETTLING) & (since < T - r - SETTLING))
+
+
+def _moves_later(motion: Array, run: Integers) -> Bools:
+    """Whether a joint moves at all in the run that a row belongs to ``(N,)``."""
+    out = np.zeros(len(motion), dtype=bool)
+    for r in np.unique(run):
+        out[run == r] = bool(motion[run == r].any())
+    return out

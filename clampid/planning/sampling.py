@@ -1,0 +1,49 @@
+"""Candidate configurations: spread over the joint ranges, evenly (Halton points), clear of floor and obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import qmc
+
+from clampid.stages.rows import Array, Bools
+from experiments.plans.errors import PlanError
+from experiments.plans.limits import Limits
+
+__all__ = ["configurations"]
+
+DIGITS = 6  # of the angles in a plan: a microradian, a tenth of what any robot repeats
+ROUNDS = 60
+Allowed = Callable[[Array], Bools]
+
+
+def configurations(limits: Limits, count: int, allowed: Allowed, seed: int, *, why: str = "allowed") -> Array:
+    """``count`` configurations ``(count, n)``, rad, inside the limits, that ``allowed`` lets pass.
+
+    Parameters
+    ----------
+    allowed
+        ``(N, n)`` → ``(N,)``.
+    why
+        What they must be, for the error.
+
+    Raises
+    ------
+    PlanError
+        Hardly any configuration is allowed.
+    """
+    halton = qmc.Halton(len(limits.lower), scramble=True, seed=np.random.default_rng(seed))
+    found: list[Array] = []
+    tried = 0
+    for _ in range(ROUNDS):
+        q = limits.lower + (limits.upper - limits.lower) * halton.random(max(count, 200))
+        # Rounding must not leave the limits.
+        q = np.clip(np.round(q, DIGITS), limits.lower, limits.upper)
+        tried += len(q)
+        found += list(q[allowed(q)])
+        if len(found) >= count:
+            return np.array(found[:count])
+    if len(found) >= max(8, count // 20):
+        return np.array(found)
+    raise PlanError(f"expected configurations that are {why}, found {len(found)} among {tried} inside the joint limits")

@@ -1,0 +1,201 @@
+"""``clampid plan``: which measurements to take, as a file that a person can read and a robot can run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from clampid.verbs.errors import CallError
+from clampid.verbs.options import Json, Quiet, Seed
+from clampid.verbs.output import Output, output_file
+
+if TYPE_CHECKING:
+    from clampid.planning.scene import Scene
+    from experiments.plans.limits import Limits
+    from experiments.plans.model import Cell, Expected, Plan
+
+__all__ = ["plan"]
+
+plan = typer.Typer(help="Plan measurements that identify what is asked.", no_args_is_help=True)
+
+PlanFile = Annotated[
+    Path, typer.Option("--output", "-o", metavar="PLAN.toml", help="Where the plan goes.", show_default=False)
+]
+Robot = Annotated[str, typer.Option(help="A bundled robot, or the path of a description.")]
+Like = Annotated[
+    Path | None,
+    typer.Option(metavar="CAMPAIGN", help="Take tool, targets, instrument, gravity from there.", show_default=False),
+]
+Time = Annotated[float, typer.Option(metavar="S", help="Time budget, seconds.")]
+Effects = Annotated[
+    str | None, typer.Option(metavar="A,B,…", help="What is asked; the stage's standard set otherwise.")
+]
+RangeShare = Annotated[float, typer.Option(metavar="SHARE", help="How much of each joint's range may be used.")]
+Acceleration = Annotated[
+    str | None,
+    typer.Option(metavar="RAD/S2[,…]", help="Accelerations; else top speed in half a second.", show_default=False),
+]
+Floor = Annotated[
+    str | None,
+    typer.Option(metavar="M|none", help="Height of the floor over the base; 0 if upright.", show_default=False),
+]
+Obstacles = Annotated[
+    Path | None, typer.Option(metavar="FILE.toml", help="Boxes, spheres, cylinders to stay clear of.")
+]
+ArmRadius = Annotated[float, typer.Option(metavar="M", help="Of the capsules that stand for the arm.")]
+Speeds = Annotated[str, typer.Option(metavar="A,B,…", help="Shares of the top speeds, one run each.")]
+Rated = Annotated[
+    str | None,
+    typer.Option("--rated-torque", metavar="NM,…", help="At the joints, where the description has none."),
+]
+TorqueNoise = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE", help="Noise of the motor torques, share of the rated ones; 0.01.", show_default=False
+    ),
+]
+
+
+@plan.command("free-air")
+def free_air(
+    output: PlanFile,
+    robot: Robot = "kuka_kr20_r1810",
+    like: Like = None,
+    time: Time = 1200.0,
+    speeds: Speeds = "0.15,0.06",
+    effects: Effects = None,
+    range_share: RangeShare = 0.95,
+    acceleration: Acceleration = None,
+    torque_noise: TorqueNoise = None,
+    rated_torque: Rated = None,
+    floor: Floor = None,
+    obstacles: Obstacles = None,
+    arm_radius: ArmRadius = 0.08,
+    seed: Seed = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Configurations visited in free air, which tell gravity and friction."""
+    out = _begin(output, json, quiet)
+    with _refusals():
+        from clampid.planning.free_air import plan_free_air, torque_noise_of
+        from clampid.planning.logs import STANDARD
+
+        cell, limits, assumed = _cell(robot, like, range_share, acceleration)
+        noise, more = torque_noise_of(cell, torque_noise, _numbers("--rated-torque", rated_torque))
+        with out.working("choosing configurations"):
+            made = plan_free_air(
+                cell, limits, noise, time=time, speeds=_numbers("--speeds", speeds) or (),
+                effects=_names(effects) or STANDARD, scene=_scene(cell, floor, obstacles, arm_radius), seed=seed,
+                assumed=(*assumed, *more),
+            )  # fmt: skip
+        _finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
+
+
+def _begin(output: Path, json: str | None, quiet: bool) -> Output:
+    out = Output(quiet, json)
+    output_file(output)
+    if output.suffix.lower() != ".toml":
+        raise CallError(f"{output}: expected a name that ends in .toml")
+    return out
+
+
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Errors of plans are wrong calls."""
+    from experiments.plans.errors import PlanError
+
+    try:
+        yield
+    except PlanError as error:
+        raise CallError(str(error)) from error
+
+
+def _cell(
+    robot: str, like: Path | None, share: float, acceleration: str | None
+) -> tuple[Cell, Limits, tuple[str, ...]]:
+    from experiments.plans.cell import cell_of
+    from experiments.plans.errors import PlanError
+    from experiments.plans.limits import limits_of
+
+    cell, assumed = cell_of(robot, like)
+    given = _numbers("--acceleration", acceleration)
+    if given is not None and len(given) not in (1, cell.robot.n):
+        raise PlanError(f"--acceleration: expected one number or {cell.robot.n}, found {len(given)}")
+    limits, more = limits_of(cell.robot, share=share, acceleration=None if given is None else given)
+    return cell, limits, (*assumed, *more)
+
+
+def _scene(cell: Cell, floor: str | None, obstacles: Path | None, radius: float) -> Scene:
+    from clampid.planning.scene import Scene, read_obstacles
+
+    usual = Scene.floor_only(cell).floor
+    if floor is not None:
+        usual = None if floor == "none" else (_numbers("--floor", floor) or (0.0,))[0]
+    around = () if obstacles is None else read_obstacles(obstacles, cell)
+    return Scene(cell, around, usual, radius)
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _finish(made: Plan, output: Path, out: Output, what: str) -> None:
+    """Write the plan, and say what it is and what it will tell."""
+    from experiments.plans.write import write_plan
+
+    write_plan(made, output)
+    out.say(f"plan: {output}; {made.kind}, {made.cell.robot.name}, {what}, {made.duration / 60:.1f} min")
+    for sentence in made.assumed:
+        out.say(f"assumed: {sentence}")
+    if made.expected is not None:
+        _tell(made.expected, out)
+    out.result(_as_json(made, output))
+
+
+def _tell(expected: Expected, out: Output) -> None:
+    """What a plan will tell, for people."""
+    named = ", ".join(f"{name} {value:.3g}" for name, value in expected.indices.items() if name != "parameters")
+    out.say(f"observability of {expected.indices['parameters']:.0f} combinations of parameters: {named}")
+    out.table(
+        "", ("parameter", "unit", "expected error", "usual size", ""),
+        [(p.name, p.unit, f"{p.std:.2g}", f"{p.size:.2g}", "" if p.identified else "not identified")
+         for p in expected.parameters], left=2,
+    )  # fmt: skip
+    for sentence in expected.not_identified:
+        out.say(f"not identified: {sentence}")
+
+
+def _as_json(made: Plan, output: Path) -> dict[str, Any]:
+    expected = made.expected
+    return {
+        "plan": str(output),
+        "kind": made.kind,
+        "robot": made.cell.reference,
+        "duration_s": made.duration,
+        "runs": len(made.runs),
+        "sweeps": len(made.sweeps),
+        "visits": len(made.visits),
+        "assumed": list(made.assumed),
+        "indices": {} if expected is None else dict(expected.indices),
+        "parameters": []
+        if expected is None
+        else [
+            {"name": p.name, "unit": p.unit, "std": p.std, "size": p.size, "identified": p.identified}
+            for p in expected.parameters
+        ],
+        "not_identified": [] if expected is None else list(expected.not_identified),
+    }

@@ -1,0 +1,206 @@
+"""Reads a plan and holds it against its own limits: what cannot be run safely is refused before anything moves."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, cast
+
+import numpy as np
+
+from experiments.plans.errors import PlanError
+from experiments.plans.limits import Limits
+from experiments.plans.model import KINDS, Cell, Expected, ExpectedParameter, Kind, Plan, Run, Sweep, Visit
+from experiments.plans.motion import Course
+from experiments.plans.section import Section
+from experiments.plans.validate import validate_plan
+from experiments.plans.write import FORMAT
+from kinematics.description import DescriptionError, load_robot
+
+__all__ = ["parse_plan", "read_plan"]
+
+STEPS = {"free_air": "run", "wrist": "run", "clamping": "sweep", "poses": "visit"}
+
+
+def read_plan(path: str | Path) -> Plan:
+    """Read and check a plan.
+
+    Raises
+    ------
+    PlanError
+        The file is missing or no TOML, a key is missing, unknown or wrong, or a step is beyond the plan's own limits;
+        the message names file, place, what was expected and what was found.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise PlanError(f"{file}: expected a plan file, found {'a folder' if file.is_dir() else 'no such file'}")
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise PlanError(f"{file}: expected UTF-8 text, found a byte that is not, at offset {error.start}") from error
+    return parse_plan(text, file)
+
+
+def parse_plan(text: str, file: Path) -> Plan:
+    """Read a plan from its text; ``file`` is for messages, and a robot's path is relative to it.
+
+    Raises
+    ------
+    PlanError
+        As `read_plan`.
+    """
+    try:
+        root = Section(tomllib.loads(text), str(file), "")
+    except tomllib.TOMLDecodeError as error:
+        raise PlanError(f"{file}: expected TOML, found {error}") from error
+    root.text("format", (FORMAT,))
+    kind = cast(Kind, root.text("kind", KINDS))
+    cell = _cell(root, file)
+    n = cell.robot.n
+    limits = _limits(root.section("limits"), n)
+    steps = root.sections(STEPS[kind])
+    plan = Plan(
+        kind=kind,
+        cell=cell,
+        limits=limits,
+        duration=root.number("duration_s", 0.0),
+        runs=tuple(_run(s, n) for s in steps) if STEPS[kind] == "run" else (),
+        sweeps=tuple(_sweep(s, n, number) for number, s in enumerate(steps, 1)) if kind == "clamping" else (),
+        visits=tuple(_visit(s, n, tuple(cell.targets)) for s in steps) if kind == "poses" else (),
+        start=root.vector("start_rad", n) if root.has("start_rad") else None,
+        rate=root.number("rate_Hz", 0.0, above=True),
+        measure_time=root.number("measure_time_s", 0.0),
+        stiffness=root.vector("stiffness_Nm_rad", n, 0.0) if root.has("stiffness_Nm_rad") else None,
+        expected=_expected(root.section("expected")) if root.has("expected") else None,
+        assumed=root.texts("assumed"),
+        wished=MappingProxyType(_wished(root.section("wished", optional=True))),
+    )
+    root.done()
+    validate_plan(plan, str(file))
+    return plan
+
+
+def _cell(root: Section, file: Path) -> Cell:
+    reference = root.text("robot")
+    try:
+        robot = load_robot(reference, relative_to=file.parent)
+    except DescriptionError as error:
+        raise root.fault("robot", "a bundled robot or the path of a description", f"{reference!r} ({error})") from error
+    if Path(reference).suffix:
+        reference = str((file.parent / reference).resolve())
+    tool = root.section("tool")
+    targets = root.section("targets_m", optional=True)
+    instrument = root.section("instrument")
+    cell = Cell(
+        robot=robot,
+        reference=reference,
+        gravity=root.vector("gravity_m_s2", 3),
+        tool_mass=tool.number("mass_kg", 0.0),
+        tool_com=tool.vector("com_m", 3),
+        targets={name: targets.vector(name, 3) for name in targets.keys()},  # noqa: SIM118 - not a dict: marks them read
+        instrument=instrument.text("name"),
+        position_std=instrument.number("position_std_m", 0.0, above=True),
+    )
+    tool.done()
+    instrument.done()
+    return cell
+
+
+def _limits(section: Section, n: int) -> Limits:
+    limits = Limits(
+        lower=section.vector("lower_rad", n),
+        upper=section.vector("upper_rad", n),
+        speed=section.vector("speed_rad_s", n, 0.0),
+        acceleration=section.vector("acceleration_rad_s2", n, 0.0),
+        motor_torque=section.vector("motor_torque_Nm", n, 0.0) if section.has("motor_torque_Nm") else None,
+        force=section.number("force_N", 0.0, above=True) if section.has("force_N") else None,
+        moment=section.number("moment_Nm", 0.0, above=True) if section.has("moment_Nm") else None,
+    )
+    section.done()
+    return limits
+
+
+def _run(section: Section, n: int) -> Run:
+    start = section.vector("start_rad", n)
+    moves = section.sections("move")
+    knots, duration, ramp = [start], [], []
+    for move in moves:
+        knots.append(move.vector("to_rad", n))
+        duration.append(move.number("duration_s", 0.0, above=True))
+        ramp.append(move.number("ramp_s", 0.0, above=True))
+        move.done()
+    course = Course(np.array(knots), np.array(duration), np.array(ramp), section.number("dwell_s", 0.0))
+    run = Run(course, section.number("speed_share", 0.0, above=True))
+    section.done()
+    return run
+
+
+def _sweep(section: Section, n: int, number: int) -> Sweep:
+    if section.integer("sweep") != number:
+        raise section.fault("sweep", str(number), repr(section.content["sweep"]))
+    offset = section.vector("offset_rad", None)
+    sweep = Sweep(
+        clamping=section.integer("clamping"),
+        joint=section.integer("joint", 1, n) - 1,
+        posture=section.vector("posture_rad", n),
+        offset=offset,
+        dwell=section.number("dwell_s", 0.0),
+        force=section.vector("force_N", len(offset), 0.0),
+        moment=section.vector("moment_Nm", len(offset), 0.0),
+    )
+    section.done()
+    return sweep
+
+
+def _visit(section: Section, n: int, targets: tuple[str, ...]) -> Visit:
+    wanted = section.texts("targets")
+    for name in wanted:
+        if name not in targets:
+            raise section.fault("targets", f"some of {', '.join(targets)}", repr(name))
+    visit = Visit(
+        table=cast(Literal["poses", "verification"], section.text("table", ("poses", "verification"))),
+        pose=section.integer("pose"),
+        visit=section.integer("visit"),
+        via=section.vector("via_rad", n),
+        q=section.vector("to_rad", n),
+        duration=section.vector("duration_s", 2, 0.0),
+        ramp=section.vector("ramp_s", 2, 0.0),
+        targets=wanted,
+    )
+    section.done()
+    return visit
+
+
+def _expected(section: Section) -> Expected:
+    indices = section.section("indices")
+    found = []
+    for one in section.sections("parameter"):
+        found.append(
+            ExpectedParameter(
+                one.text("name"),
+                one.text("unit"),
+                one.number("size", 0.0),
+                one.number("std", 0.0),
+                one.flag("identified"),
+            )
+        )
+        one.done()
+    expected = Expected(
+        indices={name: indices.number(name) for name in indices.keys()},  # noqa: SIM118 - not a dict
+        parameters=tuple(found),
+        not_identified=section.texts("not_identified"),
+        noise=section.text("noise"),
+    )
+    section.done()
+    return expected
+
+
+def _wished(section: Section) -> dict[str, float | int | str]:
+    out: dict[str, float | int | str] = {}
+    for key in section.keys():  # noqa: SIM118 - not a dict
+        value = section.content[key]
+        if not isinstance(value, int | float | str):
+            raise section.fault(key, "a number or text", repr(value))
+        out[key] = value
+    return out
