@@ -79,12 +79,20 @@ class LogBench:
         Of the torques.
     rate
         Hz, of the log.
+    fastest
+        Share of the top speeds at which joints move in the whole log; far slower ones creep, and do not count.
     """
 
     def __init__(
-        self, cell: Cell, effects: Mapping[str, Effect], wanted: Sequence[str], noise: TorqueNoise, rate: float
+        self,
+        cell: Cell,
+        effects: Mapping[str, Effect],
+        wanted: Sequence[str],
+        noise: TorqueNoise,
+        rate: float,
+        fastest: float = 0.0,
     ) -> None:
-        self.cell, self.noise, self.rate = cell, noise, rate
+        self.cell, self.noise, self.rate, self.fastest = cell, noise, rate, fastest
         n = cell.robot.n
         self._blank = imagined(cell, free_air=self._table([_still(n)]))
         self.layout = layout_of([self._blank])
@@ -130,7 +138,7 @@ class LogBench:
         robot = self.cell.robot
         T = np.asarray(robot.transmission)
         top = np.array([j.max_speed or 1.0 for j in robot.joints]) / np.abs(np.diag(T))
-        fastest = np.maximum(np.abs(signals["motor_speed"]).max(axis=0), 1e-3 * top)
+        fastest = np.maximum(np.abs(signals["motor_speed"]).max(axis=0), max(self.fastest, 1e-3) * top)
         moving = np.abs(signals["motor_speed"]) > CLEAR_MOTION * fastest
         steady = np.concatenate([_steady(course, self.rate) for course in courses])
         inertial = np.abs(signals["inertia_torque"] @ T.T)
@@ -138,10 +146,13 @@ class LogBench:
         between = self.noise.sigma * np.sqrt(
             (1 - self.noise.slow) + self.noise.slow * (1 - np.exp(-1 / self.rate / self.noise.memory))
         )
-        # The dry friction of a coupled joint that has not moved yet in its run is not known.
+        # The dry friction of a coupled joint that creeps, or has not moved yet in its run, is not known.
+        speed, motion = np.abs(signals["joint_speed"]), signals["joint_motion"]
+        clear = CLEAR_MOTION * np.maximum(speed.max(axis=0), self.fastest * top * np.abs(np.diag(T)))
         open_ = np.zeros_like(moving, dtype=float)
         for j in self.layout.wrist:
-            open_[:, j] = (signals["joint_motion"][:, j] == 0) & _moves_later(signals["joint_motion"][:, j], run)
+            creeping = (speed[:, j] > 1e-9) & (speed[:, j] <= clear[j])
+            open_[:, j] = ((motion[:, j] == 0) | creeping) & _moves_later(motion[:, j], run)
         undecided = (open_ @ (T != 0).T.astype(float)) > 0
         return np.asarray(moving & steady[:, None] & (inertial <= INERTIA_SHARE * between) & ~undecided)
 

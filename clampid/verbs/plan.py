@@ -96,6 +96,42 @@ def free_air(
         _finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
 
 
+@plan.command()
+def wrist(
+    output: PlanFile,
+    robot: Robot = "kuka_kr20_r1810",
+    like: Like = None,
+    time: Time = 600.0,
+    speeds: Speeds = "0.15,0.06",
+    effects: Effects = None,
+    range_share: RangeShare = 0.95,
+    acceleration: Acceleration = None,
+    torque_noise: TorqueNoise = None,
+    rated_torque: Rated = None,
+    floor: Floor = None,
+    obstacles: Obstacles = None,
+    arm_radius: ArmRadius = 0.08,
+    seed: Seed = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Swings in which a wrist motor turns with its joint still, and the reverse, which part their frictions."""
+    out = _begin(output, json, quiet)
+    with _refusals():
+        from clampid.planning.free_air import torque_noise_of
+        from clampid.planning.wrist import SWING_STOPS, plan_wrist
+
+        cell, limits, assumed = _cell(robot, like, range_share, acceleration)
+        noise, more = torque_noise_of(cell, torque_noise, _numbers("--rated-torque", rated_torque))
+        with out.working("choosing swings"):
+            made = plan_wrist(
+                cell, limits, noise, time=time, speeds=_numbers("--speeds", speeds) or (), effects=_names(effects),
+                scene=_scene(cell, floor, obstacles, arm_radius), seed=seed, assumed=(*assumed, *more),
+            )  # fmt: skip
+        swings = sum(len(run.course.duration) for run in made.runs) // SWING_STOPS
+        _finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
+
+
 def _begin(output: Path, json: str | None, quiet: bool) -> Output:
     out = Output(quiet, json)
     output_file(output)
