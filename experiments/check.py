@@ -11,9 +11,12 @@ import numpy as np
 
 from experiments.campaign import Campaign
 from experiments.check_angles import angle_findings
+from experiments.check_clock import clock_findings
 from experiments.check_motion import motion_findings, moved_joints, replicates
 from experiments.check_points import point_findings
 from experiments.check_signals import signal_findings
+from experiments.check_speeds import speed_findings
+from experiments.check_torques import torque_findings
 from experiments.columns import QUATERNION, temperature_columns
 from experiments.finding import Finding
 
@@ -37,11 +40,16 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
     """
     angles = tuple(angle_findings(campaign))
     wrong = frozenset(finding.table for finding in angles if finding.severity == "error")
+    torques = tuple(torque_findings(campaign, wrong))
+    weighed = frozenset(finding.table for finding in torques if finding.severity == "error")
     findings = [
         *angles,
         *point_findings(campaign, wrong),
-        *signal_findings(campaign, wrong),
+        *torques,
+        *signal_findings(campaign, wrong, weighed),
+        *clock_findings(campaign),
         *motion_findings(campaign, wrong),
+        *speed_findings(campaign, wrong),
     ]
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
 

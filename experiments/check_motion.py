@@ -117,7 +117,12 @@ def motion_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
     for table, lost in _LOST.items():
         if table in campaign.tables:
             wanted = wrist_joints(campaign) if table == "wrist" else range(n)
-            for i in sorted(set(wanted) - set(moved_joints(campaign, table))):
+            moved = moved_joints(campaign, table)
+            if not moved and table in ("free_air", "wrist") and len(campaign.tables[table]) > 1:
+                message = f"nothing moves in {table} (standstill only): friction cannot be identified"
+                yield Finding("warning", table, "q1_rad", None, message)
+                continue
+            for i in sorted(set(wanted) - set(moved)):
                 message = f"joint {i + 1} never moves in {table}: {lost}"
                 yield Finding("warning", table, f"q{i + 1}_rad", None, message)
     for table in ("poses", "verification"):

@@ -33,7 +33,9 @@ RATIOS = {
 }
 
 
-def signal_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
+def signal_findings(
+    campaign: Campaign, angles_wrong: frozenset[str], torques_wrong: frozenset[str] = frozenset()
+) -> Iterator[Finding]:
     """Look at every table's torques, velocities, temperatures and times.
 
     Parameters
@@ -42,6 +44,8 @@ def signal_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
         The campaign.
     angles_wrong
         Tables whose angles are known to be in another unit.
+    torques_wrong
+        Tables whose torques are known to be in another unit: their size is not judged again.
 
     Yields
     ------
@@ -50,7 +54,7 @@ def signal_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
     """
     for table, frame in campaign.tables.items():
         if "tau1_Nm" in frame:
-            yield from _torques(campaign, table, frame)
+            yield from _torques(campaign, table, frame, table not in torques_wrong)
         if "qd1_rad_s" in frame and table not in angles_wrong:
             yield from _velocities(campaign, table, frame)
         yield from _temperatures(table, frame)
@@ -59,7 +63,7 @@ def signal_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
     yield from _instrument(campaign)
 
 
-def _torques(campaign: Campaign, table: str, frame: pd.DataFrame) -> Iterator[Finding]:
+def _torques(campaign: Campaign, table: str, frame: pd.DataFrame, size: bool) -> Iterator[Finding]:
     robot = campaign.robot
     names = joint_columns("tau{}_Nm", robot.n)
     tau = frame[list(names)].to_numpy(dtype=np.float64)  # (rows, n)
@@ -68,7 +72,7 @@ def _torques(campaign: Campaign, table: str, frame: pd.DataFrame) -> Iterator[Fi
         what = "zero" if tau[0, i] == 0.0 else f"{tau[0, i]:g} Nm"
         message = f"the torque of motor {i + 1} is {what} in every row: nothing about it can be identified here"
         yield Finding("warning", table, names[i], None, message)
-    if not robot.transmission_known or any(joint.rated_torque is None for joint in robot.joints):
+    if not size or not robot.transmission_known or any(joint.rated_torque is None for joint in robot.joints):
         return
     rated = np.abs(np.diag(robot.transmission)) * [joint.rated_torque or 0.0 for joint in robot.joints]
     typical = np.quantile(np.abs(tau), 0.95, axis=0)

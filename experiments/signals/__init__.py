@@ -6,13 +6,16 @@ Nothing here knows of effects or of a robot.
 from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
 from experiments.signals.motion import held_sign, rest_threshold
+from experiments.signals.shift import Shift, combine_shifts, time_shift
 from experiments.signals.window import choose_window
 
 __all__ = [
     "Gap",
+    "Shift",
     "acceleration",
     "accelerations",
     "choose_window",
+    "combine_shifts",
     "differentiate",
     "gaps",
     "held_sign",
@@ -22,4 +25,5 @@ __all__ = [
     "segments",
     "speeds",
     "stale_rows",
+    "time_shift",
 ]
