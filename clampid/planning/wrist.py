@@ -139,8 +139,8 @@ def plan_wrist(
     if not wrist:
         known = "couples no joint with another" if robot.transmission_known else "is not known, and taken as uncoupled"
         raise PlanError(
-            f"{robot.name}: its transmission {known}: no motor can turn with its joint still, nor a joint move with its "
-            "motor still, so there is no wrist program; free air tells what can be told (clampid plan free-air)"
+            f"{robot.name}: its transmission {known}: no motor can turn with its joint still, nor a joint with "
+            "its motor still, so there is no wrist program; free air tells what can be told (clampid plan free-air)"
         )
     around = scene or Scene.floor_only(cell)
     asked = tuple(effects) if effects else _standard(robot)
