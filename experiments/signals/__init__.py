@@ -5,7 +5,7 @@ Nothing here knows of effects or of a robot.
 
 from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
-from experiments.signals.motion import held_sign, rest_threshold
+from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
 from experiments.signals.shift import Shift, combine_shifts, time_shift
 from experiments.signals.window import choose_window
 
@@ -23,7 +23,9 @@ __all__ = [
     "low_pass",
     "rest_threshold",
     "segments",
+    "speed_counts",
     "speeds",
     "stale_rows",
+    "threshold_of_counts",
     "time_shift",
 ]
