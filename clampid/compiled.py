@@ -38,6 +38,7 @@ class Blocks:
     """A function of (parameters, row) over blocks of rows through casadi's buffers: one crossing per block."""
 
     def __init__(self, function: Any) -> None:
+        self.function = function
         mapped = function.map("rows", "serial", BLOCK, [0], [])
         self.theta = np.zeros(function.nnz_in(0))
         self.rows = np.zeros((BLOCK, function.nnz_in(1)))

@@ -17,7 +17,7 @@ from scipy import sparse
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 
-__all__ = ["Noise", "Whitened", "initial_noise", "learn_noise"]
+__all__ = ["ORDER", "Noise", "Whitened", "initial_noise", "learn_noise", "predictors_of"]
 
 ORDER = 12
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
@@ -119,15 +119,31 @@ def learn_noise(rows: Rows, residual: Array) -> Noise:
 
 def _autoregression(x: Array, stretch: Integers) -> tuple[tuple[Array, float], ...]:
     """Yule-Walker predictors of order 0 … 12 (Levinson-Durbin), from within-stretch products only."""
-    products, counts = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
+    products = np.zeros(ORDER + 1)
     for lag in range(ORDER + 1):
         a, b = x[lag:], x[: len(x) - lag]
         same = (stretch[lag:] == stretch[: len(x) - lag]) & (stretch[lag:] >= 0)
-        products[lag], counts[lag] = float(a[same] @ b[same]), float(same.sum())
-    if counts[0] == 0 or products[0] == 0:
+        products[lag] = float(a[same] @ b[same])
+    return predictors_of(products)
+
+
+def predictors_of(products: Array) -> tuple[tuple[Array, float], ...]:
+    """Yule-Walker predictors of order 0 … 12 with their relative variances, by Levinson's and Durbin's recursion.
+
+    Parameters
+    ----------
+    products
+        Sums of products of residuals of lag 0 … 12 within stretches ``(13,)``; their common scale does not matter.
+
+    Returns
+    -------
+    tuple
+        Per order the coefficients of the rows before, the nearest first, and the share of the variance that is left.
+        Source: Brockwell & Davis, Time Series: Theory and Methods (1991), section 8.2.
+    """
+    if products[0] == 0:
         return ((np.zeros(0), 1.0),)
-    autocovariance = products / counts[0]  # the biased estimate: always a stable filter
-    autocovariance /= autocovariance[0]
+    autocovariance = products / products[0]  # the biased estimate: always a stable filter
     predictors: list[tuple[Array, float]] = [(np.zeros(0), 1.0)]
     a, variance = np.zeros(0), 1.0
     for k in range(1, ORDER + 1):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from clampid.fit import Estimate
+from clampid.slots import Slot
+from clampid.stages.rows import Array
 
-__all__ = ["null_directions"]
+__all__ = ["named_directions", "null_directions"]
 
 WEAK = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
 
@@ -17,25 +21,44 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
     In units of reasonable sizes the information of the data has eigenvalues; one below 1 means that the combination is
     not known to within such a size. Parameters with no information at all are named alone.
     """
-    count = len(estimate.slots)
-    size = estimate.experiment.sizes()[:count]
     J = estimate.whitened.jacobian
-    scaled = (J * estimate.experiment.sizes()) if J.size else J
-    information = scaled.T @ scaled
-    if J.shape[1] > count:  # what the offsets could take up is not information on the slots
+    size = estimate.experiment.sizes()
+    scaled = (J * size) if J.size else J
+    return named_directions(scaled.T @ scaled, size, estimate.slots, estimate.prior_precision, limit)
+
+
+def named_directions(
+    information: Array, sizes: Array, slots: Sequence[Slot], precision: Array, limit: int = 12
+) -> tuple[str, ...]:
+    """The same from what the data tell.
+
+    Parameters
+    ----------
+    information
+        ``(P + K, P + K)``: the whitened normal matrix without prior, in units of reasonable sizes.
+    sizes
+        Reasonable sizes ``(P + K,)``, SI.
+    slots
+        The first P parameters.
+    precision
+        The prior's ``(P + K, P + K)``, SI.
+    """
+    count = len(slots)
+    size = sizes[:count]
+    if len(sizes) > count:  # what the offsets could take up is not information on the slots
         A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
         information = A - B @ np.linalg.pinv(C, rcond=1e-10) @ B.T
-    prior = estimate.prior_precision[:count, :count] * np.outer(size, size)
+    prior = precision[:count, :count] * np.outer(size, size)
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
     silent = np.diag(information) < 1e-9
     out = []
     groups: dict[str, list[str]] = {}
-    for slot in (s for s, alone in zip(estimate.slots, silent, strict=True) if alone):
+    for slot in (s for s, alone in zip(slots, silent, strict=True) if alone):
         groups.setdefault(f"{slot.effect}.{slot.parameter}", []).append(slot.place)
     out += [f"{name} at {', '.join(places)}: these rows do not depend on it" for name, places in groups.items()]
     values, vectors = np.linalg.eigh(information[np.ix_(~silent, ~silent)])
-    labels = [s.label for s, alone in zip(estimate.slots, silent, strict=True) if not alone]
+    labels = [s.label for s, alone in zip(slots, silent, strict=True) if not alone]
     for value, vector in zip(values, vectors.T, strict=True):
         if value >= WEAK or len(out) >= limit:
             break

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from kinematics.screws import hat3
 
-__all__ = ["inertial_parameters", "inertial_regressor"]
+__all__ = ["inertia_about", "inertial_parameters", "inertial_regressor"]
 
 Array = npt.NDArray[np.float64]
 
@@ -87,6 +87,31 @@ def inertial_parameters(mass: float, com: npt.ArrayLike, inertia: npt.ArrayLike 
     return np.array([mass, *(mass * c), *np.diag(about), about[0, 1], about[0, 2], about[1, 2]])
 
 
+def inertia_about(point: npt.ArrayLike) -> Array:
+    """
+    Give the matrix from φ with the inertia about a point to φ with it about the base's origin.
+
+    Parameters
+    ----------
+    point
+        Point (3,), base frame at the zero pose [m].
+
+    Returns
+    -------
+    Array
+        Matrix (10, 10). Source: Lynch & Park, Modern Robotics, theorem 8.2 (Steiner), in first moments.
+    """
+    point = np.asarray(point, dtype=np.float64)
+    out = np.eye(10)
+    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+    p, E = point, np.eye(3)
+    for row, (i, j) in enumerate(places, start=4):
+        out[row, 0] = -((p @ p) * E[i, j] - p[i] * p[j])
+        for axis in range(3):
+            out[row, 1 + axis] = 2 * p[axis] * E[i, j] - p[i] * E[axis, j] - E[axis, i] * p[j]
+    return out
+
+
 def _regressor(S: Array, P: Array, q: Array, qd: Array, qdd: Array) -> Array:
     count, n = q.shape
     Y = np.zeros((count, n, 10 * n))
@@ -99,7 +124,7 @@ def _regressor(S: Array, P: Array, q: Array, qd: Array, qdd: Array) -> Array:
         before = np.einsum("nij,nj->ni", back, V)
         V = before + S[k] * qd[:, k, None]
         A = np.einsum("nij,nj->ni", back, A) + _bracket(V, S[k]) * qd[:, k, None] + S[k] * qdd[:, k, None]
-        wrench = _wrench_by_parameters(V, A) @ _inertia_about(P[k])
+        wrench = _wrench_by_parameters(V, A) @ inertia_about(P[k])
         Y[:, : k + 1, 10 * k : 10 * k + 10] = np.swapaxes(J[:, :, : k + 1], 1, 2) @ wrench
     return Y
 
@@ -152,16 +177,4 @@ def _wrench_by_parameters(V: Array, A: Array) -> Array:
     out = _momentum(A)
     out[:, :3] += w @ moving[:, :3] + v @ moving[:, 3:]
     out[:, 3:] += w @ moving[:, 3:]
-    return out
-
-
-def _inertia_about(point: Array) -> Array:
-    """The matrix ``(10, 10)`` from φ with the inertia about a point to φ with it about the base's origin."""
-    out = np.eye(10)
-    places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    p, E = point, np.eye(3)
-    for row, (i, j) in enumerate(places, start=4):
-        out[row, 0] = -((p @ p) * E[i, j] - p[i] * p[j])
-        for axis in range(3):
-            out[row, 1 + axis] = 2 * p[axis] * E[i, j] - p[i] * E[axis, j] - E[axis, i] * p[j]
     return out

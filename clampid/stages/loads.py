@@ -11,7 +11,7 @@ from kinematics.gravity import gravity_parameters, gravity_regressor
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 
-__all__ = ["bearing_signals", "gravity_signals", "inertia_torque", "inertial_signals"]
+__all__ = ["bearing_signals", "flange_to_base", "gravity_signals", "inertia_torque", "inertial_signals"]
 
 
 def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
@@ -25,7 +25,7 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     Y = gravity_regressor(robot.screws, chain_q, campaign.gravity)
     # The linkage maps the controller's joints to the chain's, so that torques go the other way (power is conserved).
     Y = np.asarray(robot.linkage).T @ Y
-    tool = Y[:, :, -4:] @ _flange_to_base(robot)
+    tool = Y[:, :, -4:] @ flange_to_base(robot)
     declared = campaign.tool.mass * np.r_[1.0, campaign.tool.com]
     torque = tool @ declared
     if robot.has_masses:
@@ -119,7 +119,7 @@ def inertial_signals(campaign: Campaign, q: Array, speed: Array, acceleration: A
     masses = by_link[..., :4].reshape(len(q), n, 4 * n)
     return {
         "regressor": masses,
-        "tool_regressor": masses[:, :, -4:] @ _flange_to_base(robot),
+        "tool_regressor": masses[:, :, -4:] @ flange_to_base(robot),
         "link_inertia_regressor": np.ascontiguousarray(by_link[..., 4:]).reshape(len(q), n, 6 * n),
         "inertia_torque": torque,
     }
@@ -130,7 +130,7 @@ def inertia_torque(campaign: Campaign, q: Array, speed: Array, acceleration: Arr
     return inertial_signals(campaign, q, speed, acceleration)["inertia_torque"]
 
 
-def _flange_to_base(robot: RobotDescription) -> Array:
+def flange_to_base(robot: RobotDescription) -> Array:
     """From (m, m c) in the flange frame to (m, m c) in the base frame at the zero pose ``(4, 4)``."""
     out = np.eye(4)
     out[1:, 0] = robot.flange[:3, 3]

@@ -22,6 +22,7 @@ from experiments.signals import acceleration, held_sign, rest_threshold, segment
 __all__ = ["residual", "steady_share", "torque_rows"]
 
 FIFTHS = 5  # a log of one run is held out by contiguous fifths
+WINDOW_S = 0.02  # over which speeds and accelerations are taken
 CLEAR_MOTION = 0.02  # of the top speed of the log
 STEADY = 0.15  # of the log's largest acceleration of a joint
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
@@ -82,8 +83,8 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
     if all(c in joined.columns and not joined[c].isna().any() for c in names_qd):
         qd = joined[names_qd].to_numpy(float)
     else:
-        qd = speeds(q, time, run, window_s=0.02)
-    qdd = acceleration(qd, time, run, window_s=0.02)
+        qd = speeds(q, time, run, window_s=WINDOW_S)
+    qdd = acceleration(qd, time, run, window_s=WINDOW_S)
     to_motor = np.linalg.inv(T)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
     wm = qd @ to_motor
     rest, rest_m = rest_threshold(qd), rest_threshold(wm)
@@ -154,8 +155,8 @@ def steady_share(campaign: Campaign) -> float:
             table = campaign.tables[name]
             q, time = table[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float), table["time_s"].to_numpy(float)
             run = table["run"].to_numpy(np.int64)
-            qd = speeds(q, time, run, window_s=0.02)
-            qdd = acceleration(qd, time, run, window_s=0.02)
+            qd = speeds(q, time, run, window_s=WINDOW_S)
+            qdd = acceleration(qd, time, run, window_s=WINDOW_S)
             moves = np.abs(qd) > np.maximum(rest_threshold(qd), CLEAR_MOTION * np.abs(qd).max(axis=0, initial=0.0))
             moving += int(moves.sum())
             steady += int((moves & (np.abs(qdd) <= STEADY * np.abs(qdd).max(axis=0, initial=0.0))).sum())

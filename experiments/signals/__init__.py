@@ -6,6 +6,7 @@ Nothing here knows of effects or of a robot.
 from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
 from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
+from experiments.signals.selection import medians
 from experiments.signals.shift import Shift, combine_shifts, time_shift
 from experiments.signals.window import choose_window
 
@@ -21,6 +22,7 @@ __all__ = [
     "held_sign",
     "irregularity",
     "low_pass",
+    "medians",
     "rest_threshold",
     "segments",
     "speed_counts",

@@ -24,9 +24,11 @@ from experiments.signals.window import choose_window
 __all__ = ["acceleration", "accelerations", "differentiate", "low_pass", "speeds"]
 
 
-def speeds(q: Array, time: Array, run: Integers, window_s: float | None = None) -> Array:
+def speeds(
+    q: Array, time: Array, run: Integers, window_s: float | None = None, step: float | None = None
+) -> Array:
     """Joint speeds ``(N, n)`` [rad/s] from positions ``(N, n)`` [rad]; see :func:`differentiate`."""
-    return differentiate(q, time, run, 1, window_s, stale_rows(q, run))
+    return differentiate(q, time, run, 1, window_s, stale_rows(q, run), step)
 
 
 def accelerations(q: Array, time: Array, run: Integers, window_s: float | None = None) -> Array:
@@ -37,9 +39,11 @@ def accelerations(q: Array, time: Array, run: Integers, window_s: float | None =
     return differentiate(q, time, run, 2, window_s, stale_rows(q, run))
 
 
-def acceleration(speed: Array, time: Array, run: Integers, window_s: float | None = None) -> Array:
+def acceleration(
+    speed: Array, time: Array, run: Integers, window_s: float | None = None, step: float | None = None
+) -> Array:
     """Joint accelerations ``(N, n)`` [rad/s²] from speeds ``(N, n)`` [rad/s]; see :func:`differentiate`."""
-    return differentiate(speed, time, run, 1, window_s)
+    return differentiate(speed, time, run, 1, window_s, step=step)
 
 
 def low_pass(values: Array, time: Array, run: Integers, window_s: float, stale: Bools | None = None) -> Array:
@@ -48,7 +52,13 @@ def low_pass(values: Array, time: Array, run: Integers, window_s: float, stale: 
 
 
 def differentiate(
-    values: Array, time: Array, run: Integers, order: int, window_s: float | None = None, stale: Bools | None = None
+    values: Array,
+    time: Array,
+    run: Integers,
+    order: int,
+    window_s: float | None = None,
+    stale: Bools | None = None,
+    step: float | None = None,
 ) -> Array:
     """Differentiate columns of a log by local cubics, without lag, run by run.
 
@@ -70,6 +80,8 @@ def differentiate(
         :func:`~experiments.signals.window.choose_window`.
     stale
         Rows ``(N,)`` that only repeat the one before, and say nothing of their own time.
+    step
+        The usual step of the log that the rows are a part of [s]; by default that of the rows.
 
     Returns
     -------
@@ -92,6 +104,7 @@ def differentiate(
     if len(values) == 0:
         return np.zeros_like(values)
     length = choose_window(values, time, run, order) if window_s is None else window_s
-    half = max(int(np.rint(length / typical_step(time, run) / 2.0)), smallest_half())
+    step = typical_step(time, run) if step is None else step
+    half = max(int(np.rint(length / step / 2.0)), smallest_half())
     usable = np.ones(len(values), dtype=bool) if stale is None else ~stale
-    return local_polynomial(values, time, run, half, order, usable)
+    return local_polynomial(values, time, run, half, order, usable, step)

@@ -48,7 +48,9 @@ def kernel(half: int, order: int) -> Array:
     return np.asarray(factorial(order) * weight * (powers @ chosen) / (half + 1.0) ** order)
 
 
-def local_polynomial(values: Array, time: Array, run: Integers, half: int, order: int, usable: Bools) -> Array:
+def local_polynomial(
+    values: Array, time: Array, run: Integers, half: int, order: int, usable: Bools, step: float | None = None
+) -> Array:
     """Derivatives of columns by local polynomials.
 
     Parameters
@@ -65,6 +67,8 @@ def local_polynomial(values: Array, time: Array, run: Integers, half: int, order
         0, 1 or 2.
     usable
         Rows ``(N,)`` that are measurements; others are predicted from these.
+    step
+        The log's usual step [s]; by default that of these rows.
 
     Returns
     -------
@@ -73,7 +77,7 @@ def local_polynomial(values: Array, time: Array, run: Integers, half: int, order
         they allow; a derivative that they do not determine is 0.
     """
     out = np.zeros_like(values)
-    step = typical_step(time, run)
+    step = typical_step(time, run) if step is None else step
     # A polynomial does not reach across more than half its window: what is there need not be on it.
     reach = (half + 0.5) * step
     for rows in _stretches(time, run, reach):

@@ -1,0 +1,187 @@
+"""What has to be known of a whole torque log before any of its rows can be used: steps, noise, thresholds, runs.
+
+Two passes over the log; what is kept is a few numbers, and a line per run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clampid.stages.rows import Array, Bools, Integers
+from clampid.stages.torques import CLEAR_MOTION, NORMAL, STEADY, WINDOW_S
+from experiments.campaign import Campaign
+from experiments.log_windows import LogTable, Window, windows
+from experiments.signals import acceleration, medians, speed_counts, speeds, threshold_of_counts
+
+__all__ = ["LogFacts", "LogPart", "facts_of", "joint_columns", "motion_of"]
+
+WINDOW = 1 << 14  # rows at once
+REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
+NEIGHBOURS = 64  # at least
+
+
+@dataclass(frozen=True, eq=False)
+class LogPart:
+    """One table of one session: the campaign that says what it is of, and its rows."""
+
+    campaign: Campaign
+    session: int
+    name: str
+    table: LogTable
+
+
+@dataclass(frozen=True)
+class LogFacts:
+    """Facts of the log.
+
+    Attributes
+    ----------
+    step, spacing
+        The usual time step, within runs and between any rows that follow each other, s.
+    noise
+        ``(n,)``: of the torques, between neighbouring rows, Nm.
+    speeds_logged
+        Whether the log has all speeds.
+    rest, rest_motor, clear, clear_motor
+        ``(n,)``, rad/s: speeds of rest and of clear motion, of joints and of motors.
+    steady
+        ``(n,)``, rad/s²: accelerations up to which motion counts as steady.
+    since
+        The first stamp, s.
+    rows
+        Number of rows of all parts.
+    runs
+        ``(R, 2)``: part and number of each run, in order.
+    length
+        ``(R,)``: rows of each.
+    moved
+        ``(R, n)``: whether the joint moves in that run.
+    """
+
+    step: float
+    spacing: float
+    noise: Array
+    speeds_logged: bool
+    rest: Array
+    rest_motor: Array
+    clear: Array
+    clear_motor: Array
+    steady: Array
+    since: float
+    rows: int
+    runs: Integers
+    length: Integers
+    moved: Bools
+
+    @property
+    def halo(self) -> int:
+        """How many neighbours a window needs on either side."""
+        return halo_of(self.step)
+
+
+def halo_of(step: float) -> int:
+    """Rows on either side of a window that its speeds and accelerations reach for."""
+    return max(NEIGHBOURS, REACH * round(WINDOW_S / step))
+
+
+def joint_columns(kind: str, unit: str, n: int) -> list[str]:
+    """Names of n numbered columns, such as ``q1_rad``."""
+    return [f"{kind}{i + 1}_{unit}" for i in range(n)]
+
+
+def stacked(window: Window, names: Sequence[str]) -> Array:
+    """Columns of a window beside each other ``(w, c)``."""
+    return np.column_stack([window.columns[name] for name in names])
+
+
+def motion_of(window: Window, n: int, step: float, speeds_logged: bool) -> tuple[Array, Array, Array]:
+    """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²."""
+    q, time = stacked(window, joint_columns("q", "rad", n)), window.columns["time_s"]
+    run = window.columns["run"].astype(np.int64)
+    if speeds_logged:
+        qd = stacked(window, joint_columns("qd", "rad_s", n))
+    else:
+        qd = speeds(q, time, run, WINDOW_S, step)
+    return q, qd, acceleration(qd, time, run, WINDOW_S, step)
+
+
+def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22) -> LogFacts:
+    """Find the facts of a log.
+
+    Parameters
+    ----------
+    parts
+        Its tables, in order.
+    window
+        Rows read at once.
+    held
+        How many numbers may be held for a median; see `experiments.signals.medians`.
+    """
+    n = parts[0].campaign.robot.n
+    middle = medians(lambda: _differences(parts, n), held)
+    step = float(middle[0]) if np.isfinite(middle[0]) else 1.0
+    names_qd = joint_columns("qd", "rad_s", n)
+    logged = all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
+    kinds = [("q", "rad"), ("qd", "rad_s")] if logged else [("q", "rad")]
+    names = ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, n))]
+    to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
+    counts = [np.zeros((n, 1), dtype=np.int64)] * 2
+    top = np.zeros((3, n))
+    since, rows = np.inf, 0
+    found: dict[tuple[int, int], tuple[int, Array]] = {}
+    for p, part in enumerate(parts):
+        for w in windows(part.table, names, window, halo_of(step)):
+            _, qd, qdd = motion_of(w, n, step, logged)
+            own = slice(w.start, w.stop)
+            qd, qdd = qd[own], qdd[own]
+            wm = qd @ to_motor
+            counts = [c + speed_counts(v) for c, v in zip(counts, (qd, wm), strict=True)]
+            top = np.maximum(top, [np.abs(v).max(axis=0) for v in (qd, wm, qdd)])
+            since, rows = min(since, float(w.columns["time_s"][own].min())), rows + len(qd)
+            run = w.columns["run"][own].astype(np.int64)
+            first = np.flatnonzero(np.r_[True, run[1:] != run[:-1]])
+            fastest = np.maximum.reduceat(np.abs(qd), first, axis=0)
+            for k, length, speed in zip(run[first], np.diff(np.r_[first, len(run)]), fastest, strict=True):
+                before, size = found.get((p, int(k)), (0, np.zeros(n)))
+                found[p, int(k)] = before + int(length), np.maximum(size, speed)
+    keys = sorted(found)
+    rest, rest_motor = threshold_of_counts(counts[0], top[0]), threshold_of_counts(counts[1], top[1])
+    return LogFacts(
+        step=step,
+        spacing=float(middle[1]) if np.isfinite(middle[1]) else 0.0,
+        noise=NORMAL * middle[2:] / np.sqrt(2.0),
+        speeds_logged=logged,
+        rest=rest,
+        rest_motor=rest_motor,
+        clear=CLEAR_MOTION * top[0],
+        clear_motor=CLEAR_MOTION * top[1],
+        steady=STEADY * top[2],
+        since=float(since),
+        rows=rows,
+        runs=np.array(keys, dtype=np.int64).reshape(-1, 2),
+        length=np.array([found[k][0] for k in keys], dtype=np.int64),
+        moved=np.array([found[k][1] > rest for k in keys]).reshape(-1, n),
+    )
+
+
+def _missing(parts: Sequence[LogPart], names: Sequence[str]) -> bool:
+    return any(np.isnan(v).any() for p in parts for chunk in p.table.chunks(names) for v in chunk.values())
+
+
+def _differences(parts: Sequence[LogPart], n: int) -> Iterator[list[Array]]:
+    """Time steps within runs and between all rows, s, and what torques change by, Nm, of rows in order."""
+    torques = joint_columns("tau", "Nm", n)
+    last: list[Array] = []
+    for p, part in enumerate(parts):
+        for chunk in part.table.chunks(["run", "time_s", *torques]):
+            now = [chunk["run"] + 0.0, np.full(len(chunk["run"]), float(p)), chunk["time_s"]]
+            now += [chunk[name] for name in torques]
+            both = [np.r_[a, b] for a, b in zip(last, now, strict=True)] if last else now
+            run, table, time = both[:3]
+            steps = np.diff(time)
+            within = (run[1:] == run[:-1]) & (table[1:] == table[:-1]) & (steps > 0.0)
+            yield [steps[within], steps, *(np.abs(np.diff(tau)) for tau in both[3:])]
+            last = [v[-1:] for v in now]

@@ -1,0 +1,122 @@
+"""The torque prediction of one row and its derivative as one compiled function, for effect sets linear in parameters.
+
+It is the chain's own function with the loads' regressors put in as expressions of the posture, so that they are never
+stored: of a motor's row only the parameters that can touch it are left. See `clampid.stages.torques`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from clampid.chain import Chain
+from clampid.compiled import Blocks, compile_function
+from clampid.stages.loads import flange_to_base
+from clampid.stages.rows import Array, Integers
+from experiments.campaign import Campaign
+from kinematics.dynamics import inertial_parameters
+from kinematics.gravity import gravity_parameters
+from kinematics.symbolic_dynamics import symbolic_torques
+
+__all__ = ["TorqueKernel", "torque_kernel"]
+
+COMPUTED = ("regressor", "tool_regressor", "link_inertia_regressor", "gravity_torque", "inertia_torque")
+POSTURE = ("q", "joint_speed", "joint_acceleration")
+
+
+@dataclass(frozen=True)
+class TorqueKernel:
+    """Torques of one session's rows without deviations, and what the parameters add to them.
+
+    Attributes
+    ----------
+    signals
+        Names and widths of the signals that the function reads, in order.
+    touched
+        Per motor the parameters ``(p,)`` that can change its torque.
+    """
+
+    signals: tuple[tuple[str, int], ...]
+    touched: tuple[Integers, ...]
+    function: Blocks
+
+    def evaluate(self, signals: dict[str, Array]) -> tuple[Array, Array, list[Array]]:
+        """Predicted motor torques at zero parameters and those of inertia ``(N, n)``, Nm; per motor ``(N, p)``."""
+        count, n = len(signals["q"]), len(self.touched)
+        columns = [np.reshape(signals[name], (count, width)) for name, width in self.signals]
+        values = self.function(np.zeros(self.function.theta.size), *columns)[0]
+        ends = 2 * n + np.cumsum([0, *(len(t) for t in self.touched)])
+        design = [values[:, a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        return values[:, :n], values[:, n : 2 * n], design
+
+
+def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel | None:
+    """The kernel of a session, or None where the effects are not linear in their parameters.
+
+    Parameters
+    ----------
+    campaign
+        Robot, gravity (base frame, m/s²) and declared tool (kg, m).
+    chain
+        The chain of the stage ``free_air``.
+    """
+    robot, n = campaign.robot, campaign.robot.n
+    inputs = {name: ca.SX.sym(name, n) for name in POSTURE}
+    computed = _computed(campaign, inputs)
+    theta = ca.SX.sym("theta", len(chain.slots))
+    flats = []
+    for name, width in chain.signals:
+        if name in COMPUTED:
+            flats.append(ca.vec(ca.densify(computed[name]).T))
+        else:
+            flats.append(inputs.setdefault(name, ca.SX.sym(name, width)))
+    stacked, _ = chain.function.function(theta, ca.vertcat(*flats))
+    T = ca.sparsify(ca.DM(np.asarray(robot.transmission)))
+    inertia = T @ computed["inertia_torque"]
+    deviation = T @ stacked[chain.offsets["joint_torque"]] + stacked[chain.offsets["motor_torque"]]
+    jacobian = ca.jacobian(deviation, theta)
+    if ca.depends_on(jacobian, theta):
+        return None
+    predicted = ca.substitute(deviation, theta, ca.DM.zeros(len(chain.slots))) + T @ computed["gravity_torque"]
+    rows, touched = [], []
+    for motor in range(n):
+        row = jacobian[motor, :]
+        columns = np.array(row.sparsity().get_triplet()[1], dtype=np.int64)
+        touched.append(columns)
+        rows.append(row[[int(c) for c in columns]].T if len(columns) else ca.SX(0, 1))
+    output = ca.densify(ca.vertcat(predicted + inertia, inertia, *rows))
+    function = ca.Function("torques", [ca.SX(0, 1), ca.vertcat(*inputs.values())], [ca.cse(output)])
+    widths = tuple((name, symbol.shape[0]) for name, symbol in inputs.items())
+    return TorqueKernel(widths, tuple(touched), Blocks(compile_function(function)))
+
+
+def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:
+    """Expressions of the signals that `clampid.stages.loads` gives as arrays; joints of the controller."""
+    robot, n = campaign.robot, campaign.robot.n
+    linkage, points = ca.sparsify(ca.DM(np.asarray(robot.linkage))), np.array([j.point for j in robot.joints])
+    chain = [linkage @ row[name] for name in POSTURE]
+    torques = symbolic_torques(robot.screws, points, campaign.gravity, *chain)
+    weight, motion = linkage.T @ torques.weight, linkage.T @ torques.motion
+    by_mass = [10 * k + i for k in range(n) for i in range(4)]
+    by_inertia = [10 * k + i for k in range(n) for i in range(4, 10)]
+    to_base = ca.sparsify(ca.DM(flange_to_base(robot)))
+    tool = weight[:, 4 * n - 4 :] @ to_base
+    gravity = tool @ ca.DM(campaign.tool.mass * np.r_[1.0, campaign.tool.com])
+    inertia = ca.SX(n, 1)
+    if robot.has_masses:
+        gravity = gravity + weight @ ca.DM(gravity_parameters(robot.links))
+        bodies = [inertial_parameters(b.mass, b.com, b.inertia, at) for b, at in zip(robot.links, points, strict=True)]
+        at_flange = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
+        bodies[-1] = bodies[-1] + inertial_parameters(campaign.tool.mass, at_flange, None, points[-1])
+        inertia = motion @ ca.DM(np.concatenate(bodies))
+    regressor = weight + motion[:, by_mass]
+    return {
+        "regressor": regressor,
+        "tool_regressor": regressor[:, 4 * n - 4 :] @ to_base,
+        "link_inertia_regressor": motion[:, by_inertia],
+        "gravity_torque": gravity,
+        "inertia_torque": inertia,
+    }

@@ -1,0 +1,113 @@
+"""Logs read a window at a time, with the rows on either side that filters reach for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+import pyarrow.parquet as pa_parquet
+
+__all__ = ["LogTable", "Window", "windows"]
+
+Columns = Mapping[str, npt.NDArray[np.float64]]
+BATCH = 1 << 16  # rows decoded at once
+
+
+@dataclass(frozen=True)
+class Window:
+    """Some rows of a log and their neighbours.
+
+    Attributes
+    ----------
+    columns
+        Name → ``(w,)``: the rows with those around them.
+    first
+        Which row of the log the first of them is, from 0.
+    start, stop
+        Of the rows, those that are the window's own; every row of the log is of one window.
+    """
+
+    columns: Columns
+    first: int
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, eq=False)
+class LogTable:
+    """A table ``free_air`` or ``wrist``: held, or in a Parquet file that is read as it is needed.
+
+    Attributes
+    ----------
+    source
+        The table, or the path of the file.
+    names
+        Its columns.
+    rows
+        How many rows it has.
+    """
+
+    source: pd.DataFrame | Path
+    names: tuple[str, ...]
+    rows: int
+
+    @staticmethod
+    def of(source: pd.DataFrame | Path) -> LogTable:
+        """A table held, or a Parquet file, whose rows are not read yet."""
+        if isinstance(source, pd.DataFrame):
+            return LogTable(source, tuple(map(str, source.columns)), len(source))
+        with pa_parquet.ParquetFile(source) as file:
+            return LogTable(source, tuple(file.schema_arrow.names), int(file.metadata.num_rows))
+
+    def chunks(self, names: Sequence[str]) -> Iterator[Columns]:
+        """Columns in pieces, one after the other: all at once if the table is held."""
+        if isinstance(self.source, pd.DataFrame):
+            yield {name: self.source[name].to_numpy(np.float64) for name in names}
+            return
+        with pa_parquet.ParquetFile(self.source) as file:
+            for batch in file.iter_batches(BATCH, columns=list(names), use_threads=False):
+                yield {
+                    name: batch.column(name).to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
+                    for name in names
+                }
+
+
+def windows(table: LogTable, names: Sequence[str], rows: int, halo: int) -> Iterator[Window]:
+    """A log in windows of at most ``rows`` rows, with ``halo`` rows on either side where there are so many.
+
+    A window ends with a run where one ends in its second half, so that fewer filters have to reach across.
+
+    Parameters
+    ----------
+    table
+        The log.
+    names
+        Which columns; ``run`` among them.
+    """
+    held: dict[str, npt.NDArray[np.float64]] = {}
+    first = own = 0  # the log's row that is held[0], and the held row that the next window starts with
+    for chunk in table.chunks(names):
+        held = {n: np.concatenate([held[n], v]) for n, v in chunk.items()} if held else dict(chunk)
+        while len(held["run"]) - own >= rows + halo:
+            stop = _end(held["run"], own, own + rows)
+            start = max(own - halo, 0)
+            part = {n: v[start : stop + halo] for n, v in held.items()}
+            yield Window(part, first + start, own - start, stop - start)
+            own = stop
+        keep = max(own - halo, 0)
+        held, first, own = {n: v[keep:] for n, v in held.items()}, first + keep, own - keep
+    while held and own < len(held["run"]):
+        stop = _end(held["run"], own, own + rows) if len(held["run"]) - own > rows else len(held["run"])
+        start = max(own - halo, 0)
+        yield Window({n: v[start : stop + halo] for n, v in held.items()}, first + start, own - start, stop - start)
+        own = stop
+
+
+def _end(run: npt.NDArray[np.float64], own: int, full: int) -> int:
+    middle = (own + full + 1) // 2
+    ends = np.flatnonzero(run[middle:full] != run[middle - 1 : full - 1])
+    return middle + int(ends[-1]) if len(ends) else full
