@@ -14,7 +14,19 @@ from clampid.stages.clamped import loop_compliance
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Rows
 
-__all__ = ["Estimate", "FitError", "Prior", "clamping_offsets", "fit", "solve"]
+__all__ = [
+    "ITERATIONS",
+    "NEGLIGIBLE",
+    "Estimate",
+    "FitError",
+    "Prior",
+    "clamping_offsets",
+    "fit",
+    "newton_step",
+    "prior_of",
+    "solve",
+    "start_of",
+]
 
 PRIOR_SIZES = 10.0  # the weak prior's standard deviation, in reasonable sizes
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
@@ -113,8 +125,8 @@ def fit(
     """
     if not experiment.rows.used.any():
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
-    precision, mean = _prior(experiment, priors)
-    theta = _start(experiment, start, priors)
+    precision, mean = prior_of(experiment, priors)
+    theta = start_of(experiment, start, priors)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
     estimate = solve(experiment, theta, model, precision, mean)
@@ -191,7 +203,7 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
         on_bound = ((best.theta <= lower) & (g < 0)) | ((best.theta >= upper) & (g > 0))
         free = ~(bounded & on_bound)
-        step = _step(A, g, size, damping, free)
+        step = newton_step(A, g, size, damping, free)
         if float(g @ step) < NEGLIGIBLE * max(1.0, best.cost / max(len(best.white.residual), 1)):
             break
         moved = best.theta + step
@@ -221,7 +233,7 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
     )
 
 
-def _step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:
+def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:
     """Solve the normal equations of the free parameters, scaled by what each may amount to and by its column."""
     out = np.zeros_like(g)
     A, g, size = A[np.ix_(free, free)], g[free], size[free]
@@ -235,7 +247,7 @@ def _step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array
     return out
 
 
-def _prior(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
+def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: the weak prior everywhere, what earlier stages know where they know it."""
     size, start = experiment.sizes(), experiment.start()
     precision = np.diag(1.0 / (PRIOR_SIZES * size) ** 2)
@@ -252,7 +264,8 @@ def _prior(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Arra
     return precision, mean
 
 
-def _start(experiment: Experiment, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
+def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
+    """Where a fit begins ``(P + K,)``: what is known, else what the experiment says."""
     theta = experiment.start()
     known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
     known |= dict(start or {})

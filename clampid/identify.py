@@ -13,6 +13,7 @@ from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fit import Estimate, Prior, fit
 from clampid.gauge import independent_geometry
+from clampid.identify_log import LogStage, log_parts
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.nulls import null_directions
@@ -271,13 +272,19 @@ def identify(
     ledger: list[Round] = []
     reference: dict[int, Array] = {}
     for stage, wanted in terms.items():
-        rows = stage_rows(several, layout, stage, accelerating=has_inertia(wanted, catalogue))
-        held = held_out_folds(rows, holdout, seed)
-        fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
-        stages[stage] = fitted.model
-        reference |= fitted.base_reference
-        verification = verification_rows(several, layout, stage, fitted.base_reference)
-        errors = stage_errors(fitted.estimate, rows, held, verification, seed)
+        accelerating = has_inertia(wanted, catalogue)
+        log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating) if stage == "free_air" else None
+        if log is not None and log.linear:
+            by_windows = log.fit(held_out_folds(log.folds, holdout, seed), seed)
+            stages[stage], errors = by_windows.model, by_windows.errors
+        else:
+            rows = stage_rows(several, layout, stage, accelerating=accelerating)
+            held = held_out_folds(rows, holdout, seed)
+            fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
+            stages[stage] = fitted.model
+            reference |= fitted.base_reference
+            verification = verification_rows(several, layout, stage, fitted.base_reference)
+            errors = stage_errors(fitted.estimate, rows, held, verification, seed)
         labels = tuple(t.label for t in wanted)
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor))
     sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))

@@ -42,8 +42,8 @@ class Channel:
         ``(k,)``: the fold each row is of.
     columns
         ``(p,)``: which parameters can touch this motor here.
-    design, torque
-        ``(k, p)`` and ``(k,)``: measured less predicted torque at zero parameters, Nm, and the prediction's derivative.
+    both
+        ``(k, p + 1)``: the prediction's derivative; last, measured less predicted torque at zero parameters, Nm.
     """
 
     row: Integers
@@ -51,8 +51,7 @@ class Channel:
     begins: Bools
     fold: Integers
     columns: Integers
-    design: Array
-    torque: Array
+    both: Array
 
 
 @dataclass(frozen=True)
@@ -122,6 +121,11 @@ class LogDesign:
         keys = [(r, j) for j in self.wrist for r in range(len(self.facts.moved)) if not self.facts.moved[r, j]]
         return np.array(keys, dtype=np.int64).reshape(-1, 2)
 
+    @property
+    def parameters(self) -> int:
+        """P + K: slots, and frictions of joints that stand still for a whole run."""
+        return len(self.chain.slots) + len(self.offset_keys)
+
     def __iter__(self) -> Iterator[Block]:
         if self._kept is not None:
             yield from self._kept
@@ -129,7 +133,7 @@ class LogDesign:
         kept: list[Block] | None = []
         size = 0
         for block in self._blocks():
-            size += sum(c.design.nbytes + 5 * c.row.nbytes for c in block.channels)
+            size += sum(c.both.nbytes + 5 * c.row.nbytes for c in block.channels)
             if size > self.kept_bytes:
                 kept = None
             elif kept is not None:
@@ -203,6 +207,9 @@ class LogDesign:
             used = np.flatnonzero(counts[:, c])
             at_row = chosen[used]
             columns, extra = self._still(run[at_row], c)
+            width = design[c].shape[1]
+            both = np.empty((len(used), width + len(columns) + 1))
+            both[:, :width], both[:, width:-1], both[:, -1] = design[c][used], extra, torque[used, c]
             channels.append(
                 Channel(
                     row=row[at_row],
@@ -210,8 +217,7 @@ class LogDesign:
                     begins=breaks[at_row],
                     fold=fold[at_row],
                     columns=np.r_[kernel.touched[c], columns],
-                    design=np.c_[design[c][used], extra],
-                    torque=torque[used, c],
+                    both=both,
                 )
             )
         mine = slice(w.start, w.stop)
@@ -238,12 +244,10 @@ class LogDesign:
         return np.array(columns, dtype=np.int64), stacked_values
 
 
-def fold_table(parts: Sequence[LogPart], facts: LogFacts) -> Mapping[str, Array]:
-    """Per fold, in order: ``run``, ``part``, ``session``, ``rows`` (how many rows it has)."""
+def fold_table(parts: Sequence[LogPart], facts: LogFacts) -> Mapping[str, Integers]:
+    """Per fold, in order: ``run``, ``part`` and ``session``."""
     if len(facts.runs) > 1:
-        part, run, rows = facts.runs[:, 0], np.arange(len(facts.runs)), facts.length
+        part, run = facts.runs[:, 0], np.arange(len(facts.runs))
     else:
-        part, run = np.zeros(FIFTHS, dtype=np.int64), np.zeros(FIFTHS, dtype=np.int64)
-        rows = np.bincount(np.arange(facts.rows) * FIFTHS // facts.rows, minlength=FIFTHS)
-    session = np.array([parts[p].session for p in part])
-    return {"run": run, "part": part, "session": session, "rows": rows}
+        part = run = np.zeros(FIFTHS, dtype=np.int64)
+    return {"run": run, "part": part, "session": np.array([parts[p].session for p in part], dtype=np.int64)}

@@ -101,10 +101,8 @@ def motion_of(window: Window, n: int, step: float, speeds_logged: bool) -> tuple
     """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²."""
     q, time = stacked(window, joint_columns("q", "rad", n)), window.columns["time_s"]
     run = window.columns["run"].astype(np.int64)
-    if speeds_logged:
-        qd = stacked(window, joint_columns("qd", "rad_s", n))
-    else:
-        qd = speeds(q, time, run, WINDOW_S, step)
+    logged = joint_columns("qd", "rad_s", n)
+    qd = stacked(window, logged) if speeds_logged else speeds(q, time, run, WINDOW_S, step)
     return q, qd, acceleration(qd, time, run, WINDOW_S, step)
 
 

@@ -7,6 +7,7 @@ stored: of a motor's row only the parameters that can touch it are left. See `cl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -49,7 +50,7 @@ class TorqueKernel:
         columns = [np.reshape(signals[name], (count, width)) for name, width in self.signals]
         values = self.function(np.zeros(self.function.theta.size), *columns)[0]
         ends = 2 * n + np.cumsum([0, *(len(t) for t in self.touched)])
-        design = [values[:, a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        design = [values[:, a:b] for a, b in pairwise(ends)]
         return values[:, :n], values[:, n : 2 * n], design
 
 

@@ -24,9 +24,7 @@ from experiments.signals.window import choose_window
 __all__ = ["acceleration", "accelerations", "differentiate", "low_pass", "speeds"]
 
 
-def speeds(
-    q: Array, time: Array, run: Integers, window_s: float | None = None, step: float | None = None
-) -> Array:
+def speeds(q: Array, time: Array, run: Integers, window_s: float | None = None, step: float | None = None) -> Array:
     """Joint speeds ``(N, n)`` [rad/s] from positions ``(N, n)`` [rad]; see :func:`differentiate`."""
     return differentiate(q, time, run, 1, window_s, stale_rows(q, run), step)
 

@@ -1,0 +1,246 @@
+"""The fit of a torque log by passes over its windows: the results of `clampid.fit.fit`, without holding the log.
+
+For effects linear in their parameters: one pass sums the normal equations, another finds what the residual says of
+outliers and noise; the third and fifth sum the prewhitened ones. Source of the reduction: Golub & Van Loan, Matrix
+Computations (2013), section 5.3.8 (normal equations); they are balanced before they are solved, as everywhere here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse, stats
+
+from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
+from clampid.moments import Moments, minimise
+from clampid.noise import NORMAL, ORDER, predictors_of
+from clampid.stages.log_design import Block, Channel, LogDesign
+from clampid.stages.rows import Array, Bools, Integers
+from experiments.signals import medians
+
+__all__ = ["LogFit", "LogNoise", "Residuals", "fit_log", "residuals", "summed"]
+
+ENOUGH = 20  # rows of a motor from which a median says what an outlier is
+
+Predictors = tuple[tuple[Array, float], ...]
+
+
+@dataclass(frozen=True)
+class LogNoise:
+    """Standard deviations of the motors ``(n,)``, Nm, and their autoregression; none for white noise."""
+
+    sigma: Array
+    filters: tuple[Predictors, ...] = ()
+
+
+@dataclass(frozen=True)
+class LogFit:
+    """A fitted log.
+
+    Attributes
+    ----------
+    moments
+        The prewhitened sums at the solution.
+    noise
+        What weighted the rows.
+    outliers
+        Rows of the log rejected, in order.
+    """
+
+    moments: Moments
+    noise: LogNoise
+    outliers: Integers
+
+
+def used_of(channel: Channel, folds: Bools, outliers: Integers) -> tuple[Integers | slice, int]:
+    """Which of a channel's rows are in the folds ``(F,)`` and not rejected; how many of them the window before has."""
+    if folds.all() and not len(outliers):
+        return slice(None), channel.own
+    inside = folds[channel.fold]
+    if len(outliers):
+        inside = inside & ~np.isin(channel.row, outliers, assume_unique=True)
+    used = np.flatnonzero(inside)
+    return used, int(np.searchsorted(used, channel.own))
+
+
+def fit_log(design: LogDesign, folds: Bools, precision: Array, mean: Array, size: Array, start: Array) -> LogFit:
+    """Fit the rows of some folds ``(F,)``; weighting and rejection as in `clampid.fit.fit`.
+
+    Parameters
+    ----------
+    precision, mean
+        The prior: ``(P + K, P + K)`` and ``(P + K,)``, SI.
+    size, start
+        Reasonable sizes and start ``(P + K,)``, SI.
+
+    Raises
+    ------
+    FitError
+        There are no rows to fit, or the model gives no finite prediction.
+    """
+    white = LogNoise(np.ones(design.n))
+    outliers = np.zeros(0, dtype=np.int64)
+
+    def solved(noise: LogNoise, theta: Array) -> Moments:
+        total = summed(design, folds, outliers, noise)[0]
+        if not total.count:
+            raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
+        if not np.isfinite(total.squares):
+            raise FitError("free_air: the model gives no finite prediction; are the units right?")
+        return minimise(total, theta, precision, mean, size)
+
+    found = solved(white, start)
+    rows = int(sum(folds[b.fold].sum() for b in design))
+    for _ in range(OUTLIER_PASSES):
+        bad = _outliers(design, folds, outliers, found.at)
+        if not len(bad) or (len(bad) + len(outliers)) / rows > OUTLIER_SHARE:
+            break
+        outliers = np.union1d(outliers, bad)
+        found = solved(white, found.at)
+    noise = white
+    for _ in range(2):
+        noise = _learned(design, folds, outliers, found.at)
+        found = solved(noise, found.at)
+    return LogFit(found, noise, outliers)
+
+
+def summed(
+    design: LogDesign,
+    folds: Bools,
+    outliers: Integers,
+    noise: LogNoise,
+    part: Integers | None = None,
+    apart: bool = False,
+) -> dict[int, Moments]:
+    """Whitened sums at zero parameters, of all rows or per part of the folds.
+
+    Parameters
+    ----------
+    part
+        ``(F,)``: which part each fold is of; by default all are of part 0.
+    apart
+        Whether noise is forgotten where one part follows another, as if they had been logged apart.
+    """
+    parts = np.unique(part[folds]) if part is not None else np.zeros(1, dtype=np.int64)
+    out = {int(p): Moments.none(design.parameters) for p in parts}
+    for block in design:
+        for c, channel in enumerate(block.channels):
+            used, own = used_of(channel, folds, outliers)
+            if own == channel.row[used].size:
+                continue
+            of = None if part is None else part[channel.fold[used]]
+            both = channel.both[used]
+            if noise.filters:
+                both = _whitener(_begins(channel, used, of if apart else None), noise.filters[c]) @ both
+            if of is None:
+                out[0].add(channel.columns, both[own:], noise.sigma[c])
+                continue
+            for p in np.unique(of[own:]):
+                out[int(p)].add(channel.columns, both[own:][of[own:] == p], noise.sigma[c])
+    return out
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of one motor's rows that count in a window ``(k,)``, Nm; the first ``own`` are of the window before."""
+
+    block: Block
+    motor: int
+    row: Integers
+    begins: Bools
+    own: int
+    values: Array
+
+
+def residuals(
+    design: LogDesign, folds: Bools, outliers: Integers, theta: Array, part: Integers | None = None
+) -> Iterator[list[Residuals]]:
+    """Measured less predicted torques of the rows that count, window by window; of each, motor by motor.
+
+    Parameters
+    ----------
+    theta
+        ``(P + K,)``; or ``(parts, P + K)``, where folds ``(F,)`` are of several parts with parameters of their own.
+    """
+    for block in design:
+        found = []
+        for c, channel in enumerate(block.channels):
+            used, own = used_of(channel, folds, outliers)
+            if part is None:
+                predicted = channel.both[:, :-1] @ theta[channel.columns]
+            else:
+                every = channel.both[:, :-1] @ theta[:, channel.columns].T
+                predicted = every[np.arange(len(every)), part[channel.fold]]
+            values = (channel.both[:, -1] - predicted)[used]
+            found.append(Residuals(block, c, channel.row[used], _begins(channel, used), own, values))
+        yield found
+
+
+def _outliers(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> Integers:
+    """Rows far beyond what a clean table would show, as in `clampid.fit`."""
+
+    def sizes() -> Iterator[list[Array]]:
+        for found in residuals(design, folds, outliers, theta):
+            yield [np.abs(r.values[r.own :]) for r in found]
+
+    scale = NORMAL * medians(sizes)
+    count, largest = np.zeros(design.n), np.zeros(design.n)
+    for piece in sizes():
+        count += [len(p) for p in piece]
+        largest = np.maximum(largest, [p.max(initial=0.0) for p in piece])
+    limit = np.maximum(np.sqrt(stats.chi2.isf(OUTLIER_RATE / np.maximum(count, 1), 1)), 4.0)
+    limit = np.where(count >= ENOUGH, limit * np.fmax(scale, 1e-12), np.inf)
+    if not np.any(largest > limit):
+        return np.zeros(0, dtype=np.int64)
+    bad = [
+        r.row[r.own :][np.abs(r.values[r.own :]) > limit[r.motor]]
+        for found in residuals(design, folds, outliers, theta)
+        for r in found
+    ]
+    return np.unique(np.concatenate(bad))
+
+
+def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> LogNoise:
+    """Scale and autoregression of each motor's residual, as in `clampid.noise.learn_noise`."""
+    products, count = np.zeros((design.n, ORDER + 1)), np.zeros(design.n)
+    for r in (r for found in residuals(design, folds, outliers, theta) for r in found):
+        age, own = _age(r.begins), r.values.copy()
+        own[: r.own] = 0.0
+        for lag in range(ORDER + 1):
+            far = own[lag:] * (age[lag:] >= lag)
+            products[r.motor, lag] += float(far @ r.values[: len(far)])
+        count[r.motor] += len(r.values) - r.own
+    sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(count, 1)), 1e-12)
+    return LogNoise(np.where(count > 0, sigma, 1.0), tuple(predictors_of(p) for p in products))
+
+
+def _begins(channel: Channel, used: Integers | slice, part: Integers | None = None) -> Bools:
+    """Where among the used rows ``(k,)`` a contiguous stretch begins."""
+    row, out = channel.row[used], channel.begins[used].copy()
+    out[:1] = True
+    out[1:] |= np.diff(row) != 1
+    if part is not None:
+        out[1:] |= np.diff(part) != 0
+    return np.asarray(out)
+
+
+def _age(begins: Bools) -> Integers:
+    """How many rows of its stretch are before each ``(k,)``."""
+    index = np.arange(len(begins))
+    return np.asarray(index - np.maximum.accumulate(np.where(begins, index, 0)))
+
+
+def _whitener(begins: Bools, predictors: Predictors) -> sparse.csr_matrix:
+    """The filter of `clampid.noise` as a matrix ``(k, k)``; each stretch begins with the predictors of low order."""
+    count, top = len(begins), len(predictors) - 1
+    table = np.zeros((top + 1, top + 1))
+    for order, (coefficients, variance) in enumerate(predictors):
+        table[order, : order + 1] = np.r_[1.0, -coefficients] / np.sqrt(variance)
+    age = np.minimum(_age(begins), top)
+    # Rows that a young stretch does not have yet have weight zero, and any row in their place.
+    index = np.arange(count, dtype=np.int32)[:, None] - np.arange(top + 1, dtype=np.int32)
+    np.maximum(index[:top], 0, out=index[:top])
+    where = np.arange(0, (count + 1) * (top + 1), top + 1, dtype=np.int32)
+    return sparse.csr_matrix((table[age].ravel(), index.ravel(), where), shape=(count, count))

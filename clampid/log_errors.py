@@ -1,0 +1,168 @@
+"""Errors of a fitted log on fitted and held-out rows: `clampid.accuracy` by passes over the log's windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clampid.accuracy import FOLDS, QUIET_S, StageErrors
+from clampid.fit_log import LogFit, LogNoise, residuals, summed
+from clampid.moments import Moments, minimise
+from clampid.stages.log_design import LogDesign
+from clampid.stages.rows import Array, Bools, Integers, Rows
+
+__all__ = ["LogPrior", "log_errors"]
+
+ENOUGH = 20  # triples of rows from which noise is read
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class LogPrior:
+    """The prior of a fit and the reasonable sizes: ``(P + K, P + K)``, ``(P + K,)``, ``(P + K,)``, SI."""
+
+    precision: Array
+    mean: Array
+    size: Array
+
+
+@dataclass
+class _Squares:
+    """Sums of squares of the motors' residuals ``(n,)``, Nm², and how many there are."""
+
+    squares: Array
+    count: Array
+    rows: int = 0
+
+    def add(self, motor: int, values: Array) -> None:
+        self.squares[motor] += float(values @ values)
+        self.count[motor] += len(values)
+
+    def rms(self, floor: Array) -> float:
+        total = float(self.count.sum())
+        return float(np.sqrt(np.sum(self.squares / floor**2) / total)) if total else float("nan")
+
+
+@dataclass
+class _Floor:
+    """How residuals bend over some rows: their noise, whatever varies slowly; see `clampid.accuracy.noise_floor`."""
+
+    lag: int
+    n: int
+    squares: Array = field(init=False)
+    count: Array = field(init=False)
+    run: Integers = field(init=False)
+    last: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.squares, self.count = np.zeros(self.n), np.zeros(self.n)
+        self.run, self.last = np.zeros(0, dtype=np.int64), np.zeros((0, self.n))
+
+    def add(self, run: Integers, residual: Array) -> None:
+        """Rows that follow on those before: runs ``(k,)``, residuals ``(k, n)``, NaN where a number does not count."""
+        self.run, self.last = np.r_[self.run, run], np.vstack([self.last, residual])
+        lag = self.lag
+        if len(self.run) <= 2 * lag:
+            return
+        bent = self.last[lag:-lag] - 0.5 * (self.last[2 * lag :] + self.last[: -2 * lag])
+        bent[self.run[2 * lag :] != self.run[: -2 * lag]] = np.nan
+        self.count += np.isfinite(bent).sum(axis=0)
+        self.squares += np.nansum(bent**2, axis=0)
+        self.run, self.last = self.run[-2 * lag :], self.last[-2 * lag :]
+
+
+def log_errors(
+    design: LogDesign, fit: LogFit, prior: LogPrior, folds: Rows, kept: Bools, held: bool, seed: int
+) -> StageErrors:
+    """Errors on fitted and held-out rows: the folds kept out, else cross-validation, in units of the motors' noise.
+
+    Parameters
+    ----------
+    folds
+        One row per fold ``(F,)``.
+    kept
+        Which folds were fitted ``(F,)``.
+    held
+        Whether the others were held out on purpose.
+    """
+    floor, fitted = _fitted(design, fit, kept)
+    if held:
+        white = summed(design, ~kept, _NONE, LogNoise(np.ones(design.n)))[0]
+        theta = _with_offsets(design, white, fit.moments.at, prior, ~kept)
+        test = _squares(design, ~kept, _NONE, theta[None], np.zeros(len(kept), dtype=np.int64))
+    else:
+        part = _parts(folds, kept, seed)
+        test = _squares(design, kept, fit.outliers, _cross_fitted(design, fit, prior, kept, part), part)
+    return StageErrors(rms=fitted.rms(floor), heldout_rms=test.rms(floor), noise_floor=1.0, heldout_rows=test.rows)
+
+
+def _fitted(design: LogDesign, fit: LogFit, kept: Bools) -> tuple[Array, _Squares]:
+    """The noise floor of the motors ``(n,)``, Nm, and what the fit leaves."""
+    floor = _Floor(max(1, round(QUIET_S / max(design.facts.spacing, 1e-9))), design.n)
+    squares = _Squares(np.zeros(design.n), np.zeros(design.n))
+    for found in residuals(design, kept, fit.outliers, fit.moments.at):
+        block = found[0].block
+        table = np.full((block.stop - block.first, design.n), np.nan)
+        for r in found:
+            table[r.row[r.own :] - block.first, r.motor] = r.values[r.own :]
+            squares.add(r.motor, r.values[r.own :])
+        inside = kept[block.fold]
+        floor.add(block.run[inside], table[inside])
+    bent, all_of_it = floor.squares / np.maximum(floor.count, 1) / 1.5, squares.squares / np.maximum(squares.count, 1)
+    spread = np.sqrt(np.where(floor.count > ENOUGH, bent, all_of_it))
+    return np.maximum(np.where(squares.count > 0, spread, 1.0), 1e-12), squares
+
+
+def _squares(design: LogDesign, folds: Bools, outliers: Integers, theta: Array, part: Integers) -> _Squares:
+    """Squares of the residuals of folds at the parameters ``(parts, P + K)`` of the part that each is of."""
+    out = _Squares(np.zeros(design.n), np.zeros(design.n))
+    for found in residuals(design, folds, outliers, theta, part):
+        counts = np.zeros(found[0].block.stop - found[0].block.first, dtype=bool)
+        for r in found:
+            out.add(r.motor, r.values[r.own :])
+            counts[r.row[r.own :] - r.block.first] = True
+        out.rows += int(counts.sum())
+    return out
+
+
+def _parts(folds: Rows, kept: Bools, seed: int) -> Integers:
+    """Which of five parts each fold ``(F,)`` is of; 0 where it is not fitted."""
+    inside = folds.take(np.flatnonzero(kept))
+    order = inside.shuffled_folds(seed)
+    place = np.argsort(order)
+    out = np.zeros(len(kept), dtype=np.int64)
+    out[kept] = (place % FOLDS)[np.searchsorted(np.sort(order), inside.fold)]
+    return out
+
+
+def _cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers) -> Array:
+    """Parameters ``(parts, P + K)`` that fits without each part give, with that part's own offsets."""
+    parts = int(part[kept].max()) + 1
+    together = len(design.facts.runs) > 1  # else noise has to be forgotten at the ends of each part in turn
+    sums = summed(design, kept, fit.outliers, fit.noise, part) if together else {}
+    theta = []
+    for k in range(parts):
+        chosen = kept & (part == k)
+        if together:
+            out = sums[k]
+            train = sum((m for p, m in sums.items() if p != k), Moments.none(design.parameters))
+        else:
+            both = summed(design, kept, fit.outliers, fit.noise, (part == k).astype(np.int64), apart=True)
+            out, train = both[1], both.get(0, Moments.none(design.parameters))
+        if not train.count:
+            train = train + out
+        at = minimise(train, fit.moments.at, prior.precision, prior.mean, prior.size).at
+        theta.append(_with_offsets(design, out, at, prior, chosen))
+    return np.array(theta)
+
+
+def _with_offsets(design: LogDesign, moments: Moments, theta: Array, prior: LogPrior, folds: Bools) -> Array:
+    """Parameters ``(P + K,)`` with the offsets that rows not fitted show, as `clampid.accuracy.predicted` does."""
+    count = len(design.chain.slots)
+    full: Array = np.r_[theta[:count], np.zeros(len(theta) - count)]
+    if not folds[design.offset_keys[:, 0]].any():
+        return full
+    size = prior.size
+    precision = np.diag(np.r_[1e12 / size[:count] ** 2, 1e-2 / size[count:] ** 2])
+    return np.asarray(minimise(moments, full, precision, full, size).at)

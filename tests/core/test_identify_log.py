@@ -1,0 +1,169 @@
+"""A log read window by window gives what a log held whole gives, to rounding, however it is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clampid.accuracy import StageErrors, stage_errors
+from clampid.catalogue import catalogue
+from clampid.identify import FittedStage, fit_stage, has_inertia, held_out_folds, stage_rows
+from clampid.identify_log import FittedLog, LogStage, log_parts
+from clampid.layout import layout_of
+from clampid.slots import Term
+from clampid.stages.log_facts import LogPart
+from experiments.campaign import Campaign, Instrument, Tool
+from experiments.log_windows import LogTable, windows
+from experiments.virtual_robot import measure
+from kinematics.description import load_robot
+
+STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
+
+
+def campaign_of(seed: int, tables: Sequence[str]) -> Campaign:
+    robot = load_robot("kuka_kr20_r1810")
+    measured = measure(robot, seed=seed, tables=tables)
+    header = measured.header
+    return Campaign(
+        name=f"session{seed}",
+        path=None,
+        robot=robot,
+        gravity=np.array(header["gravity_m_s2"]),
+        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
+        targets={},
+        instrument=Instrument("virtual", 1e-5, None),
+        tables=measured.tables,
+        fingerprint="0" * 64,
+    )
+
+
+@pytest.fixture(scope="module")
+def free_air() -> Campaign:
+    return campaign_of(1, ("free_air",))
+
+
+@pytest.fixture(scope="module")
+def both() -> Campaign:
+    return campaign_of(2, ("free_air", "wrist"))
+
+
+def held_whole(
+    campaigns: Sequence[Campaign], names: Sequence[str], holdout: float
+) -> tuple[FittedStage, StageErrors, tuple[tuple[int, ...], ...]]:
+    effects, layout, terms = catalogue(), layout_of(campaigns), [Term(n) for n in names]
+    rows = stage_rows(campaigns, layout, "free_air", accelerating=has_inertia(terms, effects))
+    held = held_out_folds(rows, holdout, 0)
+    fitted = fit_stage(rows, effects, terms, {}, held=held)
+    return fitted, stage_errors(fitted.estimate, rows, held, None, 0), held
+
+
+def by_windows(
+    campaigns: Sequence[Campaign],
+    names: Sequence[str],
+    held: Sequence[Sequence[int]] = (),
+    window: int = 1 << 14,
+    kept: int = 1 << 28,
+    parts: Sequence[LogPart] | None = None,
+) -> FittedLog:
+    effects, terms = catalogue(), [Term(n) for n in names]
+    stage = LogStage(
+        parts or log_parts(campaigns),
+        layout_of(campaigns),
+        effects,
+        terms,
+        has_inertia(terms, effects),
+        window=window,
+        kept_bytes=kept,
+    )
+    assert stage.linear
+    return stage.fit(held, 0)
+
+
+def assert_same(found: FittedLog, expected: FittedStage, errors: StageErrors) -> None:
+    model = expected.model
+    assert found.model.slots == model.slots
+    std = np.sqrt(np.diag(model.covariance))
+    np.testing.assert_allclose((found.model.theta - model.theta) / std, 0.0, atol=1e-6)
+    correlation = (found.model.covariance - model.covariance) / np.outer(std, std)
+    np.testing.assert_allclose(correlation, 0.0, atol=1e-6)
+    assert found.model.identified == model.identified
+    assert found.model.outliers == model.outliers
+    assert set(found.model.null_directions) == set(model.null_directions)  # equally open ones have no order
+    assert found.model.held_out == model.held_out
+    assert found.errors.heldout_rows == errors.heldout_rows
+    assert found.errors.rms == pytest.approx(errors.rms, rel=1e-8)
+    assert found.errors.heldout_rms == pytest.approx(errors.heldout_rms, rel=1e-7)
+
+
+@pytest.mark.parametrize("holdout", [0.0, 0.3])
+@pytest.mark.parametrize(("window", "kept"), [(1 << 14, 1 << 28), (1700, 0)])
+def test_two_tables_with_standing_joints(both: Campaign, holdout: float, window: int, kept: int) -> None:
+    fitted, errors, held = held_whole([both], STANDARD, holdout)
+    assert len(fitted.estimate.theta) > len(fitted.model.slots)  # some joints stand still for whole runs
+    assert_same(by_windows([both], STANDARD, held, window, kept), fitted, errors)
+
+
+def test_accelerated_rows_temperatures_and_loads(free_air: Campaign) -> None:
+    names = (*STANDARD, "inertia", "temperature_dependent_friction", "payload")
+    fitted, errors, _ = held_whole([free_air], names, 0.0)
+    assert_same(by_windows([free_air], names, window=4000), fitted, errors)
+
+
+def test_outliers_are_the_same(free_air: Campaign) -> None:
+    table = free_air.tables["free_air"].copy()
+    wrong = np.random.default_rng(3).choice(len(table), 80, replace=False)
+    table.loc[wrong, "tau3_Nm"] += 40.0
+    spoilt = replace(free_air, tables={"free_air": table})
+    fitted, errors, _ = held_whole([spoilt], STANDARD, 0.0)
+    assert len(fitted.model.outliers) > 5
+    assert_same(by_windows([spoilt], STANDARD, window=3000), fitted, errors)
+
+
+def test_two_sessions_of_one_robot(free_air: Campaign, both: Campaign) -> None:
+    other = replace(both, tool=Tool(3.0, np.array([0.0, 0.02, 0.1])))
+    fitted, errors, _ = held_whole([free_air, other], STANDARD, 0.0)
+    assert_same(by_windows([free_air, other], STANDARD), fitted, errors)
+
+
+def test_one_run_without_speeds(free_air: Campaign) -> None:
+    table = free_air.tables["free_air"]
+    table = table[table["run"] == 1].reset_index(drop=True)
+    alone = replace(free_air, tables={"free_air": table.drop(columns=[f"qd{i + 1}_rad_s" for i in range(6)])})
+    fitted, errors, _ = held_whole([alone], STANDARD, 0.0)
+    assert_same(by_windows([alone], STANDARD), fitted, errors)
+    assert_same(by_windows([alone], STANDARD, window=700), fitted, errors)
+
+
+def test_a_parquet_file_is_read_as_it_is_needed(free_air: Campaign, tmp_path: Path) -> None:
+    free_air.tables["free_air"].to_parquet(tmp_path / "free_air.parquet", index=False, row_group_size=2500)
+    empty = replace(free_air, tables={})
+    parts = [LogPart(empty, 0, "free_air", LogTable.of(tmp_path / "free_air.parquet"))]
+    fitted, errors, _ = held_whole([free_air], STANDARD, 0.0)
+    assert_same(by_windows([empty], STANDARD, window=4000, kept=0, parts=parts), fitted, errors)
+
+
+def test_every_row_is_of_one_window_and_has_its_neighbours() -> None:
+    rows, halo = 1000, 20
+    table = pd.DataFrame({"run": np.repeat(np.arange(10), 100), "x": np.arange(rows)})
+    seen, cut = [], 0
+    for w in windows(LogTable.of(table), ["run", "x"], 130, halo):
+        x = w.columns["x"]
+        assert w.first == x[0]
+        np.testing.assert_array_equal(np.diff(x), 1.0)
+        assert w.start == min(halo, int(x[w.start]))
+        assert len(x) - w.stop == min(halo, rows - 1 - int(x[w.stop - 1]))
+        cut += int(x[w.stop - 1]) % 100 != 99
+        seen.append(x[w.start : w.stop])
+    np.testing.assert_array_equal(np.concatenate(seen), np.arange(rows))
+    assert cut <= 2
+
+
+def test_shape_parameters_need_the_whole_log(free_air: Campaign) -> None:
+    effects = catalogue()
+    terms = [Term("gravity"), Term("stribeck_friction")]
+    assert not LogStage(log_parts([free_air]), layout_of([free_air]), effects, terms, False).linear
