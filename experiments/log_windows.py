@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pa_parquet
+
+from experiments.errors import fault
 
 __all__ = ["LogTable", "Window", "windows"]
 
@@ -39,7 +42,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """A table ``free_air`` or ``wrist``: held, or in a Parquet file that is read as it is needed.
+    """A table ``free_air`` or ``wrist``: held, or in a Parquet file that is read, and checked, as it is needed.
 
     Attributes
     ----------
@@ -57,23 +60,57 @@ class LogTable:
 
     @staticmethod
     def of(source: pd.DataFrame | Path) -> LogTable:
-        """A table held, or a Parquet file, whose rows are not read yet."""
+        """A table held and checked, or a Parquet file, whose rows are not read yet.
+
+        Raises
+        ------
+        CampaignError
+            The file is none, or damaged; later, when its rows are read: a cell is no number, time does not increase.
+        """
         if isinstance(source, pd.DataFrame):
             return LogTable(source, tuple(map(str, source.columns)), len(source))
-        with pa_parquet.ParquetFile(source) as file:
-            return LogTable(source, tuple(file.schema_arrow.names), int(file.metadata.num_rows))
+        try:
+            with pa_parquet.ParquetFile(source) as file:
+                return LogTable(source, tuple(file.schema_arrow.names), int(file.metadata.num_rows))
+        except (pa.ArrowException, OSError) as error:
+            reason = str(error).strip().splitlines()[0]
+            raise fault(source, expected="a whole Parquet file", found=f"none that can be read ({reason})") from error
 
     def chunks(self, names: Sequence[str]) -> Iterator[Columns]:
         """Columns in pieces, one after the other: all at once if the table is held."""
         if isinstance(self.source, pd.DataFrame):
             yield {name: self.source[name].to_numpy(np.float64) for name in names}
             return
+        done = 0
         with pa_parquet.ParquetFile(self.source) as file:
             for batch in file.iter_batches(BATCH, columns=list(names), use_threads=False):
-                yield {
-                    name: batch.column(name).to_numpy(zero_copy_only=False).astype(np.float64, copy=False)
-                    for name in names
-                }
+                columns = {name: self._numbers(batch.column(name), name, done) for name in names}
+                self._refuse_unordered(columns, done)
+                done += batch.num_rows
+                yield columns
+
+    def _numbers(self, cells: pa.Array, name: str, done: int) -> npt.NDArray[np.float64]:
+        """One column of some rows, the first of them row ``done`` from 0; speeds and temperatures may be absent."""
+        try:
+            values = np.asarray(cells.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+        except pa.ArrowException as error:
+            raise fault(Path(str(self.source)), expected="numbers", found=f"{cells.type}", column=name) from error
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad) and not name.startswith(("qd", "temp_")):
+            row = done + int(bad[0]) + 1
+            found = "an empty cell" if np.isnan(values[bad[0]]) else f"{values[bad[0]]}"
+            raise fault(Path(str(self.source)), expected="a finite number", found=found, row=row, column=name)
+        return values
+
+    def _refuse_unordered(self, columns: Columns, done: int) -> None:
+        if "time_s" in columns and "run" in columns:
+            run, time = columns["run"], columns["time_s"]
+            late = np.flatnonzero((run[1:] == run[:-1]) & (time[1:] <= time[:-1]))
+            if len(late):
+                k = int(late[0])
+                found = f"{time[k + 1]:.10g} s after {time[k]:.10g} s"
+                expected = f"time increasing within run {run[k]:.0f}"
+                raise fault(Path(str(self.source)), expected=expected, found=found, row=done + k + 2, column="time_s")
 
 
 def windows(table: LogTable, names: Sequence[str], rows: int, halo: int) -> Iterator[Window]:

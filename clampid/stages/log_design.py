@@ -126,6 +126,10 @@ class LogDesign:
         """P + K: slots, and frictions of joints that stand still for a whole run."""
         return len(self.chain.slots) + len(self.offset_keys)
 
+    def forget(self) -> None:
+        """Drop what was kept between passes."""
+        self._kept = None
+
     def __iter__(self) -> Iterator[Block]:
         if self._kept is not None:
             yield from self._kept

@@ -16,7 +16,7 @@ from experiments.campaign import Campaign
 from experiments.log_windows import LogTable, Window, windows
 from experiments.signals import acceleration, medians, speed_counts, speeds, threshold_of_counts
 
-__all__ = ["LogFacts", "LogPart", "facts_of", "joint_columns", "motion_of"]
+__all__ = ["LogFacts", "LogPart", "facts_of", "joint_columns", "motion_of", "stacked", "steady_share_of"]
 
 WINDOW = 1 << 14  # rows at once
 REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
@@ -106,7 +106,7 @@ def motion_of(window: Window, n: int, step: float, speeds_logged: bool) -> tuple
     return q, qd, acceleration(qd, time, run, WINDOW_S, step)
 
 
-def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22) -> LogFacts:
+def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22, use_logged: bool = True) -> LogFacts:
     """Find the facts of a log.
 
     Parameters
@@ -117,12 +117,14 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
         Rows read at once.
     held
         How many numbers may be held for a median; see `experiments.signals.medians`.
+    use_logged
+        Take the log's own speeds, where it has them.
     """
     n = parts[0].campaign.robot.n
     middle = medians(lambda: _differences(parts, n), held)
     step = float(middle[0]) if np.isfinite(middle[0]) else 1.0
     names_qd = joint_columns("qd", "rad_s", n)
-    logged = all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
+    logged = use_logged and all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
     kinds = [("q", "rad"), ("qd", "rad_s")] if logged else [("q", "rad")]
     names = ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, n))]
     to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
@@ -163,6 +165,20 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
         length=np.array([found[k][0] for k in keys], dtype=np.int64),
         moved=np.array([found[k][1] > rest for k in keys]).reshape(-1, n),
     )
+
+
+def steady_share_of(parts: Sequence[LogPart], window: int = WINDOW) -> float:
+    """The share, 0 to 1, of a session's motion that is steady, as `clampid.stages.torques.steady_share` gives it."""
+    steady = moving = 0
+    for part in parts:
+        facts = facts_of([part], window, use_logged=False)
+        n = part.campaign.robot.n
+        for w in windows(part.table, ["run", "time_s", *joint_columns("q", "rad", n)], window, facts.halo):
+            _, qd, qdd = (v[w.start : w.stop] for v in motion_of(w, n, facts.step, False))
+            moves = np.abs(qd) > np.maximum(facts.rest, facts.clear)
+            moving += int(moves.sum())
+            steady += int((moves & (np.abs(qdd) <= facts.steady)).sum())
+    return steady / moving if moving else 1.0
 
 
 def _missing(parts: Sequence[LogPart], names: Sequence[str]) -> bool:

@@ -1,0 +1,196 @@
+"""A fit of gravity and friction to a torque log of 100 000 rows, against a loop over pin's regressor with lstsq.
+
+    python benchmarks/fit_log.py [--rows 100000] [--runs 5]
+
+Both fit the links' masses and first moments and the motors' friction to the same rows. The loop is what such programs
+usually are: pin's joint torque regressor row by row, one least squares over all. Ours is the whole stage of
+`clampid identify`: which rows count, the fit, outliers, and twice prewhitening by the noise, and the fit again.
+Its first fit, the one the loop makes, must predict what the loop's does; the torques of a program that neither
+saw must be predicted equally well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from time import perf_counter, process_time
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import pinocchio as pin
+from virtual_log import rows_of, virtual_log
+
+from clampid.catalogue import catalogue
+from clampid.fit import prior_of, start_of
+from clampid.fit_log import LogNoise, fit_log, summed
+from clampid.identify_folder import STANDARD
+from clampid.identify_log import LogStage, log_parts
+from clampid.layout import layout_of
+from clampid.priors import description_priors
+from clampid.slots import Term
+from clampid.stages.log_facts import facts_of
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign, Instrument, Tool
+from kinematics.description import load_robot
+from kinematics.robot import RobotDescription
+
+
+def pin_model(robot: RobotDescription, tool: Tool) -> pin.Model:
+    """The described arm with the declared tool, joints' frames in base axes at the zero pose."""
+    model, parent, last = pin.Model(), 0, np.zeros(3)
+    for joint, link in zip(robot.joints, robot.links, strict=True):
+        kind = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
+        parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), joint.point - last), joint.name)
+        inertia = np.zeros((3, 3)) if link.inertia is None else np.array(link.inertia)
+        body = pin.Inertia(link.mass, link.com - joint.point, inertia)
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+        last = joint.point
+    at = robot.flange[:3, :3] @ tool.com + robot.flange[:3, 3] - last
+    model.appendBodyToJoint(parent, pin.Inertia(tool.mass, at, np.zeros((3, 3))), pin.SE3.Identity())
+    return model
+
+
+def loop_rows(campaign: Campaign, stage: LogStage) -> tuple[np.ndarray, np.ndarray]:
+    """Stacked design and torque of the rows that the stage uses, by pin, motor by motor and row by row."""
+    robot, n = campaign.robot, campaign.robot.n
+    model, T = pin_model(robot, campaign.tool), np.asarray(campaign.robot.transmission)
+    model.gravity.linear = campaign.gravity
+    data, table = model.createData(), campaign.tables["free_air"]
+    q, qd, tau = (
+        table[[f"{k}{i + 1}_{u}" for i in range(n)]].to_numpy()
+        for k, u in (("q", "rad"), ("qd", "rad_s"), ("tau", "Nm"))
+    )
+    signals = stage_signals(stage)
+    used, qdd, friction = signals["used"], signals["qdd"], signals["friction"]
+    mass = [10 * k + i for k in range(n) for i in range(4)]
+    design, torque = [], []
+    for r in np.flatnonzero(used.any(axis=1)):
+        Y = T @ pin.computeJointTorqueRegressor(model, data, q[r], qd[r], qdd[r])[:, mass]
+        left = tau[r] - T @ pin.rnea(model, data, q[r], qd[r], qdd[r])
+        for c in np.flatnonzero(used[r]):
+            design.append(np.concatenate([Y[c], friction[r, c]]))
+            torque.append(left[c])
+    return np.array(design), np.array(torque)
+
+
+def stage_signals(stage: LogStage) -> dict[str, np.ndarray]:
+    """Which numbers the stage uses ``(N, n)``, accelerations and friction's columns, as given things for the loop."""
+    n, rows = stage.design.n, stage.facts.rows
+    count = len(stage.experiment.slots)
+    used, friction = np.zeros((rows, n), dtype=bool), np.zeros((rows, n, count - 4 * n))
+    for block in stage.design:
+        for c, channel in enumerate(block.channels):
+            own = slice(channel.own, None)
+            used[channel.row[own], c] = True
+            dry = channel.columns >= 4 * n
+            where = channel.columns[dry] - 4 * n
+            friction[channel.row[own][:, None], c, where] = channel.both[own, :-1][:, dry]
+    qdd = accelerations_of(stage)
+    return {"used": used, "qdd": qdd, "friction": friction}
+
+
+def accelerations_of(stage: LogStage) -> np.ndarray:
+    """Accelerations ``(N, n)`` of the log, rad/s²."""
+    from clampid.stages.log_facts import WINDOW, joint_columns, motion_of
+    from experiments.log_windows import windows
+
+    n = stage.design.n
+    names = ["run", "time_s", *joint_columns("q", "rad", n), *joint_columns("qd", "rad_s", n)]
+    parts = [
+        motion_of(w, n, stage.facts.step, True)[2][w.start : w.stop]
+        for w in windows(stage.parts[0].table, names, WINDOW, stage.facts.halo)
+    ]
+    return np.concatenate(parts)
+
+
+def fitted(stage: LogStage) -> tuple[np.ndarray, int]:
+    """The stage's parameters by its whole procedure, and how many rows were rejected."""
+    kept = np.ones(len(stage.folds), dtype=bool)
+    priors = description_priors(stage.folds)
+    precision, mean = prior_of(stage.experiment, priors)
+    start = start_of(stage.experiment, None, priors)
+    result = fit_log(stage.design, kept, precision, mean, stage.experiment.sizes(), start)
+    return result.moments.at, len(result.outliers)
+
+
+def stacked(stage: LogStage) -> tuple[np.ndarray, np.ndarray]:
+    """Design ``(M, P)`` and torque ``(M,)`` of all rows that count, in the loop's order."""
+    design, torque, order = [], [], []
+    for block in stage.design:
+        for c, channel in enumerate(block.channels):
+            full = np.zeros((len(channel.row) - channel.own, stage.design.parameters))
+            full[:, channel.columns] = channel.both[channel.own :, :-1]
+            design.append(full)
+            torque.append(channel.both[channel.own :, -1])
+            order.append(channel.row[channel.own :] * stage.design.n + c)
+    index = np.argsort(np.concatenate(order))
+    return np.concatenate(design)[index], np.concatenate(torque)[index]
+
+
+def timed(function: Callable[[], object], runs: int) -> tuple[float, float]:
+    """Medians of wall and processor time, s."""
+    wall, cpu = [], []
+    for _ in range(runs):
+        a, b = perf_counter(), process_time()
+        function()
+        wall.append(perf_counter() - a)
+        cpu.append(process_time() - b)
+    return float(np.median(wall)), float(np.median(cpu))
+
+
+@single_threaded
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rows", type=int, default=100_000)
+    parser.add_argument("--runs", type=int, default=5)
+    asked = parser.parse_args()
+    robot = load_robot("kuka_kr20_r1810")
+    header, tables = virtual_log(robot)
+    tool = Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"]))
+
+    def campaign_of(rows: int) -> Campaign:
+        log = {"free_air": rows_of(tables, rows)}
+        instrument = Instrument("virtual", 1e-5, None)
+        return Campaign("benchmark", None, robot, np.array(header["gravity_m_s2"]), tool, {}, instrument, log, "0" * 64)
+
+    data, unseen = campaign_of(asked.rows), campaign_of(10_000)
+    layout, effects, terms = layout_of([data]), catalogue(), [Term(name) for name in STANDARD]
+
+    def stage_of(campaign: Campaign) -> LogStage:
+        return LogStage(log_parts([campaign]), layout, effects, terms, False)
+
+    def ours() -> tuple[np.ndarray, int]:
+        stage.facts = stage.design.facts = facts_of(stage.parts)
+        stage.design.forget()
+        return fitted(stage)
+
+    stage, test = stage_of(data), stage_of(unseen)
+    theta, rejected = ours()
+    wall, cpu = timed(ours, asked.runs)
+    start, started = perf_counter(), process_time()
+    Y, left = loop_rows(data, stage)
+    found = np.linalg.lstsq(Y, left, rcond=None)[0]
+    loop_wall, loop_cpu = perf_counter() - start, process_time() - started
+    white = summed(
+        stage.design, np.ones(len(stage.folds), dtype=bool), np.zeros(0, np.int64), LogNoise(np.ones(robot.n))
+    )
+    X, torque = stacked(stage)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(white[0].normal), 1e-300))
+    first = scale * (np.linalg.pinv(white[0].normal * np.outer(scale, scale), 1e-14, True) @ (scale * white[0].slope))
+    same = np.max(np.abs(X @ first - torque - (Y @ found - left)))
+    Y_test, left_test = loop_rows(unseen, test)
+    X_test, torque_test = stacked(test)
+    errors = [np.std(torque_test - X_test @ theta), np.std(left_test - Y_test @ found)]
+    print(f"{asked.rows} rows, {len(X)} torques that count, {X.shape[1]} parameters, {rejected} rows rejected")
+    print(f"residuals of the unweighted fits differ by at most {same:.1e} Nm")
+    print(f"{'':34}{'wall':>10}{'processor':>12}{'error on an unseen program':>30}")
+    print(f"{'clampid, stage free air':34}{wall:8.2f} s{cpu:10.2f} s{errors[0]:27.4f} Nm")
+    print(f"{'loop over pin, lstsq':34}{loop_wall:8.2f} s{loop_cpu:10.2f} s{errors[1]:27.4f} Nm")
+    print(f"{'ratio':34}{loop_wall / wall:8.1f}  {loop_cpu / cpu:10.1f}")
+
+
+if __name__ == "__main__":
+    main()
