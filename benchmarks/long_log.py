@@ -2,7 +2,7 @@
 
     python benchmarks/long_log.py [--rows 1000000] [--keep FOLDER]
 
-The log is written to a temporary folder first (160 bytes a row; ``--rows 10000000`` is the full size: 1.6 GB), fitted in
+The log is written to a temporary folder first (``--rows 10000000`` is the full size: about 1.5 GB), fitted in
 a process of its own, and that process' peak of resident memory is printed, beside that of one that only imports.
 """
 

@@ -56,12 +56,11 @@ class Blocks:
         count = len(columns[0]) if columns else 0
         results = [np.empty((count, o.shape[1])) for o in self.out]
         self.theta[:] = theta
+        # Side by side once, so that each block of rows is one copy.
+        every = np.concatenate(columns, axis=1) if len(columns) > 1 else columns[0] if columns else np.zeros((0, 0))
         for start in range(0, count, BLOCK):
             stop = min(start + BLOCK, count)
-            at = 0
-            for block in columns:
-                self.rows[: stop - start, at : at + block.shape[1]] = block[start:stop]
-                at += block.shape[1]
+            self.rows[: stop - start] = every[start:stop]
             self.trigger()
             for result, o in zip(results, self.out, strict=True):
                 result[start:stop] = o[: stop - start]

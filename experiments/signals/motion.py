@@ -102,11 +102,8 @@ def held_sign(speed: Array, threshold: Array, run: Integers) -> Array:
     """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first."""
     sign = np.where(np.abs(speed) > threshold, np.sign(speed), 0.0)
     start = np.r_[True, run[1:] != run[:-1]]
-    out = np.zeros_like(sign)
     index = np.arange(len(sign))
     first = np.maximum.accumulate(np.where(start, index, 0))
-    for j in range(sign.shape[1]):
-        last = np.maximum.accumulate(np.where(sign[:, j] != 0, index, -1))
-        known = last >= first
-        out[known, j] = sign[last[known], j]
-    return out
+    last = np.maximum.accumulate(np.where(sign != 0.0, index[:, None], -1), axis=0)
+    held = np.take_along_axis(sign, np.maximum(last, 0), axis=0)
+    return np.asarray(np.where(last >= first[:, None], held, 0.0))
