@@ -11,11 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse, stats
+from scipy import stats
 
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
 from clampid.moments import Moments, minimise
-from clampid.noise import NORMAL, ORDER, predictors_of
+from clampid.noise import NORMAL
+from clampid.prewhitening import ORDER, autocorrelation, whitener
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -24,15 +25,13 @@ __all__ = ["LogFit", "LogNoise", "Residuals", "fit_log", "residuals", "summed"]
 
 ENOUGH = 20  # rows of a motor from which a median says what an outlier is
 
-Predictors = tuple[tuple[Array, float], ...]
-
 
 @dataclass(frozen=True)
 class LogNoise:
-    """Standard deviations of the motors ``(n,)``, Nm, and their autoregression; none for white noise."""
+    """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise."""
 
     sigma: Array
-    filters: tuple[Predictors, ...] = ()
+    filters: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,8 @@ def summed(
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
             if noise.filters:
-                both = _whitener(_begins(channel, used, of if apart else None), noise.filters[c]) @ both
+                stretch = channel.stretch[used] if of is None or not apart else _apart(channel.stretch[used], of)
+                both = whitener(channel.row[used], stretch, noise.filters[c]) @ both
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -174,7 +174,9 @@ def residuals(
                 every = channel.both[:, :-1] @ theta[:, channel.columns].T
                 predicted = every[np.arange(len(every)), part[channel.fold]]
             values = (channel.both[:, -1] - predicted)[used]
-            found.append(Residuals(block, c, channel.row[used], _begins(channel, used), own, values))
+            found.append(
+                Residuals(block, c, channel.row[used], _begins(channel.row[used], channel.stretch[used]), own, values)
+            )
         yield found
 
 
@@ -204,43 +206,30 @@ def _outliers(design: LogDesign, folds: Bools, outliers: Integers, theta: Array)
 
 def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> LogNoise:
     """Scale and autoregression of each motor's residual, as in `clampid.noise.learn_noise`."""
-    products, count = np.zeros((design.n, ORDER + 1)), np.zeros(design.n)
+    products, pairs = np.zeros((2, design.n, ORDER + 1))
     for r in (r for found in residuals(design, folds, outliers, theta) for r in found):
-        age, own = _age(r.begins), r.values.copy()
-        own[: r.own] = 0.0
+        age, own = _age(r.begins), np.arange(len(r.values)) >= r.own
         for lag in range(ORDER + 1):
-            far = own[lag:] * (age[lag:] >= lag)
-            products[r.motor, lag] += float(far @ r.values[: len(far)])
-        count[r.motor] += len(r.values) - r.own
-    sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(count, 1)), 1e-12)
-    return LogNoise(np.where(count > 0, sigma, 1.0), tuple(predictors_of(p) for p in products))
+            both = own[lag:] & (age[lag:] >= lag)
+            products[r.motor, lag] += float((r.values[lag:] * both) @ r.values[: len(both)])
+            pairs[r.motor, lag] += both.sum()
+    sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(pairs[:, 0], 1)), 1e-12)
+    filters = tuple(autocorrelation(p, k) for p, k in zip(products, pairs, strict=True))
+    return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), filters)
 
 
-def _begins(channel: Channel, used: Integers | slice, part: Integers | None = None) -> Bools:
-    """Where among the used rows ``(k,)`` a contiguous stretch begins."""
-    row, out = channel.row[used], channel.begins[used].copy()
-    out[:1] = True
-    out[1:] |= np.diff(row) != 1
-    if part is not None:
-        out[1:] |= np.diff(part) != 0
-    return np.asarray(out)
+def _apart(stretch: Integers, part: Integers) -> Integers:
+    """Stretches ``(k,)`` that end with their part, too."""
+    new = np.r_[True, (np.diff(stretch) != 0) | (np.diff(part) != 0)]
+    return np.asarray(np.cumsum(new[: len(stretch)]))
+
+
+def _begins(row: Integers, stretch: Integers) -> Bools:
+    """Where among rows that count ``(k,)`` one does not follow the one before."""
+    return np.asarray(np.r_[True, (np.diff(row) != 1) | (np.diff(stretch) != 0)][: len(row)])
 
 
 def _age(begins: Bools) -> Integers:
     """How many rows of its stretch are before each ``(k,)``."""
     index = np.arange(len(begins))
     return np.asarray(index - np.maximum.accumulate(np.where(begins, index, 0)))
-
-
-def _whitener(begins: Bools, predictors: Predictors) -> sparse.csr_matrix:
-    """The filter of `clampid.noise` as a matrix ``(k, k)``; each stretch begins with the predictors of low order."""
-    count, top = len(begins), len(predictors) - 1
-    table = np.zeros((top + 1, top + 1))
-    for order, (coefficients, variance) in enumerate(predictors):
-        table[order, : order + 1] = np.r_[1.0, -coefficients] / np.sqrt(variance)
-    age = np.minimum(_age(begins), top)
-    # Rows that a young stretch does not have yet have weight zero, and any row in their place.
-    index = np.arange(count, dtype=np.int32)[:, None] - np.arange(top + 1, dtype=np.int32)
-    np.maximum(index[:top], 0, out=index[:top])
-    where = np.arange(0, (count + 1) * (top + 1), top + 1, dtype=np.int32)
-    return sparse.csr_matrix((table[age].ravel(), index.ravel(), where), shape=(count, count))

@@ -1,9 +1,7 @@
 """Noise: what the residual of a right model looks like, and how to make it white.
 
 Poses: independent numbers of known relative size. Torques, whether of a log or of a sweep, follow each other closely
-and
-are correlated, so that residual and columns alike pass an autoregressive filter, restarted at every contiguous stretch;
-unwhitened, ordinary tests fire on any clean log.
+and are correlated, so that residual and columns alike pass the filter of `clampid.prewhitening`.
 """
 
 from __future__ import annotations
@@ -12,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import sparse
 
+from clampid.prewhitening import ORDER, autocorrelation, whitener
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 
-__all__ = ["ORDER", "Noise", "Whitened", "initial_noise", "learn_noise", "predictors_of"]
+__all__ = ["Noise", "Whitened", "initial_noise", "learn_noise"]
 
-ORDER = 12
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 
 
@@ -45,12 +42,11 @@ class Noise:
     sigma
         ``(N, m)``: standard deviation of each number, all of its noise, SI.
     filters
-        Per channel the coefficients of predictors of order 0 to 12 with their relative variances; empty for white
-        noise.
+        Per channel the autocorrelation of its noise, lag 0 to 64; empty for white noise.
     """
 
     sigma: Array
-    filters: tuple[tuple[tuple[Array, float], ...], ...] = ()
+    filters: tuple[Array, ...] = ()
 
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
@@ -81,8 +77,9 @@ class Noise:
         out = columns[index] / self.sigma[index, channel][:, None]
         if not self.filters:
             return np.asarray(out)
-        stretch = segments(rows.constants["run"], rows.constants["time"], used)[index]
-        return np.asarray(_whitener(stretch, self.filters[channel]) @ out)
+        every = np.ones(len(rows), dtype=bool)
+        stretch = segments(rows.constants["run"], rows.constants["time"], every)[index]
+        return np.asarray(whitener(index, stretch, self.filters[channel]) @ out)
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
@@ -113,64 +110,15 @@ def learn_noise(rows: Rows, residual: Array) -> Noise:
     filters = []
     for c in range(residual.shape[1]):
         stretch = segments(rows.constants["run"], rows.constants["time"], rows.used[:, c])
-        filters.append(_autoregression(residual[:, c] / sigma[:, c], stretch))
+        filters.append(_correlation(residual[:, c] / sigma[:, c], stretch))
     return Noise(sigma, tuple(filters))
 
 
-def _autoregression(x: Array, stretch: Integers) -> tuple[tuple[Array, float], ...]:
-    """Yule-Walker predictors of order 0 … 12 (Levinson-Durbin), from within-stretch products only."""
-    products = np.zeros(ORDER + 1)
+def _correlation(x: Array, stretch: Integers) -> Array:
+    """Autocorrelation of a residual ``(N,)``, from products within stretches of rows that count only."""
+    products, pairs = np.zeros((2, ORDER + 1))
     for lag in range(ORDER + 1):
         a, b = x[lag:], x[: len(x) - lag]
         same = (stretch[lag:] == stretch[: len(x) - lag]) & (stretch[lag:] >= 0)
-        products[lag] = float(a[same] @ b[same])
-    return predictors_of(products)
-
-
-def predictors_of(products: Array) -> tuple[tuple[Array, float], ...]:
-    """Yule-Walker predictors of order 0 … 12 with their relative variances, by Levinson's and Durbin's recursion.
-
-    Parameters
-    ----------
-    products
-        Sums of products of residuals of lag 0 … 12 within stretches ``(13,)``; their common scale does not matter.
-
-    Returns
-    -------
-    tuple
-        Per order the coefficients of the rows before, the nearest first, and the share of the variance that is left.
-        Source: Brockwell & Davis, Time Series: Theory and Methods (1991), section 8.2.
-    """
-    if products[0] == 0:
-        return ((np.zeros(0), 1.0),)
-    autocovariance = products / products[0]  # the biased estimate: always a stable filter
-    predictors: list[tuple[Array, float]] = [(np.zeros(0), 1.0)]
-    a, variance = np.zeros(0), 1.0
-    for k in range(1, ORDER + 1):
-        reflection = (autocovariance[k] - a @ autocovariance[1:k][::-1]) / variance
-        a = np.r_[a - reflection * a[::-1], reflection]
-        variance *= 1.0 - reflection**2
-        predictors.append((a, max(variance, 1e-6)))
-    return tuple(predictors)
-
-
-def _whitener(stretch: Integers, predictors: tuple[tuple[Array, float], ...]) -> sparse.csr_matrix:
-    """The filter as a banded matrix; each stretch begins with the predictors of low order."""
-    count = len(stretch)
-    start = np.r_[True, stretch[1:] != stretch[:-1]] if count else np.zeros(0, dtype=bool)
-    index = np.arange(count)
-    age = index - np.maximum.accumulate(np.where(start, index, 0)) if count else index
-    row, column, value = [], [], []
-    top = len(predictors) - 1
-    for order, (coefficients, variance) in enumerate(predictors):
-        chosen = index[age == order] if order < top else index[age >= order]
-        scale = 1.0 / np.sqrt(variance)
-        row.append(chosen)
-        column.append(chosen)
-        value.append(np.full(len(chosen), scale))
-        for lag, coefficient in enumerate(coefficients, start=1):
-            row.append(chosen)
-            column.append(chosen - lag)
-            value.append(np.full(len(chosen), -scale * coefficient))
-    data = (np.concatenate(value), (np.concatenate(row), np.concatenate(column)))
-    return sparse.csr_matrix(data, shape=(count, count))
+        products[lag], pairs[lag] = float(a[same] @ b[same]), float(same.sum())
+    return autocorrelation(products, pairs)

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.chain import Chain
-from clampid.noise import ORDER
+from clampid.prewhitening import REACH
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, motion_of, stacked
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel
@@ -28,7 +28,7 @@ KEPT_BYTES = 1 << 28  # of a short log all windows are kept
 
 @dataclass(frozen=True)
 class Channel:
-    """The rows of one motor that count in a window, after up to twelve that count before it.
+    """The rows of one motor that count in a window, after those shortly before it.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Channel:
         ``(k,)``: which rows of the log.
     own
         How many of the first are of the window before.
-    begins
-        ``(k,)``: whether the clock breaks off before the row.
+    stretch
+        ``(k,)``: number of the stretch of the window that the row is of; between two, the clock breaks off.
     fold
         ``(k,)``: the fold each row is of.
     columns
@@ -48,7 +48,7 @@ class Channel:
 
     row: Integers
     own: int
-    begins: Bools
+    stretch: Integers
     fold: Integers
     columns: Integers
     both: Array
@@ -179,7 +179,7 @@ class LogDesign:
         if not self.accelerating:
             counts &= np.abs(qdd) <= facts.steady
         # Rows before the window's own are needed as far as the noise remembers.
-        counts[: max(w.start - ORDER, 0)] = False
+        counts[: max(w.start - REACH, 0)] = False
         counts[w.stop :] = False
         chosen = np.flatnonzero(counts.any(axis=1))
         every = {
@@ -202,6 +202,7 @@ class LogDesign:
         if not self.accelerating:
             counts &= np.abs(inertial) <= INERTIA_SHARE * facts.noise
         breaks = np.r_[True, (run[1:] != run[:-1]) | (np.abs(np.diff(time) - facts.step) > 0.5 * facts.step)]
+        stretch = np.cumsum(breaks)
         row = before + w.first + np.arange(len(q))
         fold = run if len(facts.runs) > 1 else (row * FIFTHS // facts.rows).astype(np.int64)
         own = before + w.first + w.start
@@ -218,7 +219,7 @@ class LogDesign:
                 Channel(
                     row=row[at_row],
                     own=int(np.count_nonzero(row[at_row] < own)),
-                    begins=breaks[at_row],
+                    stretch=stretch[at_row],
                     fold=fold[at_row],
                     columns=np.r_[kernel.touched[c], columns],
                     both=both,

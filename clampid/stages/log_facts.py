@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clampid import prewhitening
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.torques import CLEAR_MOTION, NORMAL, STEADY, WINDOW_S
 from experiments.campaign import Campaign
@@ -20,7 +21,7 @@ __all__ = ["LogFacts", "LogPart", "facts_of", "joint_columns", "motion_of", "sta
 
 WINDOW = 1 << 14  # rows at once
 REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
-NEIGHBOURS = 64  # at least
+NEIGHBOURS = 16  # at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,8 @@ class LogFacts:
 
 
 def halo_of(step: float) -> int:
-    """Rows on either side of a window that its speeds and accelerations reach for."""
-    return max(NEIGHBOURS, REACH * round(WINDOW_S / step))
+    """Rows on either side of a window: its noise remembers some, whose speeds and accelerations reach for others."""
+    return prewhitening.REACH + max(NEIGHBOURS, REACH * round(WINDOW_S / step))
 
 
 def joint_columns(kind: str, unit: str, n: int) -> list[str]:
