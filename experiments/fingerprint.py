@@ -12,6 +12,8 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pa_parquet
 
+from experiments.log_windows import batches
+
 __all__ = ["fingerprint", "fingerprint_of_files"]
 
 
@@ -67,7 +69,7 @@ def fingerprint_of_files(raw: Mapping[str, Any], files: Mapping[str, Path]) -> s
         with pa_parquet.ParquetFile(files[name]) as file:
             for column in sorted(file.schema_arrow.names):
                 digest.update(f"\n{name}/{column}/{file.metadata.num_rows}\n".encode())
-                for batch in file.iter_batches(1 << 16, columns=[column], use_threads=False):
+                for batch in batches(file, [column]):
                     digest.update(_content(batch.column(0).to_pandas()))
     return digest.hexdigest()
 

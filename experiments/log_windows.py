@@ -14,7 +14,7 @@ import pyarrow.parquet as pa_parquet
 
 from experiments.errors import fault
 
-__all__ = ["LogTable", "Window", "windows"]
+__all__ = ["LogTable", "Window", "batches", "windows"]
 
 Columns = Mapping[str, npt.NDArray[np.float64]]
 BATCH = 1 << 16  # rows decoded at once
@@ -83,7 +83,7 @@ class LogTable:
             return
         done = 0
         with pa_parquet.ParquetFile(self.source) as file:
-            for batch in file.iter_batches(BATCH, columns=list(names), use_threads=False):
+            for batch in batches(file, names):
                 columns = {name: self._numbers(batch.column(name), name, done) for name in names}
                 self._refuse_unordered(columns, done)
                 done += batch.num_rows
@@ -111,6 +111,15 @@ class LogTable:
                 found = f"{time[k + 1]:.10g} s after {time[k]:.10g} s"
                 expected = f"time increasing within run {run[k]:.0f}"
                 raise fault(Path(str(self.source)), expected=expected, found=found, row=done + k + 2, column="time_s")
+
+
+def batches(file: pa_parquet.ParquetFile, names: Sequence[str]) -> Iterator[pa.RecordBatch]:
+    """Rows of a Parquet file in pieces; what one of its row groups held is let go before the next is read.
+
+    Asked for all row groups at once, pyarrow keeps what it has decoded until the end.
+    """
+    for group in range(file.metadata.num_row_groups):
+        yield from file.iter_batches(BATCH, row_groups=[group], columns=list(names), use_threads=False)
 
 
 def windows(table: LogTable, names: Sequence[str], rows: int, halo: int) -> Iterator[Window]:
