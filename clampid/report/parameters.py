@@ -49,7 +49,7 @@ def _base(stage: StageModel) -> Table:
     for p in stage.base:
         scale = scale_for(p.unit, [p.value])
         told = with_std(p.value, p.std, scale, unit=False) if p.known else OPEN
-        rows.append((p.name, told, number(p.described), scale.unit))
+        rows.append((p.name, told, number(p.described, 4), scale.unit))
     caption = (
         "Base parameters of the arm, without the declared tool: the combinations of masses, first moments and inertias "
         "that these torques tell, and the only ones; the terms of a combination are not told apart. First moments and "
