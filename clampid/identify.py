@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from clampid.accuracy import stage_errors
+from clampid.base_parameters import base_parameters
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fit import Estimate, Prior, fit
@@ -233,6 +234,7 @@ def fit_stage(
         held_out=tuple(tuple(f) for f in held),
         outliers=tuple(listed),
         null_directions=null_directions(estimate),
+        base=base_parameters(estimate),
     )
     return FittedStage(stage, estimate, reference)
 

@@ -15,6 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from clampid.base_names import BaseParameter, base_json, read_base
 from clampid.effect import STAGES, Stage
 from clampid.slots import Layout, Slot, Term
 from clampid.stages.rows import Array
@@ -63,6 +64,8 @@ class StageModel:
         (session, table, row from 1) of the rows rejected.
     null_directions
         What these data cannot tell, in words.
+    base
+        The combinations of masses, first moments and inertias that torques can tell; of ``free_air`` only.
     """
 
     stage: Stage
@@ -74,6 +77,7 @@ class StageModel:
     held_out: tuple[tuple[int, ...], ...] = ()
     outliers: tuple[tuple[int, str, int], ...] = ()
     null_directions: tuple[str, ...] = ()
+    base: tuple[BaseParameter, ...] = ()
 
     @property
     def std(self) -> Array:
@@ -222,6 +226,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "held_out": [list(folds) for folds in stage.held_out],
         "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
         "not_identifiable": list(stage.null_directions),
+        "base_parameters": [base_json(parameter) for parameter in stage.base],
     }
 
 
@@ -246,6 +251,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             held_out=tuple(tuple(int(f) for f in folds) for folds in part["held_out"]),
             outliers=tuple((int(o["session"]), str(o["table"]), int(o["row"])) for o in part["outliers"]),
             null_directions=tuple(part["not_identifiable"]),
+            base=tuple(read_base(p) for p in part.get("base_parameters", ())),
         )
     sessions = tuple(
         Session(

@@ -138,4 +138,5 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         held_out=stage.held_out,
         outliers=tuple(o for o in stage.outliers if o[0] == session),
         null_directions=stage.null_directions,
+        base=stage.base,
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from clampid.effect import Effect
 from clampid.model import Model, StageModel
-from clampid.report.display import Scale, scale_for, stage_title, with_std
+from clampid.report.display import Scale, number, scale_for, stage_title, with_std
 from clampid.report.stage_data import in_order
 from clampid.report.style import Figure, Section, Table, as_table
 from clampid.slots import find_parameter
@@ -27,6 +27,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
         stage_model = model.stages[stage]
         open_ones += sum(not ok for ok in stage_model.identified)
         blocks.append(stage_title(stage))
+        if stage_model.base:
+            blocks.append(_base(stage_model))
         blocks += [_pivot(stage_model, effects, indices) for indices in _groups(stage_model, effects)]
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
     text = "Value ± one standard error."
@@ -39,6 +41,21 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
     return Section(
         "model", "The model with standard errors", (text,), tuple(blocks), tuple(notes), "What these data cannot tell"
     )
+
+
+def _base(stage: StageModel) -> Table:
+    """Base parameters: what the torques tell of masses, beside what the description says."""
+    rows = []
+    for p in stage.base:
+        scale = scale_for(p.unit, [p.value])
+        told = with_std(p.value, p.std, scale, unit=False) if p.known else OPEN
+        rows.append((p.name, told, number(p.described, 4), scale.unit))
+    caption = (
+        "Base parameters of the arm, without the declared tool: the combinations of masses, first moments and inertias "
+        "that these torques tell, and the only ones; the terms of a combination are not told apart. First moments and "
+        "inertias count from a point on the link's own joint, in base axes at the zero pose. Gautier 1991."
+    )
+    return as_table(("Base parameter", "Identified#", "Described#", "Unit"), rows, caption)
 
 
 def _groups(stage: StageModel, effects: Mapping[str, Effect]) -> list[list[int]]:

@@ -11,7 +11,7 @@ from kinematics.gravity import gravity_parameters, gravity_regressor
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 
-__all__ = ["bearing_signals", "flange_to_base", "gravity_signals", "inertia_torque", "inertial_signals"]
+__all__ = ["bearing_signals", "flange_to_base", "gravity_regressors", "gravity_signals", "inertia_torque", "inertial_signals"]
 
 
 def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
@@ -21,16 +21,20 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     the tool's (m, m c) in the flange frame; ``gravity_torque`` ``(N, n)``, Nm, of described links and declared tool.
     """
     robot = campaign.robot
-    chain_q = q @ np.asarray(robot.linkage).T
-    Y = gravity_regressor(robot.screws, chain_q, campaign.gravity)
+    found = gravity_regressors(robot, np.asarray(campaign.gravity, dtype=float), q)
+    declared = campaign.tool.mass * np.r_[1.0, campaign.tool.com]
+    torque = found["tool_regressor"] @ declared
+    if robot.has_masses:
+        torque = torque + found["regressor"] @ gravity_parameters(robot.links)
+    return {**found, "gravity_torque": torque}
+
+
+def gravity_regressors(robot: RobotDescription, gravity: Array, q: Array) -> dict[str, Array]:
+    """``regressor`` and ``tool_regressor`` of :func:`gravity_signals`, of a robot under ``gravity`` ``(3,)``, m/s²."""
+    Y = gravity_regressor(robot.screws, q @ np.asarray(robot.linkage).T, gravity)
     # The linkage maps the controller's joints to the chain's, so that torques go the other way (power is conserved).
     Y = np.asarray(robot.linkage).T @ Y
-    tool = Y[:, :, -4:] @ flange_to_base(robot)
-    declared = campaign.tool.mass * np.r_[1.0, campaign.tool.com]
-    torque = tool @ declared
-    if robot.has_masses:
-        torque = torque + Y @ gravity_parameters(robot.links)
-    return {"regressor": Y, "tool_regressor": tool, "gravity_torque": torque}
+    return {"regressor": Y, "tool_regressor": Y[:, :, -4:] @ flange_to_base(robot)}
 
 
 def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:

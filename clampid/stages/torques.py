@@ -141,7 +141,12 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
         table=np.repeat(np.array(names), lengths),
         row=np.concatenate([np.arange(1, k + 1) for k in lengths]),
         session=session,
-        constants={"time": time, "run": run, "offset_keys": np.array(still, dtype=np.int64).reshape(-1, 2)},
+        constants={
+            "time": time,
+            "run": run,
+            "offset_keys": np.array(still, dtype=np.int64).reshape(-1, 2),
+            "gravity": np.array([campaign.gravity for campaign in campaigns], dtype=float),
+        },
         per_row=("time", "run"),
     )
 

@@ -1,15 +1,16 @@
-"""``clampid export``: the compensated robot as a Denavit–Hartenberg table or as URDF."""
+"""``clampid export``: the compensated robot as a Denavit–Hartenberg table or as URDF; its dynamics as JSON."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from clampid.verbs.errors import CallError
-from clampid.verbs.options import ModelFile, Quiet
+from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["export"]
 
-export = typer.Typer(help="Write the compensated robot as a DH table or as URDF.", no_args_is_help=True)
+export = typer.Typer(help="Write the robot as a DH table, as URDF, or its dynamics.", no_args_is_help=True)
 
 Session = Annotated[int, typer.Option(min=1, help="Whose base and flange, where the model has several sessions.")]
 Robot = Annotated[
@@ -70,6 +71,70 @@ def urdf(
 
     write_text(output, urdf_text(load_model(model), session=session - 1, robot=_robot(robot)))
     out.say(f"URDF: {output}; static geometry at 20 degC, read back and equal to the model")
+
+
+@export.command()
+def dynamics(
+    model: ModelFile,
+    consistent: Annotated[
+        bool, typer.Option("--consistent", help="Also the nearest masses and inertias that bodies can have.")
+    ] = False,
+    campaign: Annotated[
+        Path | None, typer.Option(metavar="CAMPAIGN", help="Logs on which to say what consistency costs.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Where to; stdout without it.")
+    ] = None,
+    robot: Robot = None,
+    effects_from: EffectsFrom = None,
+    quiet: Quiet = False,
+) -> None:
+    """Base parameters of gravity and inertia with standard errors, and on demand bodies that can have them, as JSON."""
+    out = Output(quiet)
+    _writable(output)
+    if campaign is not None and not consistent:
+        raise CallError("--campaign compares the fit with the consistent arm: give --consistent too")
+
+    import json
+
+    from clampid.dynamics_export import dynamics as identified
+    from clampid.model import load_model, write_text
+    from experiments.campaign import read_campaign
+
+    log = None if campaign is None else read_campaign(campaign)
+    found = identified(
+        load_model(model), consistent=consistent, campaign=log, robot=_robot(robot), user_effects=effects_from
+    )
+    text = json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    if output is None:
+        sys.stdout.write(text)
+        return
+    write_text(output, text)
+    for line in _told(found):
+        out.say(line)
+    out.say(f"dynamics: {output}")
+
+
+def _told(found: Mapping[str, Any]) -> list[str]:
+    """What the consistent arm is and what it costs, in a few lines."""
+    if "links" not in found:
+        return [f"{len(found['base_parameters'])} base parameters"]
+    lines = [
+        f"link {link['link']}: {link['mass_kg']:.3g} kg at ({', '.join(f'{1e3 * c:.0f}' for c in link['com_m'])}) mm"
+        for link in found["links"]
+    ]
+    if not found["inertia_identified"]:
+        lines.append("inertias are the description's: the model has no link_inertia")
+    fit, worst = found["fit"], max(found["base_parameters"], key=lambda p: abs(p["off_by_std"]))
+    lines.append(
+        f"what it costs: chi-square {fit['chi_square']:.3g} over {fit['base_parameters']} base parameters (noise alone "
+        f"puts the true arm at about {fit['base_parameters']}); furthest off, by {abs(worst['off_by_std']):.2g} "
+        f"standard errors: {worst['name']}"
+    )
+    if "rms_Nm" in fit:
+        pairs = zip(fit["rms_Nm"], fit["consistent_rms_Nm"], strict=True)
+        lines.append("rms torque of the motors, Nm: " + ", ".join(f"{a:.4g} → {b:.4g}" for a, b in pairs))
+    return lines
 
 
 def _robot(path: Path | None) -> RobotDescription | None:

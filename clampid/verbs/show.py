@@ -9,6 +9,7 @@ from clampid.verbs.output import Output
 from clampid.verbs.units import error_text, quantity
 
 if TYPE_CHECKING:
+    from clampid.base_names import BaseParameter
     from clampid.effect import Effect
     from clampid.model import Model, Round, StageModel
 
@@ -35,6 +36,16 @@ def parameter_rows(stage: StageModel, effects: Mapping[str, Effect]) -> list[tup
     return rows
 
 
+def base_rows(base: Iterable[BaseParameter]) -> list[tuple[str, ...]]:
+    """One row per base parameter: name, what the description gives, value, standard error, unit, remark."""
+    rows: list[tuple[str, ...]] = []
+    for p in base:
+        number, error, symbol = quantity(p.value, p.std, p.unit)
+        described = f"{p.described:.{len(number.partition('.')[2])}f}"
+        rows.append((p.name, described, number, error, symbol, "" if p.known else NOT_KNOWN))
+    return rows
+
+
 def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None:
     """Every stage's parameters with standard errors, and what the data leave open."""
     columns = ("parameter", "at", "value", "± std", "unit", "")
@@ -46,6 +57,9 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
             out.say(f"{name}: rejected as outliers: {rows}{more}")
         for sentence in stage.null_directions:
             out.say(f"{name}: {NOT_KNOWN}: {sentence}")
+        if stage.base:
+            title = f"{name}: base parameters of the arm, without the declared tool"
+            out.table(title, ("base parameter", "described", "value", "± std", "unit", ""), base_rows(stage.base))
     show_rounds(model.ledger, out)
 
 
@@ -62,6 +76,8 @@ def show_rounds(rounds: Iterable[Round], out: Output) -> None:
 
 def model_json(model: Model) -> dict[str, Any]:
     """What ``identify`` and ``auto`` tell programs beside the model file."""
+    from clampid.base_names import base_json
+
     stages = {}
     for name, stage in model.stages.items():
         last = next((r for r in reversed(model.ledger) if r.stage == name), None)
@@ -71,6 +87,7 @@ def model_json(model: Model) -> dict[str, Any]:
             "parameters": len(stage.slots),
             "not_identifiable": [s.label for s, known in zip(stage.slots, stage.identified, strict=True) if not known],
             "open": list(stage.null_directions),
+            "base_parameters": [base_json(p) for p in stage.base],
             "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
             "held_out": [list(folds) for folds in stage.held_out],
             "rms": last and last.rms,

@@ -146,3 +146,26 @@ def test_simulate_with_the_same_seed_is_the_same_campaign(clampid: Clampid, tmp_
         clampid("simulate", "-o", tmp_path / name, "--robot", "ur10", "--poses", "20", "--seed", "9", "-q")
     a, b = (read_campaign(tmp_path / name) for name in ("a", "b"))
     assert a.fingerprint == b.fingerprint
+
+
+def test_dynamics_of_a_campaign_with_torques(clampid: Clampid, tmp_path: Path, whole: Path) -> None:
+    wanted = ("--effects", "poses=geometry", "--effects", "clamped=joint_compliance")
+    ran = clampid("identify", whole, "-o", tmp_path / "m.json", *wanted, "--json", tmp_path / "i.json", "-q")
+    assert ran.code == 0, ran.err
+    assert "m·c_x of link 2 + 0.78 m · m of links 3, 4, 5 and 6" in ran.out
+    told = json.loads((tmp_path / "i.json").read_text())["stages"]["free_air"]["base_parameters"]
+    ran = clampid("export", "dynamics", tmp_path / "m.json")
+    assert json.loads(ran.out)["base_parameters"] == told
+    ran = clampid("export", "dynamics", tmp_path / "m.json", "--consistent", "--campaign", whole, "-o", tmp_path / "d")
+    assert ran.code == 0, ran.err
+    assert "what it costs: chi-square" in ran.out
+    assert all(link["mass_kg"] > 0 for link in json.loads((tmp_path / "d").read_text())["links"])
+
+
+def test_dynamics_refuses_what_it_cannot_do(clampid: Clampid, model: Path, whole: Path) -> None:
+    ran = clampid("export", "dynamics", model)
+    assert ran.code == 2
+    assert "gravity identified" in ran.err
+    ran = clampid("export", "dynamics", model, "--campaign", whole)
+    assert ran.code == 2
+    assert "--consistent" in ran.err

@@ -1,0 +1,127 @@
+"""Base parameters as values, the physical words that they are called by, and their form in a model file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+from clampid.effect import Effect
+from clampid.slots import Slot, find_parameter
+
+__all__ = ["BaseParameter", "base_json", "base_name", "label_of", "read_base"]
+
+_FIRST = {"mx": "c_x", "my": "c_y", "mz": "c_z"}
+_DIGITS = 4  # of a coefficient in a name: a tenth of a millimetre in a metre
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A combination of inertial parameters that the data tell, where they do not tell its terms apart.
+
+    Attributes
+    ----------
+    name
+        In words, such as ``m·c_x of link 3 + 0.425 m · m of link 4``.
+    terms
+        (parameter, coefficient), the first with coefficient 1. First moments and inertias count from the point on the
+        link's own joint, in base axes at the zero pose; those of a tool in the flange frame.
+    value, std
+        Of the whole, described part included, with the standard error of the fit; SI.
+    described
+        What the robot's description gives; 0 where it has no masses.
+    known
+        Whether the fit tells it to within the reasonable size of its first term.
+    """
+
+    name: str
+    unit: str
+    terms: tuple[tuple[Slot, float], ...]
+    value: float
+    std: float
+    described: float
+    known: bool
+
+
+def base_json(parameter: BaseParameter) -> dict[str, Any]:
+    """A base parameter for a model file; SI."""
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "value": parameter.value,
+        "std": parameter.std,
+        "described": parameter.described,
+        "identified": parameter.known,
+        "terms": [
+            {"effect": slot.effect, "parameter": slot.parameter, "at": slot.place, "coefficient": coefficient}
+            for slot, coefficient in parameter.terms
+        ],
+    }
+
+
+def read_base(data: Mapping[str, Any]) -> BaseParameter:
+    """A base parameter as :func:`base_json` wrote it."""
+    terms = tuple((Slot(t["effect"], t["parameter"], t["at"]), float(t["coefficient"])) for t in data["terms"])
+    value, std, described = (float(data[key]) for key in ("value", "std", "described"))
+    return BaseParameter(data["name"], data["unit"], terms, value, std, described, bool(data["identified"]))
+
+
+def label_of(effect: str, parameter: str) -> str:
+    """A parameter without its place, in words: ``m·c_x``, ``I_xy``, ``rotor inertia``, ``viscous_friction.B``."""
+    match effect:
+        case "gravity" | "payload":
+            return "m" if parameter == "m" else f"m·{_FIRST[parameter]}"
+        case "link_inertia":
+            return f"I_{parameter[1:]}"
+        case "inertia":
+            return "rotor inertia"
+        case _:
+            return f"{effect}.{parameter}"
+
+
+def base_name(terms: Sequence[tuple[Slot, float]], effects: Mapping[str, Effect]) -> str:
+    """The name of a combination of parameters.
+
+    Parameters
+    ----------
+    terms
+        (parameter, coefficient); terms of one parameter and one coefficient are put together.
+    """
+    own = find_parameter(terms[0][0], effects).unit
+    parts: list[str] = []
+    for (effect, parameter, size, minus), group in groupby(terms, key=_kind):
+        places = [slot.place for slot, _ in group]
+        what = f"{label_of(effect, parameter)} of {_places(places)}"
+        unit = _ratio(own, find_parameter(Slot(effect, parameter, places[0]), effects).unit)
+        factor = "" if size == "1" and not unit else f"{size}{f' {unit}' if unit else ''} · "
+        sign = ("−" if minus else "") if not parts else (" − " if minus else " + ")
+        parts.append(f"{sign}{factor}{what}")
+    return "".join(parts)
+
+
+def _kind(term: tuple[Slot, float]) -> tuple[str, str, str, bool]:
+    slot, coefficient = term
+    exact = float(f"{abs(coefficient):.8g}")  # so that equal lengths round alike: 0.050625 has the halves both ways
+    return slot.effect, slot.parameter, f"{exact:.{_DIGITS}g}", coefficient < 0
+
+
+def _places(places: Sequence[str]) -> str:
+    """``link 3``, ``links 3, 4 and 5``, ``the tool beyond what was declared``."""
+    kind = places[0].rstrip("0123456789")
+    numbers = [place[len(kind) :] for place in places]
+    if not numbers[0]:
+        return "the tool beyond what was declared" if kind == "tool" else kind
+    if len(numbers) == 1:
+        return f"{kind} {numbers[0]}"
+    return f"{kind}s {', '.join(numbers[:-1])} and {numbers[-1]}"
+
+
+def _ratio(unit: str, by: str) -> str:
+    """The unit of a coefficient that turns ``by`` into ``unit``."""
+    if unit == by:
+        return ""
+    powers = {"kg": 0, "kg m": 1, "kg m^2": 2}
+    if unit in powers and by in powers:
+        return {1: "m", 2: "m²", -1: "1/m", -2: "1/m²"}[powers[unit] - powers[by]]
+    return f"{unit}/({by})" if by else unit

@@ -1,0 +1,252 @@
+"""Friction against speed, on the motor's side and on the arm's, with the model's curve and its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import plotly.graph_objects as go
+
+from clampid.report.panels import finish, grid, place_of
+from clampid.report.stage_data import StageData
+from clampid.report.style import BLUE, GREY, INK, ORANGE, Figure, thin
+from clampid.report.variables import groups_of
+from clampid.slots import find_parameter
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Bools, Integers, Rows
+
+__all__ = ["friction_figures"]
+
+MOST_POINTS = 900
+GRID = 40  # points of a curve on each side of standstill
+TWO_SIDED_95 = 1.96
+FEWEST = 4  # blocks of a log that a mean's interval is taken from
+OUTER = 0.995  # of the points are inside the axes
+MOTOR_SIDE = (
+    "coulomb_friction",
+    "viscous_friction",
+    "stribeck_friction",
+    "asymmetric_friction",
+    "load_dependent_friction",
+    "temperature_dependent_friction",
+)
+"""Friction that acts at the motor; what reaches it through the wrist's coupling depends on other speeds too."""
+ARM_SIDE = ("wrist_coupling_friction",)
+"""Friction that acts at the joint and can be told from the motor's, because the transmission couples the joint."""
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """Friction of one motor or joint, row by row: what the log leaves for it, Nm, at which speed, rad/s.
+
+    ``unit`` ``(N,)`` are the blocks of the log whose rows share their noise.
+    """
+
+    speed: Array
+    left: Array
+    unit: Integers
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """The model's friction against speed with its standard error ``(2 GRID,)``; rising speed."""
+
+    speed: Array
+    friction: Array
+    std: Array
+
+
+def friction_figures(data: StageData) -> list[Figure]:
+    """Friction at the motors, and where the transmission tells it from theirs, at the joints."""
+    names = [f"motor {k + 1}" for k in range(data.channels)]
+    reach = (
+        " Points: what is left of the measured torque when all else in the model is taken off; dark: its mean with a "
+        "95 % interval from whole stretches of the log; blue: the model's friction with its 95 % interval."
+    )
+    arm = {
+        int(slot.place.removeprefix("joint")) - 1: known
+        for slot, known in zip(data.model.slots, data.model.identified, strict=True)
+        if slot.effect in ARM_SIDE
+    }
+    caption = f"Friction at the motors against their speed.{reach} A mean beside the line is friction that the model "
+    caption += "has not got."
+    if arm:
+        caption += (
+            " Orange: with the friction of the arm's side, when this motor turns alone; where that is known and the "
+            "motor's own is not, these data do not tell the two sides apart."
+        )
+    plot = _drawn(data, MOTOR_SIDE, range(data.channels), names, "motor")
+    found = [Figure("friction", plot, caption, 520)]
+    told = sorted(j for j, known in arm.items() if known)
+    if told:
+        untold = [str(j + 1) for j, known in sorted(arm.items()) if not known]
+        caption = f"Friction on the arm's side of coupled joints against their speed, at the joint.{reach} "
+        caption += f"Not told from the motor's by these data: joint {', '.join(untold)}. " if untold else ""
+        caption += (
+            "Uncoupled joints turn with their own motor alone, so that both sides are one sum: the figure before."
+        )
+        plot = _drawn(data, ARM_SIDE, told, [f"joint {j + 1}" for j in told], "joint")
+        found.append(Figure("friction-arm", plot, caption, 520 if len(told) > 3 else 340))
+    return found
+
+
+def _drawn(data: StageData, effects: Sequence[str], places: Sequence[int], names: list[str], side: str) -> go.Figure:
+    plot = grid(len(places), names)
+    both = side == "motor" and any(slot.effect in ARM_SIDE for slot in data.model.slots)
+    coupled = set(data.first.rows.layout.wrist)
+    shown = min(coupled, default=-1)
+    for k, place in enumerate(places):
+        cloud = _cloud(data, effects, place, side)
+        where = place_of(k, len(places))
+        if not len(cloud.speed):
+            continue
+        _points(plot, cloud, where, k == 0)
+        curves = [_curve(data, effects, place, side, cloud)]
+        _band(plot, curves[0], where, "model", BLUE, k == 0)
+        if both and place in coupled:
+            curves.append(_curve(data, (*effects, *ARM_SIDE), place, side, cloud))
+            _band(plot, curves[1], where, "with the arm's side", ORANGE, place == shown)
+        _marks(plot, cloud, where, k == 0)
+        reach = [float(np.quantile(np.abs(cloud.left), OUTER)), *(float(np.abs(c.friction).max()) for c in curves)]
+        plot.update_yaxes(range=[-1.15 * max(reach), 1.15 * max(reach)], row=where[0], col=where[1])
+    height = 520 if len(places) > 3 else 340
+    return finish(plot, len(places), height, f"speed of the {side}, rad/s", f"friction at the {side}, Nm")
+
+
+def _without(experiment: Experiment, theta: Array, effects: Sequence[str]) -> Array:
+    """The parameters with some effects' amplitudes at zero."""
+    out = theta.copy()
+    for k, slot in enumerate(experiment.slots):
+        if slot.effect in effects and not find_parameter(slot, experiment.effects).shape:
+            out[k] = 0.0
+    return out
+
+
+def _at_side(values: Array, rows: Rows, side: str) -> Array:
+    """Torques of the motors ``(N, n, …)``, or what they are at the joints."""
+    if side == "motor":
+        return values
+    return np.asarray(np.einsum("jm,nm...->nj...", np.linalg.inv(rows.robot.transmission), values))
+
+
+def _cloud(data: StageData, effects: Sequence[str], place: int, side: str) -> _Cloud:
+    piece = data.first
+    usable = np.flatnonzero(piece.good.any(axis=1))
+    rows = usable[thin(len(usable), 6 * MOST_POINTS)]
+    part = piece.rows.take(rows)
+    trial = piece.experiment.with_rows(part)
+    runs = np.zeros(trial.offsets)
+    theta = data.model.theta
+    own = trial.residual(np.r_[_without(trial, theta, effects), runs])[0] - trial.residual(np.r_[theta, runs])[0]
+    left = _at_side(own + piece.residual[rows], part, side)[:, place]
+    needed = np.array([k == place for k in range(part.robot.n)])
+    if side == "joint":
+        needed = np.linalg.inv(part.robot.transmission)[place] != 0.0
+    whole: Bools = piece.good[rows][:, needed].all(axis=1) & (part.signals[f"{side}_motion"][:, place] != 0)
+    return _Cloud(part.signals[f"{side}_speed"][whole, place], left[whole], part.unit[whole])
+
+
+def _curve(data: StageData, effects: Sequence[str], place: int, side: str, cloud: _Cloud) -> _Curve:
+    """One motor or joint turns and no other; loads and temperatures are as at the middle of the log."""
+    reach = float(np.abs(cloud.speed).max()) * np.linspace(1e-3, 1.0, GRID)
+    speed = np.r_[-reach[::-1], reach]
+    piece = data.first
+    middle = piece.rows.take(np.zeros(len(speed), dtype=np.int64))
+    signals = dict(middle.signals)
+    for name in ("motor_temperature", "elapsed", "torque", "gravity_torque"):
+        if name in signals:
+            signals[name] = np.broadcast_to(np.median(piece.rows.signals[name], axis=0), signals[name].shape)
+    T = np.asarray(middle.robot.transmission)
+    alone = np.outer(speed, np.eye(len(T))[place])
+    joint, motor = (alone @ T, alone) if side == "motor" else (alone, alone @ np.linalg.inv(T))
+    signals |= {"joint_speed": joint, "motor_speed": motor}
+    signals |= {"joint_motion": np.sign(joint), "motor_motion": np.sign(motor)}
+    trial = piece.experiment.with_rows(replace(middle, signals=signals))
+    runs = np.zeros(trial.offsets)
+    theta = data.model.theta
+    full, jacobian = trial.residual(np.r_[theta, runs])
+    bare = trial.residual(np.r_[_without(trial, theta, effects), runs])[0]
+    own = [k for k, slot in enumerate(trial.slots) if slot.effect in effects]
+    J = _at_side(jacobian[:, :, own], middle, side)[:, place]
+    C = data.model.covariance[np.ix_(own, own)]
+    std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, C, J), 0.0))
+    return _Curve(speed, _at_side(bare - full, middle, side)[:, place], std)
+
+
+def _means(cloud: _Cloud) -> tuple[Array, Array, Array]:
+    """Mean friction over stretches of speed with the half-width of its 95 % interval: speed, mean, half-width.
+
+    Rows of a log follow each other, so that the interval is that of the means of whole blocks.
+    """
+    found = []
+    for sign in (-1.0, 1.0):
+        side = np.flatnonzero(np.sign(cloud.speed) == sign)
+        group = groups_of(cloud.speed[side]) // 2  # six stretches of twelve
+        for g in np.unique(group[group >= 0]):
+            rows = side[group == g]
+            _, unit = np.unique(cloud.unit[rows], return_inverse=True)
+            blocks = np.bincount(unit, cloud.left[rows]) / np.bincount(unit)
+            if len(blocks) >= FEWEST:
+                spread = TWO_SIDED_95 * float(blocks.std(ddof=1)) / np.sqrt(len(blocks))
+                found.append((float(np.mean(cloud.speed[rows])), float(blocks.mean()), spread))
+    x, y, half = np.array(found).reshape(-1, 3).T
+    return x, y, half
+
+
+def _points(plot: go.Figure, cloud: _Cloud, where: tuple[int, int], show: bool) -> None:
+    drawn = thin(len(cloud.speed), MOST_POINTS)
+    points = go.Scatter(
+        x=cloud.speed[drawn].astype(np.float32),
+        y=cloud.left[drawn].astype(np.float32),
+        mode="markers",
+        marker={"size": 3, "color": GREY, "opacity": 0.35},
+        name="measured less all else",
+        legendgroup="m",
+        showlegend=show,
+    )
+    plot.add_trace(points, *where)
+
+
+def _marks(plot: go.Figure, cloud: _Cloud, where: tuple[int, int], show: bool) -> None:
+    x, y, half = _means(cloud)
+    means = go.Scatter(
+        x=x,
+        y=y,
+        error_y={"type": "data", "array": half, "color": INK, "thickness": 1, "width": 3},
+        mode="markers",
+        marker={"size": 5, "color": INK},
+        name="its mean",
+        legendgroup="mean",
+        showlegend=show,
+    )
+    plot.add_trace(means, *where)
+
+
+def _band(plot: go.Figure, curve: _Curve, where: tuple[int, int], name: str, color: str, show: bool) -> None:
+    """A curve with its interval, on either side of standstill, where friction jumps."""
+    pale = "rgba(" + ",".join(str(int(color[k : k + 2], 16)) for k in (1, 3, 5)) + ",0.22)"
+    for side in (curve.speed < 0, curve.speed > 0):
+        x, y, half = curve.speed[side], curve.friction[side], TWO_SIDED_95 * curve.std[side]
+        band = go.Scatter(
+            x=np.r_[x, x[::-1]],
+            y=np.r_[y + half, (y - half)[::-1]],
+            fill="toself",
+            fillcolor=pale,
+            line={"width": 0},
+            mode="lines",
+            legendgroup=name,
+            hoverinfo="skip",
+            showlegend=False,
+        )
+        line = go.Scatter(
+            x=x,
+            y=y,
+            mode="lines",
+            line={"color": color, "width": 2},
+            name=name,
+            legendgroup=name,
+            showlegend=show and bool(x[0] < 0),
+        )
+        plot.add_trace(band, *where)
+        plot.add_trace(line, *where)
