@@ -48,8 +48,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
     predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor]
     # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
-    balance = np.zeros((count, n, len(chain.slots) + len(offsets)))
-    direct = np.zeros((count, n, len(chain.slots) + len(offsets)))
+    balance, direct = np.zeros((2, count, n, len(chain.slots)))
     for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
         part = deviations.partials[:, k]
         if station < n:
@@ -60,14 +59,17 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
             direct[:, station - motor.start, parameter] += part
         else:
             balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
-    for k, (sweep, held) in enumerate(keys):
-        balance[run == sweep, held, len(chain.slots) + k] = -1.0
-    tau = -np.linalg.solve(slope, balance)
     if deviations.by_torque is None:
         raise ValueError("the chain was not built for the stage clamped")
     # Friction may follow the load, so that the torque reaches the motors by way of it too.
     through = T + T @ deviations.by_torque[:, joint] + deviations.by_torque[:, motor]
-    return rows.measured - predicted, through @ tau + direct
+    by_angle = through @ np.linalg.inv(slope)
+    jacobian = np.zeros((count, n, len(chain.slots) + len(offsets)))
+    jacobian[:, :, : len(chain.slots)] = direct - by_angle @ balance
+    for k, (sweep, held) in enumerate(keys):  # an offset is an angle that is missing, in the rows of its own sweep
+        mine = run == sweep
+        jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
+    return rows.measured - predicted, jacobian
 
 
 def _equilibrium(
