@@ -94,11 +94,20 @@ def initial_noise(rows: Rows) -> Noise:
     return Noise(rows.sigma)
 
 
-def learn_noise(rows: Rows, residual: Array) -> Noise:
+def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> Noise:
     """Noise from a fit's residual ``(N, m)``: one scale per kind of channel, and for logs their autoregression.
 
     In poses positions share one scale and rotations another; each motor has its own. The scale is the rms of the used
     residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model that is.
+
+    Parameters
+    ----------
+    absorbed
+        ``(N, m, P)``: a square root of the covariance of what the fit predicts, J L with L Lᵀ the covariance of its
+        parameters. A fit takes the slow part of the noise for its own, such as the mean over a sweep, so that the
+        residual's products fall short of the noise's by just that: E[e e' | r] = r r' + J C J'. Source: Dempster,
+        Laird, Rubin, Maximum likelihood from incomplete data via the EM algorithm, J. R. Stat. Soc. B 39, 1977, for
+        variance components; one step of it.
     """
     sigma = rows.sigma.copy()
     groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
@@ -113,17 +122,27 @@ def learn_noise(rows: Rows, residual: Array) -> Noise:
     filters = []
     for c in range(residual.shape[1]):
         stretch = segments(rows.constants["run"], rows.constants["time"], rows.used[:, c])
-        filters.append(_autoregression(residual[:, c] / sigma[:, c], stretch))
+        x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
+        products, counts = _products(x / sigma[:, c, None], stretch)
+        if absorbed is not None and counts[0]:
+            more = np.sqrt(products[0] / counts[0])  # the residual alone has scale 1
+            sigma[:, c] *= more
+        filters.append(_autoregression(products, counts))
     return Noise(sigma, tuple(filters))
 
 
-def _autoregression(x: Array, stretch: Integers) -> tuple[tuple[Array, float], ...]:
-    """Yule-Walker predictors of order 0 … 12 (Levinson-Durbin), from within-stretch products only."""
+def _products(x: Array, stretch: Integers) -> tuple[Array, Array]:
+    """Sums of products of rows of x ``(N, k)`` that are 0 … 12 apart within a stretch, and how many there are."""
     products, counts = np.zeros(ORDER + 1), np.zeros(ORDER + 1)
-    for lag in range(ORDER + 1):
+    for lag in range(min(ORDER + 1, len(x))):
         a, b = x[lag:], x[: len(x) - lag]
         same = (stretch[lag:] == stretch[: len(x) - lag]) & (stretch[lag:] >= 0)
-        products[lag], counts[lag] = float(a[same] @ b[same]), float(same.sum())
+        products[lag], counts[lag] = float(np.vdot(a[same], b[same])), float(same.sum())
+    return products, counts
+
+
+def _autoregression(products: Array, counts: Array) -> tuple[tuple[Array, float], ...]:
+    """Yule-Walker predictors of order 0 … 12 (Levinson-Durbin), from within-stretch products only."""
     if counts[0] == 0 or products[0] == 0:
         return ((np.zeros(0), 1.0),)
     autocovariance = products / counts[0]  # the biased estimate: always a stable filter
