@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
+from clampid.agreement import Agreement, agreement_of, pose_drives
 from clampid.effect import Stage
 from clampid.fit import Prior, fit
 from clampid.identify import TABLES_OF, held_out_folds
@@ -32,15 +33,23 @@ class Comparison:
     ----------
     tables
         Table → what INTERFACE's JSON of ``compare`` has for it; SI.
+    drives, drives_p
+        Whether clamped sweeps and poses agree on springs and clearances, joint by joint, and the p-value of all
+        together; empty and None where the model or the campaign does not have both.
     """
 
     model: str
     campaign: str
     tables: dict[str, dict[str, Any]]
+    drives: tuple[Agreement, ...] = ()
+    drives_p: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
-        return {"model": self.model, "campaign": self.campaign, "tables": self.tables}
+        data: dict[str, Any] = {"model": self.model, "campaign": self.campaign, "tables": self.tables}
+        if self.drives:
+            data["drives"] = {"p_value": self.drives_p, "parameters": [a.to_json() for a in self.drives]}
+        return data
 
 
 @single_threaded
@@ -88,7 +97,12 @@ def compare(
             tables["poses"] = _refitted(opened, refit, refit_fraction, seed)
         else:
             tables |= _as_fitted(opened, stage, seed)
-    return Comparison(model.robot, campaign.name, tables)
+    drives: tuple[Agreement, ...] = ()
+    drives_p = None
+    own = None if refit else pose_drives(opened)
+    if own is not None:
+        drives, drives_p = agreement_of(opened.stages["clamped"], own)
+    return Comparison(model.robot, campaign.name, tables, drives, drives_p)
 
 
 def _as_fitted(opened: Reopened, stage: Stage, seed: int) -> dict[str, dict[str, Any]]:

@@ -139,9 +139,23 @@ def fit(
         estimate = solve(experiment, estimate.theta, model, precision, mean)
     if noise is None:
         for _ in range(1 if experiment.stage == "poses" else 2):
-            model = learn_noise(experiment.rows, estimate.residual)
+            model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
             estimate = solve(experiment, estimate.theta, model, precision, mean)
     return replace(estimate, outliers=rejected)
+
+
+def _absorbed(estimate: Estimate) -> Array | None:
+    """A square root ``(N, m, P + K)`` of the covariance of what a fit predicts; None in poses.
+
+    There every row has few neighbours and the noise one scale, so that what is absorbed is a count of parameters.
+    """
+    if estimate.experiment.stage != "clamped":
+        return None
+    _, jacobian = estimate.experiment.residual(estimate.theta)
+    size = estimate.experiment.sizes()
+    values, vectors = linalg.eigh(estimate.covariance / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(jacobian @ root)
 
 
 @dataclass(frozen=True)

@@ -91,11 +91,20 @@ def initial_noise(rows: Rows) -> Noise:
     return Noise(rows.sigma)
 
 
-def learn_noise(rows: Rows, residual: Array) -> Noise:
+def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> Noise:
     """Noise from a fit's residual ``(N, m)``: one scale per kind of channel, and for logs their autoregression.
 
     In poses positions share one scale and rotations another; each motor has its own. The scale is the rms of the used
     residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model that is.
+
+    Parameters
+    ----------
+    absorbed
+        ``(N, m, P)``: a square root of the covariance of what the fit predicts, J L with L Lᵀ the covariance of its
+        parameters. A fit takes the slow part of the noise for its own, such as the mean over a sweep, so that the
+        residual's products fall short of the noise's by just that: E[e e' | r] = r r' + J C J'. Source: Dempster,
+        Laird, Rubin, Maximum likelihood from incomplete data via the EM algorithm, J. R. Stat. Soc. B 39, 1977, for
+        variance components; one step of it.
     """
     sigma = rows.sigma.copy()
     groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
@@ -110,15 +119,19 @@ def learn_noise(rows: Rows, residual: Array) -> Noise:
     filters = []
     for c in range(residual.shape[1]):
         stretch = segments(rows.constants["run"], rows.constants["time"], rows.used[:, c])
-        filters.append(_correlation(residual[:, c] / sigma[:, c], stretch))
+        x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
+        products, pairs = _products(x / sigma[:, c, None], stretch)
+        if absorbed is not None and pairs[0]:
+            sigma[:, c] *= np.sqrt(products[0] / pairs[0])  # the residual alone has scale 1
+        filters.append(autocorrelation(products, pairs))
     return Noise(sigma, tuple(filters))
 
 
-def _correlation(x: Array, stretch: Integers) -> Array:
-    """Autocorrelation of a residual ``(N,)``, from products within stretches of rows that count only."""
+def _products(x: Array, stretch: Integers) -> tuple[Array, Array]:
+    """Sums of products of rows of x ``(N, k)`` that are 0 … 12 apart within a stretch, and how many there are."""
     products, pairs = np.zeros((2, ORDER + 1))
-    for lag in range(ORDER + 1):
+    for lag in range(min(ORDER + 1, len(x))):
         a, b = x[lag:], x[: len(x) - lag]
         same = (stretch[lag:] == stretch[: len(x) - lag]) & (stretch[lag:] >= 0)
-        products[lag], pairs[lag] = float(a[same] @ b[same]), float(same.sum())
-    return autocorrelation(products, pairs)
+        products[lag], pairs[lag] = float(np.vdot(a[same], b[same])), float(same.sum())
+    return products, pairs

@@ -16,6 +16,7 @@ from experiments.check_motion import motion_findings, moved_joints, replicates
 from experiments.check_points import point_findings
 from experiments.check_signals import signal_findings
 from experiments.check_speeds import speed_findings
+from experiments.check_sweeps import sweep_findings
 from experiments.check_torques import torque_findings
 from experiments.columns import QUATERNION, temperature_columns
 from experiments.finding import Finding
@@ -51,6 +52,8 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
         *motion_findings(campaign, wrong),
         *speed_findings(campaign, wrong),
     ]
+    if "clamped" in campaign.tables and campaign.robot.transmission_known and "clamped" not in wrong | weighed:
+        findings += sweep_findings(campaign)
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from experiments.campaign import Campaign
@@ -18,8 +19,9 @@ __all__ = ["motion_findings", "moved_joints", "replicates", "wrist_joints"]
 STILL_RAD = 1e-3
 # Returns to a pose agree within the robot's repeatability, 1e-4 rad or less; 1e-2 rad is 10 mm at 1 m, another pose.
 SAME_POSE_RAD = 1e-2
-# Springs of drives give way by milliradians under rated torque; an arm that moves more than this is not clamped.
-CLAMPED_RAD = 0.05
+# Springs of drives give way by milliradians under rated torque; an arm that moves more than this is not clamped. Soft
+# wrists give way by more: there it is this many times what the described spring does at the rated torque.
+CLAMPED_RAD, CLAMPED_SPRINGS = 0.05, 3.0
 # Returns count as replicates only where nothing but noise should differ (INTERFACE.md).
 SAME_TEMPERATURE_K = 0.5
 
@@ -218,11 +220,25 @@ def _unclamped(campaign: Campaign) -> Iterator[Finding]:
     sweeps = campaign.tables["clamped"]["sweep"].to_numpy()
     q = joint_angles(campaign, "clamped")
     moved = {int(sweep): np.ptp(q[sweeps == sweep], axis=0) for sweep in np.unique(sweeps)}  # (n,) each
-    free = [sweep for sweep, span in moved.items() if span.max() > CLAMPED_RAD]
+    most = _spring_travel(campaign)
+    free = [sweep for sweep, span in moved.items() if np.any(span > most)]
     if free:
-        joint = int(np.argmax(moved[free[0]])) + 1
+        joint = int(np.argmax(moved[free[0]] / most)) + 1
         message = (
-            f"in {len(free)} of {len(moved)} sweeps a joint moves by more than {CLAMPED_RAD:g} rad, first in sweep "
-            f"{free[0]}, joint {joint}, by {moved[free[0]].max():.3g} rad: was the flange clamped?"
+            f"in {len(free)} of {len(moved)} sweeps a joint moves by more than {most[joint - 1]:.2g} rad, first in "
+            f"sweep {free[0]}, joint {joint}, by {moved[free[0]][joint - 1]:.3g} rad: was the flange clamped?"
         )
         yield Finding("warning", "clamped", f"motor{joint}_rad", int(np.flatnonzero(sweeps == free[0])[0]) + 1, message)
+
+
+def _spring_travel(campaign: Campaign) -> npt.NDArray[np.float64]:
+    """How far (n,) [rad] a clamped joint may turn, from end to end of a sweep, by its spring alone."""
+    robot = campaign.robot
+    most = np.full(robot.n, CLAMPED_RAD)
+    if robot.motor_spring is None:
+        return most
+    for i, joint in enumerate(robot.joints):
+        if joint.rated_torque is not None:
+            soft = float(robot.transmission[i, i]) ** 2 / float(robot.motor_spring[i])
+            most[i] = max(CLAMPED_RAD, CLAMPED_SPRINGS * joint.rated_torque * soft)
+    return most

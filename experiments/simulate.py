@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
 from experiments.campaign import write_campaign
-from experiments.virtual_robot import Hidden, measure
+from experiments.virtual_robot import Hidden, Plant, measure
 from kinematics.description import load_robot
 
 __all__ = ["SimulationError", "hidden_file", "simulate"]
@@ -37,6 +37,7 @@ def simulate(
     outliers: float = 0.0,
     file_format: Literal["csv", "parquet"] = "parquet",
     overwrite: bool = False,
+    alter: Callable[[Plant], Plant] = lambda plant: plant,
 ) -> Path:
     """Measure a campaign on the virtual robot and write it.
 
@@ -61,6 +62,8 @@ def simulate(
         How the tables are stored.
     overwrite
         Replace an existing campaign.
+    alter
+        Gives the individual numbers of one's choice, see :func:`experiments.virtual_robot.measure`.
 
     Returns
     -------
@@ -79,7 +82,7 @@ def simulate(
     description = load_robot(robot)
     try:
         asked = [Hidden.parse(item) if isinstance(item, str) else item for item in hidden]
-        measured = measure(description, asked, seed=seed, poses=poses, tables=tables, outliers=outliers)
+        measured = measure(description, asked, seed=seed, poses=poses, tables=tables, outliers=outliers, alter=alter)
     except ValueError as error:
         # The virtual robot imports nothing of ours, and so says every refusal as a plain ValueError.
         raise SimulationError(str(error)) from error

@@ -49,6 +49,12 @@ class TorqueNoise:
     slow: float = 0.5
     memory: float = 2.0
 
+    def white(self, time: Array, columns: Array) -> Array:
+        """Whiten columns ``(N, k)`` of readings at ``time`` ``(N,)``, s, in units of the standard deviation."""
+        covariance = self.slow * np.exp(-np.abs(time[:, None] - time[None, :]) / self.memory)
+        covariance[np.diag_indices(len(time))] = 1.0
+        return np.asarray(linalg.solve_triangular(linalg.cholesky(covariance, lower=True), columns, lower=True))
+
     @property
     def words(self) -> str:
         """For the plan."""
@@ -167,7 +173,7 @@ class LogBench:
                 if not len(at):
                     continue
                 touched = np.flatnonzero(np.any(jacobian[at, channel], axis=0))
-                white = self._white(time[at], jacobian[at, channel][:, touched]) / self.noise.sigma[channel]
+                white = self.noise.white(time[at], jacobian[at, channel][:, touched]) / self.noise.sigma[channel]
                 information[m][np.ix_(touched, touched)] += white.T @ white
                 rows[m] += len(at)
         if width > count:  # what a run's own constants could take up is not information on the slots
@@ -180,12 +186,6 @@ class LogBench:
             own[-1] += projected - own.sum(axis=0)  # cross terms between moves: only the sum is meant
             information = own
         return Told(information[:, :count, :count], rows)
-
-    def _white(self, time: Array, columns: Array) -> Array:
-        gap = np.abs(time[:, None] - time[None, :])
-        covariance = self.noise.slow * np.exp(-gap / self.noise.memory)
-        covariance[np.diag_indices(len(time))] = 1.0
-        return np.asarray(linalg.solve_triangular(linalg.cholesky(covariance, lower=True), columns, lower=True))
 
 
 def _still(n: int) -> Course:

@@ -27,7 +27,8 @@ __all__ = ["clamped_rows", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
-NEWTON_STEPS = 60
+NEWTON_STEPS, HALVINGS = 60, 12
+SETTLED_STEP = 1e-9  # of the rated torque
 GAP_SOFTNESS = 0.1  # of a torque's noise, at the joint: how sharply a gap closes
 
 
@@ -48,8 +49,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
     predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor]
     # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
-    balance = np.zeros((count, n, len(chain.slots) + len(offsets)))
-    direct = np.zeros((count, n, len(chain.slots) + len(offsets)))
+    balance, direct = np.zeros((2, count, n, len(chain.slots)))
     for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
         part = deviations.partials[:, k]
         if station < n:
@@ -60,48 +60,62 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
             direct[:, station - motor.start, parameter] += part
         else:
             balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
-    for k, (sweep, held) in enumerate(keys):
-        balance[run == sweep, held, len(chain.slots) + k] = -1.0
-    tau = -np.linalg.solve(slope, balance)
     if deviations.by_torque is None:
         raise ValueError("the chain was not built for the stage clamped")
     # Friction may follow the load, so that the torque reaches the motors by way of it too.
     through = T + T @ deviations.by_torque[:, joint] + deviations.by_torque[:, motor]
-    return rows.measured - predicted, through @ tau + direct
+    by_angle = through @ np.linalg.inv(slope)
+    jacobian = np.zeros((count, n, len(chain.slots) + len(offsets)))
+    jacobian[:, :, : len(chain.slots)] = direct - by_angle @ balance
+    for k, (sweep, held) in enumerate(keys):  # an offset is an angle that is missing, in the rows of its own sweep
+        mine = run == sweep
+        jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
+    return rows.measured - predicted, jacobian
 
 
 def _equilibrium(
     rows: Rows, chain: Chain, theta: Array, shift: Array, inverse: Array
 ) -> tuple[Array, Deviations, Array]:
-    """Joint torques ``(N, n)`` at which springs and gaps take up ``shift`` ``(N, n)``: Newton, all rows at once."""
+    """Joint torques ``(N, n)`` at which springs and gaps take up ``shift`` ``(N, n)``: Newton, row by row.
+
+    Rows that have settled are left alone: after three steps only those about to enter or leave a gap still move.
+    """
     n = rows.robot.n
     fixture = chain.offsets["fixture"]
-
-    def balance(torque: Array) -> tuple[Array, Deviations]:
-        d = chain.evaluate(theta, rows.signals, torque)
-        moved = np.einsum("nij,nj->ni", inverse, d.values[:, fixture])
-        return shift + d.values[:, :n] - moved, d
-
-    torque = np.zeros((len(rows), n))  # not the measured ones: a solver that fails must not look right
-    error, deviations = balance(torque)
+    signals = {name: rows.signals[name] for name, _ in chain.signals if name != "torque"} or {"q": rows.signals["q"]}
     scale = rows.constants["rated"]
     step_limit = 0.5 * scale
+
+    def balance(torque: Array, at: Integers) -> tuple[Array, Array]:
+        d = chain.evaluate(theta, {name: values[at] for name, values in signals.items()}, torque)
+        moved = np.einsum("nij,nj->ni", inverse[at], d.values[:, fixture])
+        return shift[at] + d.values[:, :n] - moved, _slope(d, inverse[at], fixture, n)
+
+    torque = np.zeros((len(rows), n))  # not the measured ones: a solver that fails must not look right
+    moving = np.arange(len(rows))
+    error, slope = balance(torque, moving)
     for _ in range(NEWTON_STEPS):
-        slope = _slope(deviations, inverse, fixture, n)
-        step = -np.linalg.solve(slope, error[:, :, None])[:, :, 0]
+        step = -np.linalg.solve(slope[moving], error[moving, :, None])[:, :, 0]
         step *= np.minimum(1.0, (step_limit / np.maximum(np.abs(step), 1e-300)).min(axis=1))[:, None]
         # A closing gap bends the curve: halve the step of a row until its error falls.
-        factor = np.ones(len(step))
-        for _ in range(12):
-            trial = torque + factor[:, None] * step
-            new_error, new = balance(trial)
-            worse = np.linalg.norm(new_error, axis=1) > np.linalg.norm(error, axis=1) * (1 - 1e-4 * factor) + 1e-13
-            if not worse.any():
+        size, factor = np.linalg.norm(error[moving], axis=1), np.ones(len(moving))
+        trying = np.arange(len(moving))
+        for _ in range(HALVINGS):
+            at = moving[trying]
+            error[at], slope[at] = balance(torque[at] + factor[trying, None] * step[trying], at)
+            left = np.linalg.norm(error[at], axis=1)
+            trying = trying[left > size[trying] * (1 - 1e-4 * factor[trying]) + 1e-13]
+            if not len(trying):
                 break
-            factor[worse] *= 0.5
-        torque, error, deviations = trial, new_error, new
-        if np.max(np.abs(factor[:, None] * step) / scale) < 1e-9:
+            factor[trying] *= 0.5
+        else:
+            factor[trying] *= 2.0  # the last one tried
+        step *= factor[:, None]
+        torque[moving] += step
+        moving = moving[np.max(np.abs(step) / scale, axis=1) >= SETTLED_STEP]
+        if not len(moving):
             break
+    deviations = chain.evaluate(theta, signals, torque)
     return torque, deviations, _slope(deviations, inverse, fixture, n)
 
 

@@ -40,6 +40,22 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
 
+    if "drives" in data:
+        _show_agreement(data["drives"], out)
+
+
+def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
+    """Springs and clearances as the clamped sweeps have them and as the poses want them."""
+    units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
+    rows = []
+    for p in data["parameters"]:
+        unit = units[p["parameter"]]
+        both = (with_error(p[stage], _nan(p[f"{stage}_std"]), unit) for stage in ("clamped", "poses"))
+        rows.append((p["parameter"], p["where"], *both, _number(p["z"], 2), _number(p["p_value"], 2), p["verdict"]))
+    out.table("clamped sweeps against poses", ("", "at", "clamped", "poses", "z", "p", ""), rows, left=2)
+    if data["p_value"] is not None:
+        out.say(f"all together: p = {_number(data['p_value'], 2)}")
+
 
 def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
     """Stage by stage: the verdict in a sentence, the candidates with their evidence, what to measure next."""

@@ -35,9 +35,10 @@ def identify(
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects
+    from clampid.drives import clamped_drives
     from clampid.identify import identify as fit_model
     from clampid.model import save_model
-    from clampid.verbs.show import model_json, show_model
+    from clampid.verbs.show import model_json, show_drives, show_model
 
     with out.working("reading"):
         read = read_checked(campaigns, out)
@@ -45,5 +46,10 @@ def identify(
         model = fit_model(read, chosen, holdout=holdout, seed=seed, user_effects=effects_from)
     save_model(model, output)
     show_model(model, with_user_effects(effects_from), out)
+    data = {"model": str(output), **model_json(model)}
+    drives = clamped_drives(model, read[0].robot)
+    if drives is not None:
+        show_drives(drives, out)
+        data["stages"]["clamped"]["drives"] = drives.to_json()
     out.say(f"model: {output}")
-    out.result({"model": str(output), **model_json(model)})
+    out.result(data)

@@ -15,6 +15,7 @@ from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
     from clampid.planning.scene import Scene
+    from clampid.stages.rows import Array
     from experiments.plans.limits import Limits
     from experiments.plans.model import Cell, Expected, Plan
 
@@ -130,6 +131,90 @@ def wrist(
             )  # fmt: skip
         swings = sum(len(run.course.duration) for run in made.runs) // SWING_STOPS
         _finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
+
+
+@plan.command()
+def clamping(
+    output: PlanFile,
+    robot: Robot = "kuka_kr20_r1810",
+    like: Like = None,
+    time: Time = 7200.0,
+    amplitude: Annotated[
+        str, typer.Option(metavar="SHARE[,…]", help="Of the rated motor torques, for all joints or one each.")
+    ] = "0.3",
+    joints: Annotated[
+        str | None, typer.Option(metavar="1,2,…", help="Which joints to drive; all otherwise.", show_default=False)
+    ] = None,
+    max_torque: Annotated[float, typer.Option(metavar="SHARE", help="Limit, of the rated motor torques.")] = 0.8,
+    max_force: Annotated[float, typer.Option(metavar="N", help="Limit of the force on the clamp.")] = 3000.0,
+    max_moment: Annotated[float, typer.Option(metavar="NM", help="Limit of the moment on the clamp.")] = 2000.0,
+    margin: Annotated[float, typer.Option(help="By how much stiffer drives may be than described.")] = 1.6,
+    dwell: Annotated[float, typer.Option(metavar="S", help="At each step.")] = 1.0,
+    clamping_time: Annotated[float, typer.Option(metavar="S", help="What it takes to clamp the flange.")] = 600.0,
+    posture: Annotated[
+        list[str] | None,
+        typer.Option(metavar="Q1,…", help="Where it can be clamped, rad; may be repeated.", show_default=False),
+    ] = None,
+    effects: Effects = None,
+    range_share: RangeShare = 0.95,
+    torque_noise: TorqueNoise = None,
+    rated_torque: Rated = None,
+    floor: Floor = None,
+    obstacles: Obstacles = None,
+    arm_radius: ArmRadius = 0.08,
+    seed: Seed = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Sweeps against a clamped flange, which tell springs, clearances and friction; the clamp's load is bounded."""
+    out = _begin(output, json, quiet)
+    with _refusals():
+        import numpy as np
+
+        from clampid.planning.clamping import STANDARD, Press, plan_clamping, press_limits, stiffness_of
+        from clampid.planning.free_air import torque_noise_of
+        from experiments.plans.press import rated_motor_torque
+
+        cell, limits, assumed = _cell(robot, like, range_share, None)
+        given = _numbers("--rated-torque", rated_torque)
+        noise, more = torque_noise_of(cell, torque_noise, given)
+        rated = rated_motor_torque(cell.robot, None if given is None else np.array(given))
+        stiffness, usual = stiffness_of(cell.robot, rated)
+        share = np.array(_numbers("--amplitude", amplitude) or ())
+        share = np.full(cell.robot.n, share[0]) if len(share) == 1 else share
+        held = press_limits(limits, rated, torque=max_torque, force=max_force, moment=max_moment)
+        press = Press(share, rated, stiffness, margin, dwell, clamping_time)
+        with out.working("choosing sweeps"):
+            made = plan_clamping(
+                cell, held, noise, press, time=time, effects=_names(effects) or STANDARD,
+                joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n),
+                scene=_scene(cell, floor, obstacles, arm_radius), seed=seed, assumed=(*assumed, *more, *usual),
+            )  # fmt: skip
+        _finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings")
+        force = max(float(s.force.max()) for s in made.sweeps)
+        moment = max(float(s.moment.max()) for s in made.sweeps)
+        out.say(f"on the clamp at most {force:.0f} N of {max_force:g} N and {moment:.0f} Nm of {max_moment:g} Nm")
+
+
+def _joints(text: str | None, n: int) -> tuple[int, ...] | None:
+    numbers = _numbers("--joints", text)
+    if numbers is None:
+        return None
+    if not all(j.is_integer() and 1 <= j <= n for j in numbers) or len(set(numbers)) < len(numbers):
+        raise CallError(f"--joints: expected different numbers from 1 to {n}, found {text!r}")
+    return tuple(int(j) - 1 for j in numbers)
+
+
+def _postures(texts: list[str] | None, n: int) -> Array | None:
+    import numpy as np
+
+    if not texts:
+        return None
+    rows = [_numbers("--posture", text) or () for text in texts]
+    for row in rows:
+        if len(row) != n:
+            raise CallError(f"--posture: expected {n} angles in rad, found {len(row)}")
+    return np.array(rows)
 
 
 def _begin(output: Path, json: str | None, quiet: bool) -> Output:

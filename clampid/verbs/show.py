@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,11 @@ from clampid.verbs.units import error_text, quantity
 
 if TYPE_CHECKING:
     from clampid.base_names import BaseParameter
+    from clampid.drives import Drives
     from clampid.effect import Effect
     from clampid.model import Model, Round, StageModel
 
-__all__ = ["model_json", "parameter_rows", "show_model", "show_rounds", "stage_unit"]
+__all__ = ["model_json", "parameter_rows", "show_drives", "show_model", "show_rounds", "stage_unit"]
 
 NOT_KNOWN = "not identifiable from these data"
 
@@ -61,6 +63,45 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
             title = f"{name}: base parameters of the arm, without the declared tool"
             out.table(title, ("base parameter", "described", "value", "± std", "unit", ""), base_rows(stage.base))
     show_rounds(model.ledger, out)
+
+
+def show_drives(drives: Drives, out: Output) -> None:
+    """Springs, clearances with detection limits and friction, drive by drive; then the compliance off the diagonal.
+
+    Torques are per radian at the motor, as the thesis has them, and per radian at the joint; clearances are degrees.
+    """
+    rows = []
+    d, degree = drives, math.degrees(1.0)
+    for j in range(len(d.stiffness)):
+        gap = _pair(degree * d.gap[j], degree * d.gap_std[j])
+        limit, verdict = "–", ""
+        if math.isfinite(d.gap[j]):
+            limit, verdict = f"{degree * d.gap_limit[j]:.4f}", "yes" if d.told[j] else "no"
+        springs = (
+            _pair(d.stiffness[j], d.stiffness_std[j]),
+            _pair(d.joint_stiffness[j] / 1e3, d.joint_stiffness_std[j] / 1e3),
+        )
+        rows.append((f"{j + 1}", *springs, gap, limit, verdict, _pair(d.friction[j], d.friction_std[j])))
+    columns = (
+        "axis", "k [Nm/rad] at the motor", "at the joint [kNm/rad]", "clearance [deg]", "detection limit [deg]",
+        "told from zero", "friction [Nm] at the motor",
+    )  # fmt: skip
+    out.table("drives", columns, rows)
+    cross = []
+    for a in range(len(d.stiffness)):
+        for b in range(a + 1, len(d.stiffness)):
+            if d.compliance[a, b] != 0.0:
+                cross.append((f"{a + 1} and {b + 1}", _pair(1e6 * d.compliance[a, b], 1e6 * d.compliance_std[a, b])))
+    if cross:
+        out.table("compliance between joints", ("joints", "µrad/Nm"), cross)
+
+
+def _pair(value: float, std: float) -> str:
+    """``12.3 ± 0.4`` in the unit that its column has."""
+    if not math.isfinite(value):
+        return "–"
+    number, error, _ = quantity(value, std, "")
+    return f"{number} ± {error}"
 
 
 def show_rounds(rounds: Iterable[Round], out: Output) -> None:

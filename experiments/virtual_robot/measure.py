@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,6 +67,7 @@ def measure(
     poses: int = 250,
     tables: Sequence[str] | None = None,
     outliers: float = 0.0,
+    alter: Callable[[Plant], Plant] = lambda plant: plant,
 ) -> Measured:
     """Measure a campaign on a virtual robot.
 
@@ -87,6 +88,9 @@ def measure(
         Which tables to measure; by default all that the description allows (without links: no torques).
     outliers
         Share of rows, 0 … 1, that are wrong; the verification table has none.
+    alter
+        Gives the individual numbers of one's choice, such as printed springs or a clearance of known size, before
+        anything is hidden in it; it still is a baseline one.
 
     Returns
     -------
@@ -105,7 +109,7 @@ def measure(
         kind: dict(zip(TABLES, (np.random.default_rng(s) for s in seq.spawn(len(TABLES))), strict=True))
         for kind, seq in (("program", program_seed), ("noise", noise_seed), ("outliers", spoil_seed))
     }
-    baseline = draw_plant(robot, np.random.default_rng(plant_seed))
+    baseline = alter(draw_plant(robot, np.random.default_rng(plant_seed)))
     plant, told = hide(site, baseline, hidden, hidden_seed)
     logged = _torques(site, baseline, plant, wanted, streams) | _poses(site, plant, wanted, poses, streams)
     frames = {name: logged[name].table for name in wanted}

@@ -1,0 +1,434 @@
+"""Plans the clamping experiment: in which postures to clamp, which joints to drive, how far, in what steps.
+
+What a sweep may tell is the information of its rows on springs, clearances and friction, the unknown posture of its
+clamping taken off; what it may cost is the wrench on the clamp, which is worked out for every step with springs stiffer
+than described by a margin, and bounded. A sweep beyond a limit is refused here, and stopped when it is run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+
+from clampid.catalogue import catalogue
+from clampid.layout import layout_of
+from clampid.planning.bench import imagined
+from clampid.planning.choose import factor, greedy, log_det
+from clampid.planning.expected import expected_of, prior_precision
+from clampid.planning.logs import TorqueNoise
+from clampid.planning.sampling import configurations
+from clampid.planning.scene import Scene
+from clampid.slots import parse_term, slots_of_terms
+from clampid.stages.clamped import GAP_SOFTNESS, clamped_rows
+from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.rows import Array, Rows
+from clampid.threads import single_threaded
+from experiments.plans.errors import PlanError
+from experiments.plans.limits import Limits
+from experiments.plans.model import Cell, Plan, Sweep
+from experiments.plans.press import SINGULAR, flange_jacobian, holding_torque, wrenches
+from experiments.plans.validate import sweep_fault, validate_plan
+from kinematics.description import RobotDescription
+
+__all__ = ["STANDARD", "Press", "plan_clamping", "press_limits", "stiffness_of"]
+
+STANDARD = ("joint_compliance", "backlash", "coulomb_friction")
+POSTURES = 16
+TRIED = 600  # configurations among which postures are looked for
+STEPS = (8, 16, 32)  # steps in a quarter of a sweep
+MOST_SWEEPS = 24  # each has unknowns of its own, which a fit has to carry along
+MOST_CLAMPINGS = 3
+LOOPS = 2
+PAUSE_S = 20.0  # between sweeps
+WINDUP = 4e-3  # rad at the joint at rated torque, where no spring is known: the reference robot's main axes
+CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
+FRICTION = 0.15  # of the rated torques: what friction and the preload of clamping may add to every motor's reading
+
+
+@dataclass(frozen=True)
+class Press:
+    """How hard to press, and what the clamp bears.
+
+    Attributes
+    ----------
+    amplitude
+        ``(n,)``: shares of the rated motor torques that the driven joint's spring is wound up to.
+    rated
+        ``(n,)`` Nm at the motors.
+    stiffness
+        ``(n,)`` Nm/rad at the motors, as described.
+    margin
+        By how much stiffer drives may be than described.
+    dwell
+        s at each step.
+    clamping_time
+        s that it takes to clamp the flange.
+    """
+
+    amplitude: Array
+    rated: Array
+    stiffness: Array
+    margin: float = 1.6
+    dwell: float = 1.0
+    clamping_time: float = 600.0
+
+
+def stiffness_of(robot: RobotDescription, rated: Array) -> tuple[Array, tuple[str, ...]]:
+    """Springs at the motors ``(n,)``, Nm/rad, as described or as usual, and what had to be assumed."""
+    if robot.motor_spring is not None:
+        return np.array(robot.motor_spring, dtype=float), ()
+    ratio = np.abs(np.diag(robot.transmission))
+    words = f"no springs are described: every drive winds up by {WINDUP * 1e3:g} mrad at its rated torque"
+    return np.asarray(rated * ratio / WINDUP), (words,)
+
+
+def press_limits(
+    limits: Limits, rated: Array, *, torque: float = 0.8, force: float = 3000.0, moment: float = 2000.0
+) -> Limits:
+    """Limits with those of a clamp: a share of the rated motor torques, N and Nm.
+
+    Raises
+    ------
+    PlanError
+        One of them is not above 0.
+    """
+    for name, value in (("motor torque", torque), ("force on the clamp", force), ("moment on the clamp", moment)):
+        if not value > 0 or not np.isfinite(value):
+            raise PlanError(f"{name}: expected a limit above 0, found {value:g}")
+    return replace(limits, motor_torque=torque * rated, force=force, moment=moment)
+
+
+@single_threaded
+def plan_clamping(
+    cell: Cell,
+    limits: Limits,
+    noise: TorqueNoise,
+    press: Press,
+    *,
+    time: float = 7200.0,
+    effects: Sequence[str] = STANDARD,
+    joints: Sequence[int] | None = None,
+    postures: Array | None = None,
+    scene: Scene | None = None,
+    seed: int = 0,
+    assumed: Sequence[str] = (),
+) -> Plan:
+    """Plan a clamping campaign.
+
+    Parameters
+    ----------
+    cell, limits, noise, press
+        What it is for; the limits are those of `press_limits`.
+    time
+        Budget, s, clamping included.
+    effects
+        What is asked.
+    joints
+        Which to drive, from 0; all by default.
+    postures
+        ``(k, n)`` rad: where the flange can be clamped; by default chosen among many.
+    scene
+        What the arm must not touch.
+    seed
+        Of the candidate postures.
+    assumed
+        What had to be assumed so far.
+
+    Raises
+    ------
+    PlanError
+        A sweep would exceed a limit in every posture, the time is too short, or a number is out of range.
+    """
+    _check(cell, press, time)
+    driven = tuple(range(cell.robot.n)) if joints is None else tuple(joints)
+    blank = Plan("clamping", cell, limits, 0.0, stiffness=press.margin * press.stiffness)
+    around = scene or Scene.floor_only(cell)
+    places = _postures(cell, limits, around, seed) if postures is None else np.asarray(postures, dtype=float)
+    allowed = _allowed(blank, press, places, driven)
+    best: tuple[float, list[Sweep], Array, int] | None = None
+    bench = _Bench(cell, noise, press, effects)
+    for steps in STEPS:
+        sweeps = [_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
+        told = bench.tell(sweeps)
+        for order in _choices(bench, sweeps, told, driven, press, time):
+            information = np.sum([told[k] for k in order], axis=0)
+            value = log_det(bench.prior + information * bench.scale)
+            if best is None or value > best[0]:
+                rows = sum(sweeps[k].offset.size for k in order) * cell.robot.n
+                best = (value, [sweeps[k] for k in order], information, rows)
+    if best is None:
+        need = press.clamping_time + sum(_cost(_sweep(blank, press, places[0], j, STEPS[0])) for j in driven)
+        raise PlanError(
+            f"time: expected at least {need:.0f} s, for one clamping and a sweep of each joint, found {time:g} s"
+        )
+    chosen = _in_order(best[1])
+    plan = replace(
+        blank,
+        duration=_duration(chosen, press),
+        sweeps=tuple(chosen),
+        expected=expected_of(bench.experiment, best[2], best[3], noise.words),
+        assumed=(
+            *assumed,
+            *around.assumed,
+            f"drives may be {press.margin:g} times as stiff as described; the clamp is set for that",
+            f"clamping takes {press.clamping_time:g} s",
+        ),
+        wished=MappingProxyType(
+            {
+                "time_s": time,
+                "effects": ", ".join(effects),
+                "amplitude": ", ".join(f"{a:g}" for a in press.amplitude),
+                "seed": seed,
+            }
+        ),
+    )
+    validate_plan(plan)
+    return plan
+
+
+def _check(cell: Cell, press: Press, time: float) -> None:
+    if not time > 0 or not np.isfinite(time):
+        raise PlanError(f"time: expected seconds above 0, found {time:g}")
+    if press.amplitude.shape != (cell.robot.n,) or np.any(press.amplitude <= 0) or np.any(press.amplitude > 1):
+        raise PlanError(
+            f"amplitude: expected one share of the rated torque above 0 and at most 1, or {cell.robot.n}, found "
+            f"{press.amplitude.tolist()}"
+        )
+    if not press.margin >= 1 or not press.dwell > 0 or not press.clamping_time >= 0:
+        raise PlanError(
+            "expected a stiffness margin of 1 or more, a dwell above 0 s and a clamping time not below 0 s, found "
+            f"{press.margin:g}, {press.dwell:g} and {press.clamping_time:g}"
+        )
+    if cell.robot.n < 6:
+        raise PlanError(
+            f"{cell.robot.name}: expected six joints or more to bound the wrench on a clamp, found {cell.robot.n}"
+        )
+
+
+def _postures(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
+    """Postures clear of everything, far from singular, unlike each other."""
+    q = configurations(limits, TRIED, scene.clear, seed, why="clear of floor and obstacles")
+    condition = np.array([np.linalg.cond(flange_jacobian(cell.robot, row)) for row in q])
+    good = q[condition < SINGULAR]
+    if not len(good):
+        raise PlanError(f"{cell.robot.name}: expected postures far from singular, found none among {len(q)}")
+    # Those with little weight on their drives first: sweeps from there cross zero torque, and with it the gap.
+    load = holding_torque(cell.robot, good, cell.gravity, cell.tool_mass, cell.tool_com)
+    weight = np.max(np.abs(load) / np.array([j.rated_torque or 1.0 for j in cell.robot.joints]), axis=1)
+    good = good[np.argsort(weight * condition[condition < SINGULAR])[: 6 * POSTURES]]
+    chosen = [good[0]]
+    half = (limits.upper - limits.lower) / 2
+    while len(chosen) < min(POSTURES, len(good)):
+        apart = np.min([np.linalg.norm((good - c) / half, axis=1) for c in chosen], axis=0)
+        chosen.append(good[int(np.argmax(apart))])
+    return np.array(chosen)
+
+
+def _sweep(blank: Plan, press: Press, posture: Array, joint: int, steps: int) -> Sweep:
+    """Forward, back, beyond and forward again, twice, in equal steps."""
+    robot = blank.cell.robot
+    turn = np.abs(np.linalg.inv(np.asarray(robot.transmission)).T[joint, joint])  # own motor per joint angle
+    reach = press.amplitude[joint] * press.rated[joint] / (press.stiffness[joint] * turn)
+    up = np.arange(1, steps + 1) / steps
+    offset = np.round(reach * np.tile(np.concatenate([up, 1 - up, -up, up - 1]), LOOPS), 9)
+    stiff = blank.stiffness if blank.stiffness is not None else press.stiffness
+    _, force, moment = wrenches(robot, stiff, posture, joint, offset)
+    return Sweep(1, joint, posture, offset, press.dwell, force, moment)
+
+
+def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) -> list[tuple[Array, int]]:
+    """The sweeps that keep the limits; those that would not are refused, and if none is left for a joint, all are."""
+    found = []
+    careful = [_careful(blank, press, posture) for posture in places]
+    for joint in driven:
+        faults = [
+            (sweep_fault(plan, _sweep(blank, press, posture, joint, STEPS[0])), posture)
+            for plan, posture in zip(careful, places, strict=True)
+        ]
+        mine = [(p, joint) for fault, p in faults if fault is None]
+        if not mine:
+            raise PlanError(
+                f"joint {joint + 1}: expected a posture in which a sweep to {press.amplitude[joint]:g} of the rated "
+                f"torque keeps the limits, less what friction may add, found none among {len(places)}; in the first, "
+                f"{faults[0][0]}; less amplitude or a stronger clamp would do"
+            )
+        found += mine
+    return found
+
+
+def _careful(blank: Plan, press: Press, posture: Array) -> Plan:
+    """The plan with as much taken off its limits as friction and preload may add to what is read in a posture."""
+    limits, ratio = blank.limits, np.abs(np.diag(np.asarray(blank.cell.robot.transmission)))
+    n = blank.cell.robot.n
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * n)).reshape(n, -1).T
+    W = (signs * FRICTION * press.rated / ratio) @ np.linalg.pinv(flange_jacobian(blank.cell.robot, posture))
+    force, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (W[:, :3], W[:, 3:]))
+    torque = press.rated if limits.motor_torque is None else limits.motor_torque
+    return replace(
+        blank,
+        limits=replace(
+            limits,
+            motor_torque=np.maximum(torque - FRICTION * press.rated, 0.0),
+            force=max((limits.force or 0.0) - force, 0.0),
+            moment=max((limits.moment or 0.0) - moment, 0.0),
+        ),
+    )
+
+
+class _Bench:
+    """Finds what sweeps tell about a set of parameters."""
+
+    def __init__(self, cell: Cell, noise: TorqueNoise, press: Press, wanted: Sequence[str]) -> None:
+        self.cell, self.noise, self.press = cell, noise, press
+        effects = catalogue()
+        n = cell.robot.n
+        still = Sweep(1, 0, np.zeros(n), 1e-3 * np.array([1.0, 2.0, 1.0, 0.0]), 1.0, np.zeros(4), np.zeros(4))
+        blank = imagined(cell, clamped=self._table([still]))
+        self.layout = layout_of([blank])
+        terms = [parse_term(name, effects, self.layout) for name in wanted]
+        for term in terms:
+            if "clamped" not in effects[term.effect].stages:
+                acts = ", ".join(effects[term.effect].stages)
+                raise PlanError(f"effect {term.effect} does not act in clamped; it does in: {acts}")
+        if not any(term.effect == "joint_compliance" for term in terms):
+            raise PlanError("effects: expected joint_compliance among them: without springs a clamped drive is rigid")
+        self.slots = slots_of_terms(terms, effects, self.layout, "clamped")
+        self.experiment: Experiment = experiment(clamped_rows([blank], self.layout), effects, self.slots)
+        self.size = self.experiment.sizes()[: len(self.slots)]
+        self.scale = np.outer(self.size, self.size)
+        self.prior = prior_precision(self.experiment) * self.scale
+
+    def _table(self, sweeps: Sequence[Sweep]) -> pd.DataFrame:
+        """Sweeps as a campaign has them, with the torques of springs as described."""
+        robot, n = self.cell.robot, self.cell.robot.n
+        T = np.asarray(robot.transmission)
+        parts = []
+        for number, sweep in enumerate(sweeps, 1):
+            dq = np.zeros((len(sweep.offset), n))
+            dq[:, sweep.joint] = sweep.offset
+            motor = (sweep.posture + dq) @ np.linalg.inv(T)
+            tau = self._load(sweep.posture) @ T.T + (dq @ np.linalg.inv(T)) * self.press.stiffness
+            data = {"sweep": number, "joint": sweep.joint + 1, "time_s": sweep.dwell * np.arange(1.0, len(dq) + 1)}
+            data |= {f"motor{i + 1}_rad": motor[:, i] for i in range(n)}
+            data |= {f"tau{i + 1}_Nm": tau[:, i] for i in range(n)}
+            parts.append(pd.DataFrame(data))
+        return pd.concat(parts, ignore_index=True)
+
+    def _load(self, posture: Array) -> Array:
+        cell = self.cell
+        return holding_torque(cell.robot, posture, cell.gravity, cell.tool_mass, cell.tool_com)
+
+    def tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
+        """Information ``(P, P)``, SI, of each sweep, its own unknown posture taken off."""
+        out: list[Array] = []
+        for start in range(0, len(sweeps), CHUNK):
+            out += self._tell(sweeps[start : start + CHUNK])
+        return out
+
+    def _tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
+        rows = clamped_rows([imagined(self.cell, clamped=self._table(sweeps))], self.layout)
+        ratio = np.abs(np.diag(np.asarray(self.cell.robot.transmission)))
+        soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))
+        rows = replace(rows, signals={**rows.signals, "rest_direction": soft})
+        _, jacobian = self.experiment.with_rows(rows).residual(self._theta(rows, sweeps))
+        count, run = len(self.slots), rows.constants["run"]
+        out = []
+        for number in range(len(sweeps)):
+            own = np.flatnonzero(rows.constants["offset_keys"][:, 0] == number) + count
+            columns = np.r_[np.arange(count), own]
+            information = np.zeros((len(columns), len(columns)))
+            for channel in range(jacobian.shape[1]):
+                at = np.flatnonzero((run == number) & rows.used[:, channel])
+                if len(at):
+                    white = self.noise.white(rows.constants["time"][at], jacobian[at, channel][:, columns])
+                    white = white / self.noise.sigma[channel]
+                    information += white.T @ white
+            A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
+            out.append(A - B @ linalg.pinvh(C, rtol=1e-12) @ B.T)
+        return out
+
+    def _theta(self, rows: Rows, sweeps: Sequence[Sweep]) -> Array:
+        """Springs as described, everything else as usual, and the posture at which each sweep was clamped."""
+        theta = np.zeros(len(self.slots) + rows.offsets)
+        start = self.experiment.start()
+        for k, slot in enumerate(self.slots):
+            theta[k] = start[k]
+            if slot.effect == "joint_compliance":
+                theta[k] = 1.0 / self.press.stiffness[int(slot.place.removeprefix("joint")) - 1]
+            elif slot.effect == "backlash":
+                theta[k] = self.size[k]
+        T = np.asarray(self.cell.robot.transmission)
+        C = T.T @ (T / self.press.stiffness[:, None])
+        for k, (sweep, joint) in enumerate(rows.constants["offset_keys"]):
+            posture, reference = sweeps[sweep].posture, rows.constants["reference"][sweep]
+            theta[len(self.slots) + k] = (posture - reference - C @ self._load(posture))[joint]
+        return theta
+
+
+def _cost(sweep: Sweep) -> float:
+    return len(sweep.offset) * sweep.dwell + PAUSE_S
+
+
+def _choices(
+    bench: _Bench, sweeps: list[Sweep], told: list[Array], driven: Sequence[int], press: Press, time: float
+) -> list[list[int]]:
+    """The best sweeps in one, two and three clampings that fit into the time; empty where not one does."""
+    factors = [factor(matrix * bench.scale) for matrix in told]
+    table = np.zeros((len(factors), len(bench.size), max(f.shape[1] for f in factors)))
+    for k, f in enumerate(factors):
+        table[k, :, : f.shape[1]] = f
+    cost = np.array([_cost(sweep) for sweep in sweeps])
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for k, sweep in enumerate(sweeps):
+        groups.setdefault(tuple(sweep.posture), []).append(k)
+    out = []
+    taken: list[int] = []
+    left = dict(groups)
+    for clampings in range(1, MOST_CLAMPINGS + 1):
+        budget = time - clampings * press.clamping_time
+        if not left or budget <= 0:
+            break
+        known = bench.prior + sum((told[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
+        # Clamp where all that may be swept there tells most beyond what the earlier clampings tell.
+        best = max(left, key=lambda g: log_det(known + sum(told[k] * bench.scale for k in left[g])))
+        taken += left.pop(best)
+        first = _each_once(sweeps, table, bench.prior, taken, driven)
+        if first is None or cost[first].sum() > budget:
+            continue
+        inside = np.array(taken)
+        start = [taken.index(k) for k in first]
+        picked = greedy(
+            table[inside], bench.prior, count=MOST_SWEEPS, cost=cost[inside], budget=budget, start=start, repeat=True
+        )
+        out.append([int(inside[k]) for k in picked])
+    return out
+
+
+def _each_once(
+    sweeps: list[Sweep], table: Array, prior: Array, among: list[int], driven: Sequence[int]
+) -> list[int] | None:
+    """One sweep of each joint, the one that tells most; None where a joint may not be driven in any posture."""
+    first = []
+    for joint in driven:
+        able = [k for k in among if sweeps[k].joint == joint]
+        if not able:
+            return None
+        gain = [log_det(prior + table[k] @ table[k].T) for k in able]
+        first.append(able[int(np.argmax(gain))])
+    return first
+
+
+def _in_order(sweeps: Sequence[Sweep]) -> list[Sweep]:
+    """Clamping by clamping, in each the sweeps that load the clamp least first: if it slips, little is spoilt."""
+    places = list(dict.fromkeys(tuple(sweep.posture) for sweep in sweeps))
+    numbered = [replace(sweep, clamping=places.index(tuple(sweep.posture)) + 1) for sweep in sweeps]
+    return sorted(numbered, key=lambda s: (s.clamping, float(s.force.max() + s.moment.max()), s.joint))
+
+
+def _duration(sweeps: Sequence[Sweep], press: Press) -> float:
+    return max(s.clamping for s in sweeps) * press.clamping_time + sum(map(_cost, sweeps))

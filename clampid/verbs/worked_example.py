@@ -1,0 +1,61 @@
+"""``clampid worked-example``: the thesis' example and tables, from a campaign simulated with its printed constants."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from clampid.verbs.options import Json, Quiet, Seed
+from clampid.verbs.output import Output
+from clampid.verbs.units import quantity
+
+if TYPE_CHECKING:
+    from clampid.worked_example import WorkedExample
+
+__all__ = ["worked_example"]
+
+
+def worked_example(
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep the campaign there.", show_default=False)
+    ] = None,
+    seed: Seed = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure a robot with the springs that the thesis prints, and work its example out: 183.12 and 183.15 µm."""
+    output = Output(quiet, json)
+
+    from clampid.verbs.show import show_drives
+    from clampid.worked_example import worked_example as work_out
+
+    with tempfile.TemporaryDirectory() as scratch:
+        result = work_out(out or Path(scratch) / "campaign", seed, working=output.working)
+    _show_springs(result, output)
+    show_drives(result.drives, output)
+    _show_example(result, output)
+    output.result(result.to_json())
+
+
+def _show_springs(result: WorkedExample, out: Output) -> None:
+    rows = []
+    for j, printed in enumerate(result.printed_spring):
+        found, std, _ = quantity(float(result.drives.stiffness[j]), float(result.drives.stiffness_std[j]), "")
+        rows.append((f"{j + 1}", f"{printed:g}", f"{found} ± {std}"))
+    out.table("springs at the motor", ("axis", "printed [Nm/rad]", "found [Nm/rad]"), rows)
+
+
+def _show_example(result: WorkedExample, out: Output) -> None:
+    from clampid.worked_example import FRICTION, LEVER
+
+    rows = []
+    for what, printed, (value, std) in (
+        ("spring 5 alone", result.printed_alone, result.alone),
+        ("the whole matrix", result.printed_full, result.full),
+    ):
+        rows.append((what, f"{1e6 * printed:.2f}", f"{1e6 * value:.2f} ± {1e6 * std:.2f}"))
+    title = f"displacement by {FRICTION:g} Nm on the arm's side of axis 5, at {1e3 * LEVER:g} mm"
+    out.table(title, ("", "by printed constants [µm]", "found [µm]"), rows)
