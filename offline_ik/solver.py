@@ -23,12 +23,16 @@ __all__ = ["CONVERGED", "ELBOW_SINGULAR", "WRIST_SINGULAR", "Solved", "Solver"]
 
 Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.intp]
 
 WISHED = 1e-11  # what rounding allows, and what a start is improved to
 WRIST_SINGULAR = 0.02  # |sin| of the wrist's angle below which it is called singular: joints 4 and 6 trade places
 ELBOW_SINGULAR = 0.02  # |sin| of the elbow's angle
 NEARLY = 0.02  # m by which the nominal arm may fall short and the real one still be tried
 AROUND = 3e-3  # m: what calibrated arms differ from nominal ones by
+AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what is left after everything else
+ASIDE = (0.003, -0.003, 0.01, -0.01, 0.03, -0.03, 0.1, -0.1)  # rad, along the direction in which a pose hardly moves
+VALLEY, VALLEY_STEPS = 0.02, 60  # rad at most in each of so many steps
 STARTS = 40  # of an arm without an analytic solution
 LM_STEPS = 80
 LONG_STEPS = 1500
@@ -185,11 +189,47 @@ class Solver:
             if k == FIRST:
                 attempt(best.q, exact=True)
         attempt(best.q, LONG_STEPS, exact=True)  # within 1e-4 rad of a fold Newton's steps are short
+        cost = np.abs(best.error).max(axis=1)
+        rows = np.flatnonzero((cost > CONVERGED) & (cost < NEAR))
+        if self.ortho is not None and len(rows):  # a few in a million
+            self._last(best, rows, poses, near, signs, conditions)
         q = near + _wrapped(best.q - near)
         if np.abs(q - best.q).max(initial=0.0) > 1e-6:  # what counts turns (a wrong ratio) wants the last word
             last = self.refine(poses, q, conditions)
             ok = np.abs(last.error).max(axis=1) <= np.maximum(np.abs(best.error).max(axis=1), 0.1 * CONVERGED)
             best.q[ok], best.error[ok], best.pressing[ok] = last.q[ok], last.error[ok], last.pressing[ok]
+        return best
+
+    def _last(self, best: Solved, rows: Rows, poses: Array, near: Array, signs: Array, conditions: Conditions) -> None:
+        """Improve the rows that nothing else solved: patient searches around, then along the bottom of a valley."""
+
+        def keep(found: Solved) -> None:
+            better = np.abs(found.error).max(axis=1) < np.abs(best.error[rows]).max(axis=1)
+            best.q[rows[better]], best.error[rows[better]] = found.q[better], found.error[better]
+            best.pressing[rows[better]] = found.pressing[better]
+
+        for radius in AROUNDS:
+            for turn in np.linspace(0, 2 * np.pi, 8, endpoint=False):
+                start = self._seed(self._aside(poses[rows], radius, turn), signs[rows], near[rows])
+                keep(self.refine(poses[rows], start, conditions, True, LM_STEPS))
+        keep(self.refine(poses[rows], best.q[rows], conditions, True, LONG_STEPS))
+        _, J, _ = self._errors(poses[rows], best.q[rows], np.tile(conditions.vector, (len(rows), 1)), True)
+        weak = np.linalg.svd(J)[2][:, -1]
+        middle = best.q[rows].copy()
+        for aside in (0.0, *ASIDE):
+            keep(self._valley(poses[rows], middle + aside * weak, conditions))
+
+    def _valley(self, poses: Array, start: Array, conditions: Conditions) -> Solved:
+        """Newton's method that may climb: in a bent valley every step along its bottom first climbs its side."""
+        given = np.tile(conditions.vector, (len(poses), 1))
+        q = start.copy()
+        best = Solved(q.copy(), np.full((len(q), 6), np.inf), np.zeros_like(q))
+        for _ in range(VALLEY_STEPS):
+            error, J, pressing = self._errors(poses, q, given, True)
+            better = np.abs(error).max(axis=1) < np.abs(best.error).max(axis=1)
+            best.q[better], best.error[better], best.pressing[better] = q[better], error[better], pressing[better]
+            step = (np.linalg.pinv(J, rcond=1e-10) @ error[:, :, None])[:, :, 0]
+            q = q + step * np.minimum(1.0, VALLEY / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
         return best
 
     def _starts(self, poses: Array, near: Array, signs: Array, conditions: Conditions, first: Array) -> list[Array]:
@@ -213,12 +253,16 @@ class Solver:
             starts.append(start)
         for turn in np.linspace(0, 2 * np.pi, 16, endpoint=False):
             # The wrist on axis 1: joint 1 is as good as free. Postures for places around give all its values.
-            moved = poses.copy()
-            moved[:, :3, 3] += AROUND * (np.cos(turn) * self._across[0] + np.sin(turn) * self._across[1])
-            starts.append(self._seed(moved, signs, near))
+            starts.append(self._seed(self._aside(poses, AROUND, turn), signs, near))
         for other in SIGNS:  # near a border branches meet
             starts.append(self._seed(poses, np.tile(other, (len(poses), 1)), near))
         return starts
+
+    def _aside(self, poses: Array, radius: float, turn: float) -> Array:
+        """The poses moved across axis 1."""
+        moved = poses.copy()
+        moved[:, :3, 3] += radius * (np.cos(turn) * self._across[0] + np.sin(turn) * self._across[1])
+        return moved
 
     def _seed(self, poses: Array, signs: Array, near: Array) -> Array:
         q, _ = self.branches(poses)
