@@ -300,7 +300,8 @@ def _obstacle(obstacle: Obstacle) -> _Shape:
                 geometry = coal.MeshLoader().load(str(obstacle.file), np.ones(3))
                 geometry.buildConvexHull(True, "Qt")
             except (RuntimeError, ValueError) as error:
-                raise CellError(f"obstacle {obstacle.name}: {obstacle.file} is no mesh: {error}") from None
+                why = " ".join(str(error).partition("message:")[2].split()) or str(error)
+                raise CellError(f"obstacle {obstacle.name}: {obstacle.file} is no mesh: {why}") from None
     return _Shape(obstacle.name, 0, geometry, np.asarray(obstacle.pose), 0.0)
 
 

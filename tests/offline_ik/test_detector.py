@@ -105,12 +105,18 @@ def test_out_of_reach_is_said_with_the_nearest_position(detector: Detector) -> N
 
 def test_a_limit_is_named(detector: Detector) -> None:
     near = detector.locate(*HERE).solutions[0].q
-    tight = replace(detector.robot, joints=tuple(
-        replace(j, lower=j.lower if i != 1 else near[1] + 0.5) for i, j in enumerate(detector.robot.joints)))  # fmt: skip
+    lowers = [j.lower for j in detector.robot.joints]
+    lowers[1] = near[1] + 0.5
+    joints = tuple(replace(j, lower=low) for j, low in zip(detector.robot.joints, lowers, strict=True))
+    tight = replace(detector.robot, joints=joints)
     other = Detector(replace(detector.arm, robot=tight), detector.cell)
-    answer = other.locate(*HERE, branch="axis5+" if near[4] >= 0 else "axis5-")
-    assert answer.reachable or any("limits of" in r for r in answer.reasons)
+    answer = other.locate(*HERE, branch="all")
     assert not any(abs(s.q[1] - near[1]) < 0.4 for s in answer.solutions)
+    none = Detector(replace(detector.arm, robot=replace(tight, joints=tuple(
+        replace(j, lower=j.upper - 1e-3) for j in joints))), detector.cell)  # fmt: skip
+    answer = none.locate(*HERE)
+    assert not answer.reachable
+    assert any(f"beyond the limits of {joints[1].name}" in r or joints[1].name in r for r in answer.reasons)
 
 
 def test_a_singular_wrist_is_reported(detector: Detector) -> None:
