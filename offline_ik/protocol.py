@@ -32,8 +32,8 @@ ABSOLUTE_ZERO, HOT = -273.15, 200.0  # °C: what a temperature of a robot may be
 _TEMPLATE = (
     '{"q_rad": [#], "motor_rad": [#], "position_error_m": %.3g, "angle_error_rad": %.3g, '
     '"std_m": %.6g, "std_rad": %.6g, "radius95_m": %.6g, "tangential_std_m": %.6g, "radial_std_m": %.6g, '
-    '"tangential_std_pixels": %.6g, "model_std_m": %.6g, "approach_std_m": %.6g, "roll_rad": %.12g, "status": %d, "turn": %d, '
-    '"largest_move_rad": %.6g, "approach_direction": [#], "singular": %s}'
+    '"tangential_std_pixels": %.6g, "model_std_m": %.6g, "approach_std_m": %.6g, "roll_rad": %.12g, '
+    '"status": %d, "turn": %d, "largest_move_rad": %.6g, "approach_direction": [#], "singular": %s}'
 )
 WORDS = {
     "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "pyfai"),
