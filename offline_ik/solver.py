@@ -8,6 +8,7 @@ in Marquardt's method.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -232,31 +233,34 @@ class Solver:
             q = q + step * np.minimum(1.0, VALLEY / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
         return best
 
-    def _starts(self, poses: Array, near: Array, signs: Array, conditions: Conditions, first: Array) -> list[Array]:
+    def _starts(self, poses: Array, near: Array, signs: Array, conditions: Conditions, first: Array) -> Iterator[Array]:
+        """Starts of a search, the likely ones first, each made only when it is its turn."""
         sane = np.isfinite(first).all(axis=1, keepdims=True) & (np.abs(first - near).max(axis=1, keepdims=True) < 7.0)
-        starts = [np.where(sane, first, near)]
+        yield near if self.ortho is None else np.where(sane, first, near)
         if self.ortho is None:
             rng = np.random.default_rng(0)
             low, high = (np.clip(v, -np.pi, np.pi) for v in (self.arm.robot.lower, self.arm.robot.upper))
-            return [near, *starts, *(np.tile(rng.uniform(low, high), (len(poses), 1)) for _ in range(STARTS))]
+            yield np.where(sane, first, near)
+            for _ in range(STARTS):
+                yield np.tile(rng.uniform(low, high), (len(poses), 1))
+            return
         seed = self._seed(poses, signs, near)
-        starts.append(seed)
+        yield seed
         # The nominal arm's posture for a pose that is off by what the identified arm does there.
         off = self._nominal(seed) @ np.linalg.inv(self.pose(seed, conditions))
-        starts.append(self._seed(off @ poses, signs, near))
+        yield self._seed(off @ poses, signs, near)
         for turn in np.linspace(0, 2 * np.pi, 12, endpoint=False)[1:]:
             # At a singular wrist joints 4 and 6 trade places: any share may be the real arm's.
             start = seed.copy()
             start[:, 3] += turn
             start[:, 5] -= turn * np.sign(self.ortho.axes[3] @ self.ortho.axes[5]) * np.sign(np.cos(seed[:, 4]))
             start[:, 4] += 0.01 * np.sign(np.sin(seed[:, 4] + self.ortho.psi) + 1e-30)
-            starts.append(start)
+            yield start
         for turn in np.linspace(0, 2 * np.pi, 16, endpoint=False):
             # The wrist on axis 1: joint 1 is as good as free. Postures for places around give all its values.
-            starts.append(self._seed(self._aside(poses, AROUND, turn), signs, near))
+            yield self._seed(self._aside(poses, AROUND, turn), signs, near)
         for other in SIGNS:  # near a border branches meet
-            starts.append(self._seed(poses, np.tile(other, (len(poses), 1)), near))
-        return starts
+            yield self._seed(poses, np.tile(other, (len(poses), 1)), near)
 
     def _aside(self, poses: Array, radius: float, turn: float) -> Array:
         """The poses moved across axis 1."""
