@@ -35,6 +35,8 @@ AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what is left after everything else
 ASIDE = (0.003, -0.003, 0.01, -0.01, 0.03, -0.03, 0.1, -0.1)  # rad, along the direction in which a pose hardly moves
 VALLEY, VALLEY_STEPS = 0.02, 60  # rad at most in each of so many steps
 STARTS = 40  # of an arm without an analytic solution
+MANY = 64  # poses, for which a kernel of its own is worth compiling
+FURTHER = 3  # chords of that kernel
 LM_STEPS = 80
 LONG_STEPS = 1500
 FIRST = 3  # starts, after which the loads' change is let in
@@ -90,6 +92,11 @@ class Solver:
     def newton(self) -> Kernel:
         """See :func:`solve_kernel`."""
         return solve_kernel(self.arm, self.ortho, self.mount)
+
+    @cached_property
+    def further(self) -> Kernel:
+        """The same from a given posture, whatever its branch."""
+        return solve_kernel(self.arm, None, self.mount, FURTHER)
 
     @cached_property
     def sensitivity(self) -> Kernel:
@@ -163,6 +170,13 @@ class Solver:
         q, error, pressing = self.newton.many(R, p, near, signs, given)
         # The kernel's error is exact only for small rotations: what it calls solved it must have solved nearly.
         left = ~(np.abs(error).max(axis=1) <= 0.1 * CONVERGED)
+        if left.sum() >= MANY:  # most of them only want a few steps more
+            rows = np.flatnonzero(left)
+            further = self.further.many(R[rows], p[rows], q[rows], signs[rows], given[rows])
+            ok = np.abs(further[1]).max(axis=1) <= 0.1 * CONVERGED
+            ok &= np.abs(further[0] - near[rows]).max(axis=1) < np.pi + 0.1
+            q[rows[ok]], error[rows[ok]], pressing[rows[ok]] = (v[ok] for v in further)
+            left[rows[ok]] = False
         if left.any():
             rows = np.flatnonzero(left)
             again = self._hard(poses[rows], near[rows], signs[rows], conditions, q[rows])
