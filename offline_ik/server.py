@@ -79,7 +79,7 @@ class _Client(asyncio.Protocol):
             self.skipping, self.partial = True, b""
         elif self.skipping:
             self.partial = b""
-        self._watch()
+        self._watch(begun=bool(parts))
         if not self.working:
             self._work()
 
@@ -136,8 +136,11 @@ class _Client(asyncio.Protocol):
             transport.resume_reading()
         self.reading = not behind
 
-    def _watch(self) -> None:
-        """Give an incomplete line its time, and no more."""
+    def _watch(self, begun: bool) -> None:
+        """Give an incomplete line its time, and no more; ``begun``: another line than the one watched so far."""
+        if begun and self.timer is not None:
+            self.timer.cancel()
+            self.timer = None
         if (self.partial or self.skipping) and self.timer is None:
             self.timer = self.loop.call_later(self.server.limits.patience, self._too_slow)
         elif not self.partial and not self.skipping and self.timer is not None:
@@ -146,6 +149,9 @@ class _Client(asyncio.Protocol):
 
     def _too_slow(self) -> None:
         self.timer = None
+        if self.lines or not self.reading:  # it is we who are behind: the rest of the line may lie unread
+            self._watch(begun=True)
+            return
         if self.transport is not None and not self.transport.is_closing():
             patience = self.server.limits.patience
             self.transport.write(self.server.speaker.refuse(f"a line was not completed within {patience:g} s"))

@@ -135,6 +135,19 @@ def test_a_slow_line_is_ended_and_others_go_on(detector: Detector) -> None:
     serving(detector, talk, Limits(patience=0.2))
 
 
+def test_patience_is_with_a_line_and_not_with_a_connection(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer):
+            writer.write(GOOD[:9])
+            for _ in range(12):  # every piece ends within a line, for three times as long as a line may take
+                await asyncio.sleep(0.1)
+                writer.write(GOOD[9:] + b"\n" + GOOD[:9])
+            for _ in range(12):
+                assert json.loads(await reader.readline())["ok"]
+
+    serving(detector, talk, Limits(patience=0.4))
+
+
 def test_one_client_too_many_is_told(detector: Detector) -> None:
     async def talk(server: Server, host: str, port: int) -> None:
         async with connected(host, port) as first:
