@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -40,6 +41,7 @@ def ik(
 ) -> None:
     """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
     out = Output(quiet, json)
+    os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
     from offline_ik.coordinates import check_target
 
     turned = None if roll == "free" else (numbers("--roll", roll) or [0.0])[0]
