@@ -20,7 +20,7 @@ from clampid.compiled import Blocks
 from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
 from clampid.slots import Layout, Slot
 
-__all__ = ["Chain", "Deviations", "build_chain"]
+__all__ = ["OUTPUTS", "Chain", "Deviations", "RowSymbols", "build_chain", "offer_torque", "parameter_columns"]
 
 Array = npt.NDArray[np.float64]
 
@@ -157,10 +157,10 @@ def build_chain(
             raise EffectError(f"effect {effect.name} does not act in {stage}; it does in: {', '.join(effect.stages)}")
     theta = ca.SX.sym("theta", len(slots))
     index = {slot: k for k, slot in enumerate(slots)}
-    parameters = {effect.name: _parameters(effect, layout, index, theta) for effect in active}
+    parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
     constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
-    row = _Row(layout, constants, parameters)
-    _offer_torque(row, stage, active)
+    row = RowSymbols(layout, constants, parameters)
+    offer_torque(row, stage, active)
     values, offsets, start = [], {}, 0
     for station in OUTPUTS[stage]:
         value = ca.vec(row.total(station, active).T)
@@ -181,7 +181,7 @@ def build_chain(
     return Chain(stage, tuple(slots), offsets, widths, Blocks(function), station_of, parameter_of)
 
 
-class _Row:
+class RowSymbols:
     """The signals of a row as symbols, made when they are first read, and the sums of deviations at stations."""
 
     def __init__(self, layout: Layout, constants: Mapping[str, Any], parameters: Mapping[str, SimpleNamespace]) -> None:
@@ -218,7 +218,7 @@ class _Row:
         return value
 
 
-def _offer_torque(row: _Row, stage: Stage, active: Sequence[Effect]) -> None:
+def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:
     """Offer joint torques, the flank they press on, and the wrench on a clamp, to the effects that read them."""
     if stage == "clamped":
         torque = row.recorded("torque")
@@ -244,7 +244,7 @@ def _gravity_shift(parameters: Mapping[str, SimpleNamespace]) -> Any:
     return None if gravity is None else ca.vec(ca.horzcat(gravity.m, gravity.mx, gravity.my, gravity.mz).T)
 
 
-def _parameters(effect: Effect, layout: Layout, index: Mapping[Slot, int], theta: Any) -> SimpleNamespace:
+def parameter_columns(effect: Effect, layout: Layout, index: Mapping[Slot, int], theta: Any) -> SimpleNamespace:
     """An effect's parameters as columns; where a slot is not active its amplitude is zero, its shape the start."""
     found = {}
     for parameter in effect.parameters:

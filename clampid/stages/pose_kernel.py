@@ -15,7 +15,7 @@ from clampid.compiled import Blocks, compile_function
 from clampid.stages.rows import Array
 from kinematics.symbolic import cayley_left_jacobian_sx, cayley_sx, exponential_sx, hat_sx
 
-__all__ = ["kernel", "link_points"]
+__all__ = ["kernel", "link_points", "pose_function"]
 
 
 def link_points(robot: Any) -> Array:
@@ -41,10 +41,17 @@ def kernel(robot: Any) -> Blocks:
 def _kernel(n: int, linkage: bytes, screws: bytes, points: bytes, flange: bytes) -> Blocks:
     shapes = ((n, n), (n, 6), (n, 3), (4, 4))
     arm = [np.frombuffer(b).reshape(shape) for b, shape in zip((linkage, screws, points, flange), shapes, strict=True)]
-    return Blocks(compile_function(_function(*arm)))
+    return Blocks(compile_function(pose_function(*arm)))
 
 
-def _function(linkage: Array, screws: Array, points: Array, flange: Array) -> Any:
+def pose_function(linkage: Array, screws: Array, points: Array, flange: Array) -> Any:
+    """The casadi function behind :func:`kernel`, of an empty vector and one row, for who builds more upon it.
+
+    Parameters
+    ----------
+    linkage, screws, points, flange
+        ``(n, n)``, ``(n, 6)``, ``(n, 3)`` m and ``(4, 4)`` of the nominal robot, base frame, zero pose.
+    """
     n = len(screws)
     row = {name: ca.SX.sym(name, size) for name, size in (("q", n), ("X", 12), ("target", 3), ("d", 7 * n + 12))}
     d = row["d"]

@@ -1,0 +1,112 @@
+"""The command server: time beyond a bare asyncio echo, 20 000 requests, and 100 000 lines of rubbish.
+
+python benchmarks/detector_server.py
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from pathlib import Path
+from time import perf_counter
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "offline_ik"))
+from ik_arms import CELL, drawn_model
+from test_server import rubbish
+
+from kinematics.description import load_robot
+from offline_ik.cell import read_cell
+from offline_ik.detector import open_detector
+from offline_ik.protocol import Session, Speaker
+from offline_ik.server import Server
+
+
+class Echo(asyncio.Protocol):
+    """What a server cannot be faster than: the answer is at hand."""
+
+    def __init__(self, answer: bytes) -> None:
+        self.answer = answer
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self.transport.write(self.answer)
+
+
+def memory() -> float:
+    """Resident memory, MB."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+async def round_trips(host: str, port: int, count: int) -> np.ndarray:
+    """Seconds of each of ``count`` requests, one after the other."""
+    reader, writer = await asyncio.open_connection(host, port, limit=1 << 20)
+    near = "0.1,-1.2,1.2,0.1,0.4,0"
+    took = np.empty(count)
+    for k in range(count):
+        line = f"where gamma={0.3 + 1e-5 * (k % 1000):.6f} delta=0.2 r=0.8 near={near}\n".encode()
+        start = perf_counter()
+        writer.write(line)
+        await reader.readline()
+        took[k] = perf_counter() - start
+    writer.close()
+    await writer.wait_closed()
+    return took
+
+
+async def run() -> None:
+    path = Path("/tmp") / f"cell-{os.getpid()}.toml"
+    path.write_text(CELL, encoding="utf-8")
+    detector = open_detector(drawn_model(), read_cell(path, load_robot("kuka_kr20_r1810")))
+    path.unlink()
+    detector.warm_up()
+    server = Server(Speaker(detector))
+    host, port = await server.start("127.0.0.1", 0)
+    loop = asyncio.get_running_loop()
+    answer = server.speaker.answer(b"where gamma=0.3 delta=0.2 r=0.8", Session())
+    echo = await loop.create_server(lambda: Echo(answer), "127.0.0.1", 0)
+    at = echo.sockets[0].getsockname()
+    await round_trips(host, port, 500)
+    ours, bare = [], []
+    for _ in range(10):  # by turns, so that what else the machine does falls on both
+        bare.append(await round_trips(at[0], at[1], 500))
+        ours.append(await round_trips(host, port, 500))
+    mine, theirs = (1e6 * np.median(np.concatenate(v)) for v in (ours, bare))
+    print(f"median: {mine:.0f} µs, bare echo of the same answer {theirs:.0f} µs: {mine - theirs:.0f} µs beyond it")
+    before = memory()
+    await round_trips(host, port, 20_000)
+    print(f"20 000 requests: memory {before:.1f} to {memory():.1f} MB")
+    before, rng = memory(), np.random.default_rng(0)
+    reader, writer = await asyncio.open_connection(host, port, limit=1 << 20)
+
+    async def good_ones() -> tuple[int, int]:
+        good = answers = 0
+        while line := await reader.readline():
+            answers += 1
+            good += json.loads(line)["ok"]
+        return good, answers
+
+    reading = asyncio.create_task(good_ones())
+    for k in range(110_000):
+        writer.write((b"where gamma=0.3 delta=0.2 r=0.8" if k % 11 == 0 else rubbish(rng)) + b"\n")
+        if k % 50 == 0:
+            await writer.drain()
+    writer.write_eof()
+    good, answers = await reading
+    print(f"100 000 malformed lines: {good} of 10 000 good requests between them answered, {answers} answers in all, "
+          f"{server.failures} internal errors, memory {before:.1f} to {memory():.1f} MB")  # fmt: skip
+    echo.close()
+    await server.close()
+
+
+if __name__ == "__main__":
+    asyncio.run(run())

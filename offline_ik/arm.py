@@ -1,0 +1,389 @@
+"""The identified arm: a model's robot with its effects, as one function from joint values to the flange.
+
+Two ways to it, held equal by tests: :meth:`IdentifiedArm.general` goes through the chain of effects and
+:func:`clampid.stages.poses.predict`, with derivatives by all parameters; :meth:`IdentifiedArm.expression` puts the very
+same casadi functions together with the parameters as constants and the loads as functions of the posture, so that they
+can be compiled into one kernel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from clampid.catalogue import with_user_effects
+from clampid.chain import OUTPUTS, Chain, RowSymbols, build_chain, offer_torque, parameter_columns
+from clampid.effect import Effect
+from clampid.model import Model, ModelError, StageModel
+from clampid.slots import Layout, Slot
+from clampid.stages.loads import bearing_signals, gravity_signals
+from clampid.stages.pose_kernel import link_points, pose_function
+from clampid.stages.pose_rows import REST_FRICTION
+from clampid.stages.poses import evaluate, link_vectors, predict
+from clampid.stages.rows import Rows
+from experiments.campaign import Campaign, Instrument, Tool
+from kinematics.description import load_robot
+from kinematics.gravity import STANDARD_GRAVITY
+from kinematics.robot import RobotDescription
+from kinematics.screws import cayley
+from offline_ik.loads_sx import Loads
+
+__all__ = ["Conditions", "IdentifiedArm", "arm_of", "nominal_arm"]
+
+Array = npt.NDArray[np.float64]
+
+REFERENCE_TEMPERATURE = 20.0  # °C, from which the models count
+DEFAULT_RATED = 100.0  # Nm, as the pose rows have it where a description says nothing
+_AXES = ("rx", "ry", "rz", "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What beside the posture decides where the arm stands.
+
+    Attributes
+    ----------
+    direction
+        ``(n,)``: in which direction each joint comes to rest, +1, -1, 0 unknown.
+    link_temperature, motor_temperature
+        ``(n,)``: now, less 20 °C, K.
+    elapsed
+        Time since the campaign's first row, s.
+    """
+
+    direction: Array
+    link_temperature: Array
+    motor_temperature: Array
+    elapsed: float = 0.0
+
+    @classmethod
+    def still(cls, n: int) -> Conditions:
+        """20 °C, no direction known."""
+        return cls(np.zeros(n), np.zeros(n), np.zeros(n))
+
+    @property
+    def vector(self) -> Array:
+        """``(3n + 1,)``."""
+        return np.concatenate([self.direction, self.link_temperature, self.motor_temperature, [self.elapsed]])
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedArm:
+    """A robot as a model's stage ``poses`` describes it, in one session.
+
+    Attributes
+    ----------
+    gravity
+        ``(3,)``, base frame, m/s².
+    tool
+        ``(4,)``: (m, m c) of what the flange carries, as declared; flange frame, kg and kg m.
+    session
+        Whose base and flange, from 0.
+    reference
+        ``(4, 4)``: the session's guess of the base in the instrument's frame, without the fitted motion.
+    """
+
+    robot: RobotDescription
+    layout: Layout
+    effects: Mapping[str, Effect]
+    slots: tuple[Slot, ...]
+    theta: Array
+    covariance: Array
+    gravity: Array
+    tool: Array
+    session: int = 0
+    reference: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    def with_theta(self, theta: Array) -> IdentifiedArm:
+        """The same arm with other values of its parameters."""
+        return replace(self, theta=theta)
+
+    def without(self, effect: str) -> IdentifiedArm:
+        """The same arm with one effect's parameters at zero: what that effect is worth."""
+        gone = np.array([slot.effect == effect for slot in self.slots], dtype=bool)
+        return replace(self, theta=np.where(gone, 0.0, self.theta))
+
+    @cached_property
+    def base(self) -> Array:
+        """``(4, 4)``: the calibrated base in the instrument's frame; static, at no load."""
+        values = dict(zip(self.slots, self.theta.tolist(), strict=True))
+        place = self.layout.sessions[self.session]
+        twist = np.array([values.get(Slot("geometry", f"base_{a}", place), 0.0) for a in _AXES])
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = cayley(twist[:3]), twist[3:]
+        return np.asarray((np.eye(4) if self.reference is None else self.reference) @ motion)
+
+    # --- as one expression ---------------------------------------------------------------------------------------
+
+    def expression(self, q: Any, conditions: Any, mount: Array, theta: Any = None) -> tuple[Any, Any, Any, Any]:
+        """Where a frame on the flange is, in the calibrated base's frame.
+
+        Parameters
+        ----------
+        q, conditions
+            Expressions ``(n,)`` and ``(3n + 1,)``, see :attr:`Conditions.vector`.
+        mount
+            ``(4, 4)``: the frame in the flange's.
+        theta
+            ``(P,)``, an expression; the arm's own values without it.
+
+        Returns
+        -------
+        position, rotation
+            ``(3,)`` m and ``(3, 3)``.
+        jacobian
+            ``(6, n)``: d (position, rotation vector) / d q of the arm with its deviations held; the loads' change with
+            the posture, a thousandth of it, is left out.
+        pressing
+            ``(n,)``, Nm: its sign is the flank on which each joint stands; None if no effect reads flanks.
+        """
+        n = self.n
+        position, R, S, _, pressing = self.stations(q, conditions, mount, theta)
+        return position, R, S[:, :n] @ ca.DM(self.robot.linkage), pressing
+
+    def stations(self, q: Any, conditions: Any, mount: Array, theta: Any = None) -> tuple[Any, Any, Any, Any, Any]:
+        """As :meth:`expression`, with d pose / d station entries ``(6, S)``, the entries ``(S,)``, and what presses."""
+        n = self.n
+        values, pressing = self._deviations(q, conditions, ca.SX(ca.DM(self.theta)) if theta is None else theta)
+        values[7 * n + 6 :] = 0  # no tracked target, no error of an instrument: the detector itself
+        static = np.linalg.inv(self.base) @ (np.eye(4) if self.reference is None else self.reference)
+        nominal = (self.robot.linkage, self.robot.screws, link_points(self.robot), self.robot.flange)
+        poses = pose_function(*(np.asarray(a, dtype=float) for a in nominal))
+        frame = ca.DM(np.r_[static[:3, :3].ravel(), static[:3, 3]])
+        row = ca.vertcat(q, frame, ca.DM(mount[:3, 3]), values)
+        position, rotation, sensitivity = poses(ca.SX(0, 1), row)
+        R = ca.reshape(rotation, 3, 3).T @ ca.DM(mount[:3, :3])
+        return position, R, ca.reshape(sensitivity, 7 * n + 12, 6).T, values, pressing
+
+    def _deviations(self, q: Any, conditions: Any, theta: Any) -> tuple[Any, Any]:
+        """The stations' entries in the order of the pose stage, and what presses on the flanks."""
+        active = [self.effects[name] for name in dict.fromkeys(slot.effect for slot in self.slots)]
+        index = {slot: k for k, slot in enumerate(self.slots)}
+        parameters = {e.name: parameter_columns(e, self.layout, index, theta) for e in active}
+        constants = {
+            "transmission": ca.DM(np.asarray(self.robot.transmission)),
+            "link_vectors": ca.DM(link_vectors(self.robot)),
+        }
+        row = RowSymbols(self.layout, constants, parameters)
+        offer_torque(row, "poses", active)
+        values = ca.vertcat(*(ca.vec(row.total(station, active).T) for station in OUTPUTS["poses"]))
+        outputs = [values]
+        if "flank" in row.flats:
+            outputs.append(row.offered["torque"] + row.recorded("rest_direction"))
+        free = list(ca.symvar(ca.veccat(theta)))
+        function = ca.Function("deviations", [ca.vertcat(*free), *row.flats.values()], [ca.densify(v) for v in outputs])
+        loads = Loads(self.robot, self.gravity, self.tool, q)
+        signals = {name: self._signal(name, q, conditions, loads) for name in row.flats if name != "flank"}
+        at = ca.vertcat(*free)
+        if "flank" not in row.flats:
+            return function.call([at, *(signals[name] for name in row.flats)])[0], None
+        signals["flank"] = ca.SX.zeros(self.n)
+        pressing = function.call([at, *(signals[name] for name in row.flats)])[1]  # does not depend on the flank
+        signals["flank"] = ca.sign(pressing)
+        return function.call([at, *(signals[name] for name in row.flats)])[0], pressing
+
+    def _signal(self, name: str, q: Any, conditions: Any, loads: Loads) -> Any:  # noqa: PLR0911 (a table)
+        n = self.n
+        direction = conditions[:n]
+        match name:
+            case "q":
+                return q
+            case "motor":
+                return ca.DM(np.linalg.inv(np.asarray(self.robot.transmission)).T) @ q
+            case "direction" | "joint_motion" | "motor_motion":
+                return direction
+            case "rest_direction":
+                return ca.DM(REST_FRICTION * self._rated) * direction
+            case "link_temperature":
+                return conditions[n : 2 * n]
+            case "motor_temperature":
+                return conditions[2 * n : 3 * n]
+            case "elapsed":
+                return conditions[3 * n]
+            case "session_is":
+                return ca.DM(self._session_is)
+            case "target_is":
+                return ca.DM.zeros(len(self.layout.targets))
+            case "position":
+                return ca.DM.zeros(3)
+            case _:
+                try:
+                    return loads.signal(name)
+                except KeyError:
+                    raise ModelError(
+                        f"the model reads the signal {name!r} in its poses, which a command cannot know"
+                    ) from None
+
+    @property
+    def _rated(self) -> Array:
+        return np.array([j.rated_torque or DEFAULT_RATED for j in self.robot.joints])
+
+    @property
+    def _session_is(self) -> Array:
+        return np.asarray(np.eye(len(self.layout.sessions))[self.session])
+
+    # --- through the chain of effects -----------------------------------------------------------------------------
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The chain of the stage ``poses``."""
+        return build_chain(
+            "poses",
+            self.slots,
+            self.effects,
+            self.layout,
+            np.asarray(self.robot.transmission),
+            link_vectors(self.robot),
+        )
+
+    def general(self, q: Array, conditions: Conditions, target: Array) -> tuple[Array, Array, Array]:
+        """Points and orientations through clampid's own prediction.
+
+        Parameters
+        ----------
+        q
+            ``(N, n)``, the controller's joint values, rad.
+        target
+            ``(3,)``: the point, in the flange frame, m.
+
+        Returns
+        -------
+        position, rotation
+            ``(N, 3)`` m and ``(N, 3, 3)`` of the flange, instrument frame.
+        jacobian
+            ``(N, 6, P)``: d (position, rotation vector) / d theta.
+        """
+        rows = self._rows(np.atleast_2d(q), conditions, target)
+        deviations = evaluate(rows, self.chain, self.theta)
+        measured = slice(self.chain.offsets["measurement"].start, None)
+        deviations.values[:, measured] = 0.0
+        position, rotation, sensitivity = predict(rows, deviations)
+        sensitivity[:, :, measured] = 0.0
+        jacobian = np.zeros((len(rows), 6, len(self.slots)))
+        for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
+            jacobian[:, :, parameter] += sensitivity[:, :, station] * deviations.partials[:, k, None]
+        return position, rotation, jacobian
+
+    def _rows(self, q: Array, conditions: Conditions, target: Array) -> Rows:
+        count = len(q)
+        declared = Tool(float(self.tool[0]), self.tool[1:] / self.tool[0] if self.tool[0] else np.zeros(3))
+        campaign = Campaign(
+            "",
+            None,
+            self.robot,
+            self.gravity,
+            declared,
+            {},
+            Instrument("command", None, None),
+            MappingProxyType({}),
+            "",
+        )
+
+        def each(value: Array) -> Array:
+            return np.tile(value, (count, 1))
+
+        direction = each(conditions.direction)
+        signals = {
+            "q": q,
+            "motor": q @ np.linalg.inv(np.asarray(self.robot.transmission)),
+            "direction": direction,
+            "joint_motion": direction,
+            "motor_motion": direction,
+            "rest_direction": REST_FRICTION * self._rated * direction,
+            "elapsed": np.full(count, conditions.elapsed),
+            "target_is": np.zeros((count, len(self.layout.targets))),
+            "session_is": each(self._session_is),
+            "position": np.zeros((count, 3)),
+            "link_temperature": each(conditions.link_temperature),
+            "motor_temperature": each(conditions.motor_temperature),
+            **gravity_signals(campaign, q),
+            **bearing_signals(campaign, q),
+        }
+        zero = np.zeros(count, dtype=np.int64)
+        reference = np.eye(4) if self.reference is None else self.reference
+        return Rows(
+            "poses", self.robot, self.layout, signals, np.zeros((count, 3)), np.ones((count, 3)),
+            np.ones((count, 3), dtype=bool), zero, zero, np.full(count, "command"), zero, zero,
+            {"target": each(target), "base_reference": np.tile(reference, (count, 1, 1))},
+        )  # fmt: skip
+
+
+def arm_of(
+    model: Model,
+    *,
+    robot: RobotDescription | None = None,
+    gravity: npt.ArrayLike = STANDARD_GRAVITY,
+    tool_mass: float | None = None,
+    tool_com: npt.ArrayLike = (0.0, 0.0, 0.0),
+    session: int = 0,
+    user_effects: Path | None = None,
+) -> IdentifiedArm:
+    """The arm that a model describes.
+
+    Parameters
+    ----------
+    robot
+        The nominal robot, if the model's name for it is not that of a bundled one.
+    gravity
+        ``(3,)``, base frame, m/s²: a model does not keep it.
+    tool_mass, tool_com
+        What the flange carries, kg and ``(3,)`` m in the flange frame; the mass by default that of the session.
+    session
+        Whose base and flange, from 0.
+
+    Raises
+    ------
+    ModelError
+        The model has no poses, no such session, is of another robot, or has effects that are not known.
+    """
+    nominal = load_robot(model.robot) if robot is None else robot
+    if nominal.name != model.robot:
+        raise ModelError(f"the model is of the robot {model.robot}, the cell of {nominal.name}")
+    stage: StageModel | None = model.stages.get("poses")
+    if stage is None:
+        raise ModelError("expected a model with a stage poses, found none: joint angles need a geometry")
+    if not 0 <= session < len(model.sessions):
+        raise ModelError(f"session {session + 1}: the model has sessions 1 to {len(model.sessions)}")
+    if nominal.n != model.layout.joints:
+        raise ModelError(f"the model has {model.layout.joints} joints, the robot {nominal.name} has {nominal.n}")
+    effects = with_user_effects(user_effects or (Path(model.user_effects) if model.user_effects else None))
+    for slot in stage.slots:
+        if slot.effect not in effects:
+            raise ModelError(f"the model has an effect {slot.effect!r} that is not known")
+    if not np.isfinite(stage.theta).all() or not np.isfinite(stage.covariance).all():
+        raise ModelError("the model has parameters that are not finite numbers")
+    mass = model.sessions[session].tool_mass if tool_mass is None else tool_mass
+    return IdentifiedArm(
+        nominal,
+        model.layout,
+        effects,
+        stage.slots,
+        stage.theta,
+        stage.covariance,
+        np.asarray(gravity, dtype=float),
+        mass * np.r_[1.0, np.asarray(tool_com, dtype=float)],
+        session,
+        model.sessions[session].base_reference,
+    )
+
+
+def nominal_arm(robot: RobotDescription) -> IdentifiedArm:
+    """The robot as its description has it: no effects."""
+    nothing = np.zeros(0)
+    return IdentifiedArm(
+        robot, Layout(robot.n), with_user_effects(None), (), nothing, np.zeros((0, 0)),
+        np.asarray(STANDARD_GRAVITY), np.zeros(4),
+    )  # fmt: skip

@@ -1,0 +1,320 @@
+"""The cell: convention, mount of the detector, what the flange carries, temperatures, obstacles. One TOML file.
+
+Everything that a model does not know and a detector position depends on is here, and nothing of it is assumed silently:
+what a cell file does not say is taken from :func:`default_cell` and listed in ``assumed``.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from kinematics.gravity import STANDARD_GRAVITY
+from kinematics.robot import RobotDescription
+from offline_ik.coordinates import CONVENTIONS, Convention
+from offline_ik.errors import CellError
+
+__all__ = ["FORMAT", "Cell", "Obstacle", "default_cell", "read_cell"]
+
+Array = npt.NDArray[np.float64]
+Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
+
+FORMAT = "clampid-cell/1"
+PIXEL = 55e-6  # m, of the reference robot's detector
+SHAPES: Mapping[Shape, int] = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2, "mesh": 0}
+_KEYS = {
+    "": ("format", "robot", "session", "gravity_m_s2", "convention", "detector", "tool", "temperature", "robot_shape",
+         "safety", "obstacle"),
+    "convention": ("name", "order", "gamma_sign", "delta_sign", "beam", "up", "sample_m", "frame"),
+    "detector": ("position_m", "x", "z", "size_m", "pixel_m", "targets_m"),
+    "tool": ("mass_kg", "com_m"),
+    "temperature": ("link_C", "motor_C"),
+    "robot_shape": ("radius_m", "base_radius_m"),
+    "safety": ("clearance_m", "limit_margin_rad", "speed"),
+    "obstacle": ("name", "shape", "size_m", "position_m", "x", "z", "file", "holds_sample"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A thing in the robot's way.
+
+    Attributes
+    ----------
+    size
+        m. Box: x, y, z edges; cylinder and capsule: radius, length along z; sphere: radius; mesh: none.
+    pose
+        ``(4, 4)``: its middle in the robot's base frame.
+    file
+        Of a mesh (STL, OBJ, DAE; m).
+    holds_sample
+        The sample may lie inside (a cryostat's shroud, a stage drawn as one box).
+    """
+
+    name: str
+    shape: Shape
+    size: tuple[float, ...]
+    pose: Array
+    file: Path | None = None
+    holds_sample: bool = False
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Where a robot holds which detector about which sample, among which obstacles.
+
+    Attributes
+    ----------
+    mount
+        ``(4, 4)``: the detector in the flange's frame; z is its normal, origin its middle.
+    targets
+        Names and nominal positions ``(3,)``, flange frame, of tracked points that are fixed to the detector. With three
+        or more the mount follows their identified positions.
+    size
+        Edges of the detector's box (x, y across, z behind its plane), m; none if None.
+    tool_mass, tool_com
+        What the flange carries, kg and ``(3,)`` m, flange frame; None: as the model's session declared it, at the
+        flange.
+    link_temperature, motor_temperature
+        ``(n,)`` °C, or None: 20.
+    clearance
+        Least distance between shapes, m.
+    limit_margin
+        Kept from joint limits, rad.
+    speed
+        Share of the joints' greatest speeds.
+    assumed
+        What nobody said.
+    """
+
+    robot: str
+    convention: Convention
+    mount: Array
+    gravity: tuple[float, float, float] = STANDARD_GRAVITY
+    session: int = 0
+    targets: Mapping[str, Array] = field(default_factory=dict)
+    size: tuple[float, float, float] | None = None
+    pixel: float = PIXEL
+    tool_mass: float | None = None
+    tool_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    link_temperature: Array | None = None
+    motor_temperature: Array | None = None
+    radius: Array | None = None
+    base_radius: float | None = None
+    clearance: float = 0.02
+    limit_margin: float = 0.0
+    speed: float = 0.3
+    obstacles: tuple[Obstacle, ...] = ()
+    assumed: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """What a result must say about the cell beside its convention."""
+        return {
+            "robot": self.robot,
+            "session": self.session + 1,
+            "mount": np.asarray(self.mount).tolist(),
+            "targets_m": {name: np.asarray(p).tolist() for name, p in self.targets.items()},
+            "pixel_m": self.pixel,
+            "gravity_m_s2": list(self.gravity),
+            "tool_mass_kg": self.tool_mass,
+            "tool_com_m": list(self.tool_com),
+            "obstacles": [o.name for o in self.obstacles],
+            "clearance_m": self.clearance,
+            "assumed": list(self.assumed),
+        }
+
+
+def reach_of(robot: RobotDescription) -> float:
+    """How far the last joint's point is from the second one's, stretched out, m."""
+    points = np.array([j.point for j in robot.joints])
+    return float(np.linalg.norm(np.diff(points[1:], axis=0), axis=1).sum())
+
+
+def default_cell(robot: RobotDescription) -> Cell:
+    """A cell for a robot of which nothing is said: a placeholder, marked as such.
+
+    The robot stands behind the detector, which looks back at a sample in front of it: the octant gamma, delta from 0 to
+    90° lies in its reach, for r from a third to half of that.
+    """
+    reach = reach_of(robot)
+    shoulder = np.asarray(robot.joints[1].point)
+    sample = tuple(np.round(np.array([DEFAULT_X, DEFAULT_Y, DEFAULT_Z]) * reach + [0, 0, shoulder[2]], 3).tolist())
+    beam = (math.cos(DEFAULT_AZIMUTH), math.sin(DEFAULT_AZIMUTH), 0.0)
+    convention = replace(CONVENTIONS["thesis"], beam=beam, sample=cast(tuple[float, float, float], sample))
+    return Cell(
+        robot.name,
+        convention,
+        np.eye(4),
+        assumed=("convention", "sample", "beam", "detector at the flange", "tool at the flange", "no obstacles",
+                 "gravity", "20 degC"),
+    )  # fmt: skip
+
+
+DEFAULT_X, DEFAULT_Y, DEFAULT_Z = 0.8, 0.0, -0.3  # of the reach, from the foot of axis 1 at the shoulder's height
+DEFAULT_AZIMUTH = 0.75 * math.pi  # so that the middle of the octant looks at the robot
+
+
+def read_cell(path: str | Path, robot: RobotDescription) -> Cell:
+    """Read a cell file.
+
+    Parameters
+    ----------
+    robot
+        The model's robot, which the cell must be of.
+
+    Raises
+    ------
+    CellError
+        The file is not there, no TOML, has unknown keys, is of another robot, or puts the sample into an obstacle.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CellError(f"{path}: expected a cell file, found none") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise CellError(f"{path}: expected a cell as TOML, found: {error}") from error
+    try:
+        return _cell(table, robot, path.parent)
+    except CellError as error:
+        raise CellError(f"{path}: {error}") from None
+
+
+def _cell(table: Mapping[str, Any], robot: RobotDescription, folder: Path) -> Cell:
+    _known("", table)
+    if table.get("format") != FORMAT:
+        raise CellError(f"format: expected {FORMAT!r}, found {table.get('format')!r}")
+    if table.get("robot") != robot.name:
+        raise CellError(f"robot: the model is of {robot.name!r}, the cell of {table.get('robot')!r}")
+    parts = {name: table.get(name, {}) for name in _KEYS if name not in ("", "obstacle")}
+    for name, part in parts.items():
+        _known(name, part)
+    detector, tool, heat, safety = (parts[k] for k in ("detector", "tool", "temperature", "safety"))
+    shape = parts["robot_shape"]
+    cell = default_cell(robot)
+    said = {
+        "convention": "name" in parts["convention"], "sample": "sample_m" in parts["convention"],
+        "beam": "beam" in parts["convention"], "detector at the flange": "position_m" in detector,
+        "tool at the flange": "com_m" in tool, "no obstacles": "obstacle" in table, "gravity": "gravity_m_s2" in table,
+        "20 degC": bool(heat),
+    }  # fmt: skip
+    obstacles = tuple(_obstacle(o, folder) for o in table.get("obstacle", ()))
+    size = _numbers("detector.size_m", detector["size_m"], 3) if "size_m" in detector else None
+    cell = replace(
+        cell,
+        convention=_convention(parts["convention"], cell.convention),
+        mount=_pose("detector", detector),
+        gravity=_triple("gravity_m_s2", table.get("gravity_m_s2", cell.gravity)),
+        session=int(_number("session", table.get("session", 1))) - 1,
+        targets={k: _numbers(f"detector.targets_m.{k}", v, 3) for k, v in detector.get("targets_m", {}).items()},
+        size=None if size is None else (float(size[0]), float(size[1]), float(size[2])),
+        pixel=_positive("detector.pixel_m", detector.get("pixel_m", PIXEL)),
+        tool_mass=_number("tool.mass_kg", tool["mass_kg"]) if "mass_kg" in tool else None,
+        tool_com=_triple("tool.com_m", tool.get("com_m", (0.0, 0.0, 0.0))),
+        link_temperature=_numbers("temperature.link_C", heat["link_C"], robot.n) if "link_C" in heat else None,
+        motor_temperature=_numbers("temperature.motor_C", heat["motor_C"], robot.n) if "motor_C" in heat else None,
+        radius=_numbers("robot_shape.radius_m", shape["radius_m"], robot.n) if "radius_m" in shape else None,
+        base_radius=_positive("base_radius_m", shape["base_radius_m"]) if "base_radius_m" in shape else None,
+        clearance=_number("safety.clearance_m", safety.get("clearance_m", cell.clearance)),
+        limit_margin=_number("safety.limit_margin_rad", safety.get("limit_margin_rad", 0.0)),
+        speed=_positive("safety.speed", safety.get("speed", cell.speed)),
+        obstacles=obstacles,
+        assumed=tuple(name for name in cell.assumed if not said[name]),
+    )
+    if cell.speed > 1.0:
+        raise CellError(f"safety.speed: expected a share of the greatest speeds, at most 1, found {cell.speed:g}")
+    return cell
+
+
+def _convention(part: Mapping[str, Any], default: Convention) -> Convention:
+    name = part.get("name", default.name)
+    if name not in CONVENTIONS:
+        raise CellError(f"convention: no convention is called {name!r}; known: {', '.join(CONVENTIONS)}")
+    named = CONVENTIONS[name]
+    return replace(
+        named,
+        order=part.get("order", named.order),
+        gamma_sign=part.get("gamma_sign", named.gamma_sign),
+        delta_sign=part.get("delta_sign", named.delta_sign),
+        beam=part.get("beam", default.beam),
+        up=part.get("up", named.up),
+        sample=part.get("sample_m", default.sample),
+        frame=part.get("frame", named.frame),
+    )
+
+
+def _obstacle(part: Mapping[str, Any], folder: Path) -> Obstacle:
+    _known("obstacle", part)
+    name, shape = str(part.get("name", "obstacle")), part.get("shape")
+    if shape not in SHAPES:
+        raise CellError(f"obstacle {name}: expected a shape of {', '.join(SHAPES)}, found {shape!r}")
+    file = None
+    if shape == "mesh":
+        if not isinstance(part.get("file"), str):
+            raise CellError(f"obstacle {name}: expected the file of its mesh, found {part.get('file')!r}")
+        file = folder / part["file"]
+        if not file.is_file():
+            raise CellError(f"obstacle {name}: expected a mesh at {file}, found none")
+    size = _numbers(f"obstacle {name}: size_m", part.get("size_m", ()), SHAPES[cast(Shape, shape)])
+    if (size <= 0).any():
+        raise CellError(f"obstacle {name}: expected positive sizes, found {size.tolist()}")
+    sizes = tuple(size.tolist())
+    return Obstacle(
+        name, cast(Shape, shape), sizes, _pose(f"obstacle {name}", part), file, bool(part.get("holds_sample", False))
+    )
+
+
+def _pose(where: str, part: Mapping[str, Any]) -> Array:
+    """From ``position_m``, ``x`` and ``z``; y follows."""
+    z = _numbers(f"{where}.z", part.get("z", (0.0, 0.0, 1.0)), 3)
+    x = _numbers(f"{where}.x", part.get("x", (1.0, 0.0, 0.0)), 3)
+    lengths = np.linalg.norm(x), np.linalg.norm(z)
+    if min(lengths) < 1e-9 or abs(float(x @ z)) > 1e-6 * float(lengths[0] * lengths[1]):
+        raise CellError(f"{where}: expected x and z perpendicular directions, found {x.tolist()} and {z.tolist()}")
+    x, z = x / lengths[0], z / lengths[1]
+    out = np.eye(4)
+    out[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    out[:3, 3] = _numbers(f"{where}.position_m", part.get("position_m", (0.0, 0.0, 0.0)), 3)
+    return out
+
+
+def _known(where: str, part: Mapping[str, Any]) -> None:
+    if not isinstance(part, Mapping):
+        raise CellError(f"{where}: expected a table, found {part!r}")
+    for key in part:
+        if key not in _KEYS[where]:
+            raise CellError(f"{where or 'cell'}: the key {key!r} is not known; expected {', '.join(_KEYS[where])}")
+
+
+def _numbers(where: str, value: Sequence[float], count: int) -> Array:
+    try:
+        found = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise CellError(f"{where}: expected {count} numbers, found {value!r}") from None
+    if found.shape != (count,) or not np.isfinite(found).all():
+        raise CellError(f"{where}: expected {count} finite numbers, found {value!r}")
+    return found
+
+
+def _triple(where: str, value: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = _numbers(where, value, 3).tolist()
+    return x, y, z
+
+
+def _number(where: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+        raise CellError(f"{where}: expected a number of at least 0, found {value!r}")
+    return float(value)
+
+
+def _positive(where: str, value: Any) -> float:
+    if not _number(where, value) > 0:
+        raise CellError(f"{where}: expected a positive number, found {value!r}")
+    return float(value)

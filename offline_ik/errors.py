@@ -1,0 +1,19 @@
+"""The one tree of errors of this layer: what was asked cannot be meant, or cannot be done."""
+
+from __future__ import annotations
+
+from clampid.verbs.errors import CallError
+
+__all__ = ["CellError", "DetectorError", "TargetError"]
+
+
+class DetectorError(CallError):
+    """Base of all: the message says what was expected and what was found; the command's exit code is 2."""
+
+
+class CellError(DetectorError):
+    """A description of the cell (convention, mount, obstacles) that contradicts itself, the model or the robot."""
+
+
+class TargetError(DetectorError):
+    """A detector position that cannot be meant: not a number, degrees for radians, millimetres for metres."""

@@ -1,0 +1,308 @@
+"""The compiled functions that inverse kinematics is made of: all branches at once, and one calibrated solution.
+
+Each is one casadi function of one row, so that the same source runs compiled (see :mod:`clampid.compiled`), over whole
+blocks of rows, or, without a compiler, in casadi's own machine.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from clampid.compiled import Blocks, compile_function
+from offline_ik.arm import IdentifiedArm
+from offline_ik.coordinates import Convention, pose_sx
+from offline_ik.ortho import OrthoArm, branches_sx, posture_sx, wrapped
+
+__all__ = [
+    "CONVERGED",
+    "Kernel",
+    "branch_kernel",
+    "forward_kernel",
+    "locate_kernel",
+    "sensitivity_kernel",
+    "solve_kernel",
+]
+
+Array = npt.NDArray[np.float64]
+
+FEW = 64  # rows; fewer are not worth a block
+FRESH = 2  # steps with a Jacobian of their own
+CHORDS = 2  # steps that use the last one again: each gains three digits, as any that leaves the loads' change out
+CONVERGED = 1e-9  # m and rad: what counts as reaching a pose
+DAMPING = 1e-12  # of J'J, whose entries are of the order of one: keeps a singular step finite, leaves any other alone
+
+
+class Kernel:
+    """A function of one row, for single rows and for blocks of them.
+
+    Parameters
+    ----------
+    function
+        A ``casadi.Function`` of a single vector, compiled where a compiler is found.
+    """
+
+    def __init__(self, function: Any) -> None:
+        symbols = ca.SX.sym("row", function.nnz_in(0))
+        outer = ca.Function(function.name(), [ca.SX(0, 1), symbols], function.call([symbols]))
+        self.function = compile_function(outer)
+        self._blocks: Blocks | None = None
+        self.row = np.zeros(function.nnz_in(0))
+        self.out = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
+        self._buffer, self.trigger = self.function.buffer()
+        self._buffer.set_arg(1, self.row.data)
+        for i, array in enumerate(self.out):
+            self._buffer.set_res(i, array.data)
+
+    def one(self, row: Array) -> list[Array]:
+        """The outputs of one row; they are overwritten by the next call."""
+        self.row[:] = row
+        self.trigger()
+        return self.out
+
+    def many(self, *columns: Array) -> list[Array]:
+        """The outputs of rows whose columns come in blocks ``(N, k)`` one beside the other."""
+        if len(columns[0]) < FEW:
+            rows = np.concatenate(columns, axis=1)
+            found = [[out.copy() for out in self.one(row)] for row in rows]
+            return [np.array([f[i] for f in found]).reshape(len(rows), len(o)) for i, o in enumerate(self.out)]
+        if self._blocks is None:
+            self._blocks = Blocks(self.function)
+        return self._blocks(np.zeros(0), *columns)
+
+
+def branch_kernel(ortho: OrthoArm) -> Kernel:
+    """Rows (rotation by rows, position, q4) of a flange pose to postures ``(6 x 8, by columns)`` and quality."""
+    row = ca.SX.sym("row", 13)
+    q, quality = branches_sx(ortho, ca.reshape(row[:9], 3, 3).T, row[9:12], row[12])
+    return Kernel(ca.Function("branches", [row], ca.cse([ca.vec(q), ca.vec(quality)])))
+
+
+def forward_kernel(arm: IdentifiedArm, mount: Array) -> Kernel:
+    """Rows (q, conditions) to position, rotation by rows, Jacobian by rows and what presses on the flanks."""
+    n = arm.n
+    row = ca.SX.sym("row", 4 * n + 1)
+    position, rotation, jacobian, pressing = arm.expression(row[:n], row[n:], mount)
+    presses = ca.SX.ones(n) if pressing is None else pressing
+    return Kernel(ca.Function("forward", [row], ca.cse([position, ca.vec(rotation.T), ca.vec(jacobian.T), presses])))
+
+
+def solve_kernel(arm: IdentifiedArm, ortho: OrthoArm | None, mount: Array, chords: int = CHORDS) -> Kernel:
+    """One calibrated solution: from the analytic posture of a branch (or from a given one) by Newton's method.
+
+    Rows are (rotation by rows, position) of the detector as wanted in the calibrated base's frame, near ``(n,)``,
+    signs of (shoulder, elbow, wrist), conditions. The start is the branch's analytic posture, with every joint in the
+    turn nearest to ``near``; without an ortho-parallel arm it is ``near`` itself. Outputs are q ``(n,)``, the remaining
+    error ``(6,)`` (position m, rotation vector rad) at q, and what presses on the flanks there ``(n,)``.
+    """
+    n = arm.n
+    row = ca.SX.sym("row", 12 + n + 3 + 3 * n + 1)
+    R, p, q, signs, conditions = ca.reshape(row[:9], 3, 3).T, row[9:12], row[12 : 12 + n], *_rest(row, n)
+    if ortho is not None:
+        unmounted = R @ ca.DM(mount[:3, :3].T)
+        linkage = np.asarray(arm.robot.linkage)
+        chain_q4 = (ca.DM(linkage) @ q)[3]
+        chain, _ = posture_sx(ortho, unmounted, p - unmounted @ ca.DM(mount[:3, 3]), chain_q4, signs)
+        chain = ca.DM(linkage) @ q + wrapped(chain - ca.DM(linkage) @ q)
+        q = ca.DM(np.linalg.inv(linkage)) @ chain
+    return Kernel(ca.Function("solve", [row], ca.cse(list(_iterated(arm, mount, q, R, p, conditions, chords)))))
+
+
+def _iterated(
+    arm: IdentifiedArm, mount: Array, q: Any, R: Any, p: Any, conditions: Any, chords: int
+) -> tuple[Any, Any, Any]:
+    """Newton's method and chords from ``q``: the end, its error, and what presses there."""
+    evaluate = _evaluation(arm, mount)
+    factor, J = None, ca.SX(0, 0)
+    for k in range(FRESH + chords):
+        error, jacobian, _ = evaluate(q, R, p, conditions)
+        if k < FRESH:
+            J = jacobian
+            factor = _cholesky(J.T @ J + DAMPING * ca.SX.eye(arm.n))
+        q = q + _solve(factor, J.T @ error)
+    error, _, pressing = evaluate(q, R, p, conditions)
+    return q, error, pressing
+
+
+def sensitivity_kernel(arm: IdentifiedArm, mount: Array) -> Kernel:
+    """Rows (q, conditions) to what the detector's pose depends on, axes of the calibrated base at these parameters.
+
+    Outputs: rotation by rows ``(9,)``; d (position, rotation vector) / d parameters by rows ``(6 P,)``; by rows
+    ``(n 6,)``, the change of the same from one direction of each joint's approach to the other.
+    """
+    n = arm.n
+    row = ca.SX.sym("row", 4 * n + 1)
+    rotation, J, spread = _sensitivity(arm, mount, row[:n], row[n:])
+    outputs = [ca.vec(ca.densify(o)) for o in (rotation.T, J.T, spread)]
+    return Kernel(ca.Function("sensitivity", [row], ca.cse(outputs)))
+
+
+def _sensitivity(arm: IdentifiedArm, mount: Array, q: Any, conditions: Any) -> tuple[Any, Any, Any]:
+    """Rotation ``(3, 3)``, derivative by the parameters ``(6, P)``, and spread of the approaches ``(6, n)``."""
+    n = arm.n
+    theta = ca.SX.sym("theta", len(arm.slots))
+    _, rotation, S, values, _ = arm.stations(q, conditions, mount, theta)
+    known = ca.SX(ca.DM(arm.theta))
+    J = ca.substitute(S @ ca.jacobian(values, theta), theta, known)
+    S = ca.substitute(S, theta, known)
+    spread = []
+    for i in range(n):
+        sides = []
+        for side in (1.0, -1.0):
+            there = ca.vertcat(conditions[:i], side, conditions[i + 1 :])
+            sides.append(arm.stations(q, there, mount)[3])
+        spread.append(S @ (sides[0] - sides[1]))
+    return ca.substitute(rotation, theta, known), J, ca.horzcat(*spread)
+
+
+def locate_kernel(
+    arm: IdentifiedArm,
+    ortho: OrthoArm,
+    mount: Array,
+    lower: Array,
+    upper: Array,
+    convention: Convention,
+    of_mount: Array,
+) -> Kernel:
+    """From (gamma, delta, r) to everything that an answer says, for the posture nearest to the one at hand.
+
+    Eight branches, their turns within the limits, Newton's method on the nearest, and how it depends on the parameters,
+    all in one call. Rows are (gamma, delta, r, roll, moved), near ``(n,)``, conditions; where moved is 1 the directions
+    are those of a straight move from near.
+
+    Parameters
+    ----------
+    of_mount
+        ``(6, P)``: see :func:`offline_ik.mount.mount_jacobian`.
+
+    Returns
+    -------
+    Kernel
+        Outputs: the target ``(16,)`` by rows in the convention's frame, q, motor angles, the remaining error ``(6,)``,
+        directions, (branch or -1 where it is not solved or not within the limits, |sin| of the wrist, lack of the
+        shoulder's triangle, joint 3 of the chain, largest move), one after the other; d (position, rotation vector) / d
+        parameters by rows ``(6 P,)``; half the spread of those approaches that are not known by rows ``(n 6,)``. The
+        latter two along across, up and outward.
+    """
+    n = arm.n
+    row = ca.SX.sym("row", 5 + n + 3 * n + 1)
+    moved, near, conditions = row[4], row[5 : 5 + n], row[5 + n :]
+    target_R, target_p = pose_sx(convention, row[0], row[1], row[2], row[3])
+    R, p = target_R, target_p
+    if convention.frame != "base":
+        back = np.linalg.inv(arm.base)
+        R, p = ca.DM(back[:3, :3]) @ R, ca.DM(back[:3, :3]) @ p + ca.DM(back[:3, 3])
+    start, told = _nearest(ortho, mount, np.asarray(arm.robot.linkage), R, p, near, lower, upper)
+    direction = ca.if_else(moved > 0.5, ca.sign(start - near), conditions[:n])
+    given = ca.vertcat(direction, conditions[n:])
+    q, error = _iterated(arm, mount, start, R, p, given, CHORDS)[:2]
+    motor = ca.DM(np.linalg.inv(np.asarray(arm.robot.transmission)).T) @ q
+    # The derivatives as a function of their own: what they need of the posture is its end, not how it was found.
+    at, there = ca.SX.sym("q", n), ca.SX.sym("c", 3 * n + 1)
+    sensitivity = ca.Function("s", [at, there], [ca.densify(o) for o in _sensitivity(arm, mount, at, there)])
+    rotation, J, spread = sensitivity.call([q, given], True, False)
+    flange = rotation @ ca.DM(mount[:3, :3].T)
+    J = J + ca.vertcat(flange @ ca.DM(of_mount[:3]), flange @ ca.DM(of_mount[3:]))
+    c, s = ca.cos(row[3]), ca.sin(row[3])
+    towards = ca.horzcat(-s * R[:, 0] - c * R[:, 1], s * R[:, 1] - c * R[:, 0], -R[:, 2]).T
+    J = ca.vertcat(towards @ J[:3, :], towards @ J[3:, :])
+    unknown = 0.5 * (direction == 0)
+    half = ca.vertcat(towards @ spread[:3, :], towards @ spread[3:, :]) * ca.repmat(unknown.T, 6, 1)
+    ok = ca.mmax(ca.fabs(error)) <= CONVERGED
+    for i in range(n):
+        ok = ca.logic_and(ok, ca.logic_and(q[i] >= float(lower[i]), q[i] <= float(upper[i])))
+    branch = ca.if_else(ok, told[0], -1)
+    chain3 = (ca.DM(np.asarray(arm.robot.linkage)) @ q)[2]
+    told = ca.vertcat(branch, told[1], told[2], chain3, ca.mmax(ca.fabs(q - near)))
+    target = ca.vertcat(ca.horzcat(target_R, target_p), ca.DM([[0, 0, 0, 1]]))
+    first = ca.vertcat(ca.vec(target.T), q, motor, error, direction, told)
+    outputs = [ca.densify(o) for o in (first, ca.vec(J.T), ca.vec(half))]
+    return Kernel(ca.Function("locate", [row], ca.cse(outputs)))
+
+
+def _nearest(
+    ortho: OrthoArm, mount: Array, linkage: Array, R: Any, p: Any, near: Any, lower: Array, upper: Array
+) -> tuple[Any, Any]:
+    """The analytic posture nearest to ``near`` within the limits, and (branch or -1, sine, lack of the shoulder)."""
+    flange_R = R @ ca.DM(mount[:3, :3].T)
+    flange_p = p - flange_R @ ca.DM(mount[:3, 3])
+    postures, quality = branches_sx(ortho, flange_R, flange_p, (ca.DM(linkage) @ near)[3])
+    start, best, told = near, ca.SX(1e9), ca.vertcat(-1, 0, 0)
+    for b in range(postures.shape[1]):
+        q = ca.DM(np.linalg.inv(linkage)) @ postures[:, b]
+        q, fits = _turned_within(q, near, lower, upper)
+        cost = ca.mmax(ca.fabs(q - near)) + ca.if_else(ca.logic_and(fits, ca.mmax(quality[:2, b]) <= 0), 0, 1e6)
+        better = cost < best - 1e-9
+        start = ca.if_else(better, q, start)
+        told = ca.if_else(better, ca.vertcat(ca.if_else(cost < 1e6, b, -1), quality[2, b], quality[0, b]), told)
+        best = ca.fmin(cost, best)
+    return start, told
+
+
+def _turned_within(q: Any, near: Any, lower: Array, upper: Array) -> tuple[Any, Any]:
+    """Every joint in the turn within its limits that is nearest to ``near``, and whether there is one for each."""
+    whole = 2 * np.pi
+    out, fits = [], ca.SX(1)
+    for i in range(len(lower)):
+        wished = ca.floor((near[i] - q[i]) / whole + 0.5)
+        if np.isfinite(lower[i]) and np.isfinite(upper[i]):
+            first, last = ca.ceil((lower[i] - q[i]) / whole), ca.floor((upper[i] - q[i]) / whole)
+            fits = ca.logic_and(fits, first <= last)
+            wished = ca.fmin(ca.fmax(wished, first), last)
+        out.append(q[i] + whole * wished)
+    return ca.vertcat(*out), fits
+
+
+def _rest(row: Any, n: int) -> tuple[Any, Any]:
+    return row[12 + n : 15 + n], row[15 + n :]
+
+
+def _evaluation(arm: IdentifiedArm, mount: Array) -> Any:
+    """What is left to the wanted pose, its Jacobian, and what presses, as a function of expressions."""
+    n = arm.n
+    q, R, p, conditions = (ca.SX.sym("q", n), ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("c", 3 * n + 1))
+    position, rotation, J, pressing = arm.expression(q, conditions, mount)
+    error = ca.vertcat(p - position, _turned(R, rotation))
+    presses = ca.SX.ones(n) if pressing is None else pressing
+    function = ca.Function("evaluation", [q, R, p, conditions], [error, J, presses])
+    return lambda *x: function.call(list(x), True, False)
+
+
+def _turned(wanted: Any, now: Any) -> Any:
+    """Rotation vector from ``now`` to ``wanted``, exact to the third order."""
+    E = wanted @ now.T
+    return 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
+
+
+def _cholesky(A: Any) -> Any:
+    """Factor of a positive definite matrix, without branches: rows of L, and the inverse of its diagonal."""
+    n = A.shape[0]
+    L = [[ca.SX(0)] * n for _ in range(n)]
+    inverse = []
+    for j in range(n):
+        d = A[j, j]
+        for k in range(j):
+            d = d - L[j][k] * L[j][k]
+        inverse.append(1 / ca.sqrt(ca.fmax(d, 1e-30)))
+        for i in range(j + 1, n):
+            s = A[i, j]
+            for k in range(j):
+                s = s - L[i][k] * L[j][k]
+            L[i][j] = s * inverse[j]
+    return L, inverse
+
+
+def _solve(factor: Any, b: Any) -> Any:
+    """X with L L' x = b."""
+    L, inverse = factor
+    n = len(inverse)
+    y: list[Any] = []
+    for i in range(n):
+        y.append((b[i] - sum((L[i][k] * y[k] for k in range(i)), ca.SX(0))) * inverse[i])
+    x: list[Any] = [ca.SX(0)] * n
+    for i in reversed(range(n)):
+        x[i] = (y[i] - sum((L[k][i] * x[k] for k in range(i + 1, n)), ca.SX(0))) * inverse[i]
+    return ca.vertcat(*x)

@@ -1,0 +1,148 @@
+"""The loads of :mod:`clampid.stages.loads` as casadi expressions of the posture, for kernels that need them there.
+
+The same formulas from the same screws, symbolically: nothing here knows a parameter of its own. Tests hold every signal
+against the numerical one to 1e-12.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from kinematics.gravity import gravity_parameters
+from kinematics.robot import RobotDescription
+from kinematics.symbolic import exponential_sx
+
+__all__ = ["Loads"]
+
+Array = npt.NDArray[np.float64]
+
+
+class Loads:
+    """Gravity's loads in a symbolic posture, each built when it is first read.
+
+    Parameters
+    ----------
+    robot
+        The nominal robot.
+    gravity
+        ``(3,)``, base frame, m/s².
+    tool
+        ``(4,)``: (m, m c) of the declared tool in the flange frame, kg and kg m.
+    q
+        ``(n,)`` expression: the controller's joint values, rad.
+    """
+
+    def __init__(self, robot: RobotDescription, gravity: Array, tool: Array, q: Any) -> None:
+        self.robot, self.g, self.n = robot, ca.DM(gravity), robot.n
+        self.linkage = ca.DM(robot.linkage)
+        chain = self.linkage @ q
+        R, p = ca.SX.eye(3), ca.SX.zeros(3)
+        self.frames: list[tuple[Any, Any]] = [(R, p)]
+        for i in range(self.n):
+            E = exponential_sx(robot.screws[i], chain[i])
+            R, p = R @ E[:3, :3], p + R @ E[:3, 3]
+            self.frames.append((R, p))
+        flange = np.asarray(robot.flange)
+        self.to_base = np.eye(4)
+        self.to_base[1:, 0], self.to_base[1:, 1:] = flange[:3, 3], flange[:3, :3]
+        self.tool = self.to_base @ tool
+        self.tool_mass = float(tool[0])
+        self.tool_at = flange[:3, :3] @ (tool[1:] / tool[0] if tool[0] else np.zeros(3)) + flange[:3, 3]
+        masses = np.zeros(4 * self.n)
+        if robot.has_masses:
+            masses = np.asarray(gravity_parameters(robot.links), dtype=float).copy()
+        self.masses = masses
+        self.points = np.array([*(joint.point for joint in robot.joints), flange[:3, 3]])
+
+    def signal(self, name: str) -> Any:
+        """The signal of that name, rows flattened; :func:`gravity_signals` and :func:`bearing_signals` tell them."""
+        match name:
+            case "regressor":
+                return _flat(self.regressor)
+            case "tool_regressor":
+                return _flat(self.regressor[:, -4:] @ ca.DM(self.to_base))
+            case "gravity_torque":
+                phi = self.masses.copy()
+                phi[-4:] += self.tool
+                return self.regressor @ ca.DM(phi)
+            case _:
+                return self._bearing(name)
+
+    @cached_property
+    def regressor(self) -> Any:
+        """``(n, 4n)`` of the links' (m, m c): see :mod:`kinematics.gravity`."""
+        Y = ca.SX(self.n, 4 * self.n)
+        for i in range(self.n):
+            R, p = self.frames[i]
+            screw = self.robot.screws[i]
+            w = R @ ca.DM(screw[:3])
+            v = R @ ca.DM(screw[3:]) + ca.cross(p, w)
+            gw, gv = ca.cross(self.g, w), ca.dot(self.g, v)
+            for k in range(i, self.n):
+                Rk, tk = self.frames[k + 1]
+                Y[i, 4 * k] = -(gv + ca.dot(gw, tk))
+                Y[i, 4 * k + 1 : 4 * k + 4] = -(Rk.T @ gw).T
+        return ca.densify(self.linkage.T @ Y)
+
+    def _about(self, point: Any, first: int) -> Any:
+        """Moment regressor ``(3, 4n)`` about a point of links ``first`` and after."""
+        out = ca.SX(3, 4 * self.n)
+        for k in range(first, self.n):
+            R, t = self.frames[k + 1]
+            out[:, 4 * k] = ca.cross(t - point, self.g)
+            out[:, 4 * k + 1 : 4 * k + 4] = -ca.skew(self.g) @ R
+        return out
+
+    def _weighed(self, regressor: Any) -> Any:
+        phi = self.masses.copy()
+        phi[-4:] += self.tool
+        return regressor @ ca.DM(phi)
+
+    def _moment(self, i: int) -> Any:
+        """Moment regressor at joint i's point, in the axes of the link before it ``(3, 4n)``."""
+        R, p = self.frames[i]
+        return R.T @ self._about(R @ ca.DM(self.points[i]) + p, i)
+
+    def _transverse(self, i: int) -> Any:
+        local, axis = self._moment(i), ca.DM(self.robot.joints[i].axis)
+        return local - axis @ (axis.T @ local)
+
+    def _force(self, i: int) -> Any:
+        out = ca.SX(3, 4 * self.n)
+        for k in range(i, self.n):
+            out[:, 4 * k] = self.frames[i][0].T @ self.g
+        return out
+
+    def _bearing(self, name: str) -> Any:
+        n, by_mass = self.n, name.endswith("_regressor")
+        nothing = ca.SX(3, 4 * n)
+        match name.removesuffix("_regressor"):
+            case "base_moment":
+                parts = [self._about(ca.SX.zeros(3), 0)]
+            case "transverse_moment":
+                parts = [self._transverse(i) for i in range(n)]
+            case "link_moment":
+                parts = [*(self._moment(i) for i in range(1, n)), nothing]
+            case "link_force":
+                parts = [*(self._force(i) for i in range(1, n)), nothing]
+            case _:
+                raise KeyError(name)
+        if by_mass:
+            return _flat(ca.vertcat(*parts))
+        found = ca.vertcat(*(self._weighed(part) for part in parts))
+        if name in ("link_moment", "link_force"):  # the last link's far end carries the tool alone
+            R, _ = self.frames[n]
+            weight = self.tool_mass * self.g
+            lever = R @ ca.DM(self.tool_at - self.points[n])
+            found[3 * n - 3 :] = R.T @ (ca.cross(lever, weight) if name == "link_moment" else weight)
+        return found
+
+
+def _flat(matrix: Any) -> Any:
+    """Row-major."""
+    return ca.vec(ca.densify(matrix).T)

@@ -1,0 +1,255 @@
+"""The command server: many clients on one asyncio loop, with bounded lines, queues and patience."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+from collections import deque
+from collections.abc import Callable
+
+from offline_ik.errors import DetectorError
+from offline_ik.protocol import Session, Speaker
+
+__all__ = ["Limits", "Server", "parse_address", "serve"]
+
+LINE_BYTES = 4096  # of a request
+PENDING = 64  # requests that a client may have waiting; beyond, it is not read
+TURN = 8  # requests of one client before others have their turn
+WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
+PATIENCE = 30.0  # s for a line to be completed
+CLIENTS = 256
+
+
+class Limits:
+    """What the server allows; a value of its own so that tests can be impatient."""
+
+    def __init__(self, patience: float = PATIENCE, clients: int = CLIENTS) -> None:
+        self.patience, self.clients = patience, clients
+
+
+class _Client(asyncio.Protocol):
+    """One connection: splits lines, answers in order, and stops reading while either side is behind."""
+
+    def __init__(self, server: Server) -> None:
+        self.server, self.session = server, Session()
+        self.loop = asyncio.get_running_loop()
+        self.partial = b""
+        self.skipping = False
+        self.lines: deque[bytes] = deque()
+        self.writable, self.reading, self.working, self.ended = True, True, False, False
+        self.timer: asyncio.TimerHandle | None = None
+        self.transport: asyncio.Transport | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if not isinstance(transport, asyncio.Transport):  # a pipe, which this server does not make
+            transport.close()
+            return
+        self.transport = transport
+        self.transport.set_write_buffer_limits(high=WRITE_BYTES)
+        if len(self.server.clients) >= self.server.limits.clients:
+            self.transport.write(self.server.speaker.refuse(f"too many clients: {self.server.limits.clients} at most"))
+            self.transport.close()
+            self.ended = True
+            return
+        self.server.clients.add(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.ended = True
+        self.server.clients.discard(self)
+        self.lines.clear()
+        self.partial = b""
+        if self.timer is not None:
+            self.timer.cancel()
+
+    def data_received(self, data: bytes) -> None:
+        if self.ended:
+            return
+        parts = data.split(b"\n")
+        parts[0] = self.partial + parts[0]
+        self.partial = parts.pop()
+        for line in parts:
+            if self.skipping:  # the rest of a line that was too long, already answered
+                self.skipping = False
+            else:
+                self.lines.append(line)
+        if len(self.partial) > LINE_BYTES:
+            if not self.skipping:
+                self.lines.append(self.partial)
+            self.skipping, self.partial = True, b""
+        elif self.skipping:
+            self.partial = b""
+        self._watch(begun=bool(parts))
+        if not self.working:
+            self._work()
+
+    def eof_received(self) -> bool:
+        if self.partial and not self.skipping:
+            self.lines.append(self.partial)
+            self.partial = b""
+        self.ended = not self.lines
+        if self.lines:
+            self.session.done = False
+            self._last = True
+            if not self.working:
+                self._work()
+        return bool(self.lines)
+
+    _last = False
+
+    def pause_writing(self) -> None:
+        self.writable = False
+
+    def resume_writing(self) -> None:
+        self.writable = True
+        if not self.working and not self.ended:
+            self._work()
+
+    def _work(self) -> None:
+        """Answer a few requests, then let others have their turn."""
+        self.working = False
+        transport = self.transport
+        if transport is None or transport.is_closing():
+            return
+        speaker = self.server.speaker
+        for _ in range(TURN):
+            if not self.lines or not self.writable:
+                break
+            line = self.lines.popleft()
+            if len(line) > LINE_BYTES:
+                transport.write(speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes"))
+            else:
+                transport.write(self.server.reply(line, self.session))
+            if self.session.done:
+                transport.close()
+                return
+        if self.lines and self.writable:
+            self.working = True
+            self.loop.call_soon(self._work)
+        elif not self.lines and self._last:
+            transport.close()
+            return
+        behind = len(self.lines) > PENDING or not self.writable
+        if behind and self.reading:
+            transport.pause_reading()
+        elif not behind and not self.reading:
+            transport.resume_reading()
+        self.reading = not behind
+
+    def _watch(self, begun: bool) -> None:
+        """Give an incomplete line its time, and no more; ``begun``: another line than the one watched so far."""
+        if begun and self.timer is not None:
+            self.timer.cancel()
+            self.timer = None
+        if (self.partial or self.skipping) and self.timer is None:
+            self.timer = self.loop.call_later(self.server.limits.patience, self._too_slow)
+        elif not self.partial and not self.skipping and self.timer is not None:
+            self.timer.cancel()
+            self.timer = None
+
+    def _too_slow(self) -> None:
+        self.timer = None
+        if self.lines or not self.reading:  # it is we who are behind: the rest of the line may lie unread
+            self._watch(begun=True)
+            return
+        if self.transport is not None and not self.transport.is_closing():
+            patience = self.server.limits.patience
+            self.transport.write(self.server.speaker.refuse(f"a line was not completed within {patience:g} s"))
+            self.transport.close()
+        self.ended = True
+
+
+class Server:
+    """The server of one speaker.
+
+    Parameters
+    ----------
+    speaker
+        Answers lines.
+    limits
+        What clients may do.
+    """
+
+    def __init__(self, speaker: Speaker, limits: Limits | None = None) -> None:
+        self.speaker, self.limits = speaker, limits or Limits()
+        self.clients: set[_Client] = set()
+        self.failures = 0
+        self._server: asyncio.Server | None = None
+
+    def reply(self, line: bytes, session: Session) -> bytes:
+        """The answer to a line; an error of the program itself is one client's answer, not everyone's end."""
+        try:
+            return self.speaker.answer(line, session)
+        except Exception as error:  # the outermost boundary of a service that must outlive any request
+            self.failures += 1
+            return self.speaker.refuse(f"internal error: {type(error).__name__}: {error}")
+
+    async def start(self, host: str, port: int) -> tuple[str, int]:
+        """Listen; the address that was taken (port 0 takes a free one)."""
+        self._server = await asyncio.get_running_loop().create_server(lambda: _Client(self), host, port)
+        name = self._server.sockets[0].getsockname()
+        return str(name[0]), int(name[1])
+
+    async def run(self) -> None:
+        """Serve until cancelled."""
+        if self._server is None:
+            raise RuntimeError("start the server before it can run")
+        await self._server.serve_forever()
+
+    async def close(self) -> None:
+        """Stop listening and hang up."""
+        if self._server is not None:
+            self._server.close()
+        for hang_up in (asyncio.Transport.close, asyncio.Transport.abort):  # what a client does not read is dropped
+            for client in list(self.clients):
+                if client.transport is not None:
+                    hang_up(client.transport)
+            for _ in range(3):  # a closed transport tells so on a later turn of the loop
+                await asyncio.sleep(0)
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Read HOST:PORT.
+
+    Raises
+    ------
+    DetectorError
+        It is none.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not host or not port.isdigit() or int(port) > 65535:
+        raise DetectorError(f"expected HOST:PORT, found {text!r}")
+    return host.strip("[]"), int(port)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach an address."""
+    if host == "localhost":
+        return True
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return False
+
+
+def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) -> None:
+    """Serve until interrupted; ``say`` is told the address.
+
+    Raises
+    ------
+    DetectorError
+        The address cannot be listened on.
+    """
+
+    async def run() -> None:
+        server = Server(speaker)
+        try:
+            at = await server.start(host, port)
+        except OSError as error:
+            raise DetectorError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+        say(f"listening on {at[0]}:{at[1]}")
+        try:
+            await server.run()
+        finally:
+            await server.close()
+
+    asyncio.run(run())

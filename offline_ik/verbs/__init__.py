@@ -1,0 +1,1 @@
+"""The verbs that this layer adds to the command line."""

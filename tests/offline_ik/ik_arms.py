@@ -1,0 +1,91 @@
+"""Models of arms drawn from the catalogue's own sizes, without a measurement: quick, and with every pose effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.catalogue import catalogue
+from clampid.model import Model, Session, StageModel
+from clampid.slots import Layout, Slot, Term, find_parameter, slots_of_terms
+from kinematics.description import load_robot
+from offline_ik.arm import Conditions, IdentifiedArm, arm_of
+
+STANDARD = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction", "thermal_expansion")
+CELL = """
+format = "clampid-cell/1"
+robot = "kuka_kr20_r1810"
+gravity_m_s2 = [0.0, 0.0, -9.81]
+[convention]
+name = "thesis"
+beam = [-0.7071067811865476, 0.7071067811865476, 0.0]
+sample_m = [1.4, 0.0, 0.0]
+[detector]
+position_m = [0.0, 0.0, 0.12]
+size_m = [0.2, 0.2, 0.1]
+[tool]
+mass_kg = 12.0
+com_m = [0.0, 0.0, 0.08]
+[temperature]
+link_C = [28.0, 28.0, 27.0, 27.0, 26.0, 26.0]
+[[obstacle]]
+name = "sample stage"
+shape = "box"
+size_m = [0.3, 0.3, 0.6]
+position_m = [1.4, 0.0, -0.35]
+"""
+REDUCTION = 0.01  # of a drive of this kind, where a description has none
+MOUNT = np.array([[0.0, -1.0, 0.0, 0.02], [1.0, 0.0, 0.0, -0.01], [0.0, 0.0, 1.0, 0.12], [0.0, 0.0, 0.0, 1.0]])
+
+
+def drawn_model(robot: str = "kuka_kr20_r1810", effects: Sequence[str] = STANDARD, seed: int = 0) -> Model:
+    """A model whose parameters are drawn from the sizes that the catalogue gives; known to a hundredth of those."""
+    rng = np.random.default_rng(seed)
+    n = load_robot(robot).n
+    layout = Layout(n, ("T1", "T2", "T3"), ("session1",), tuple(range(n - 3, n)))
+    terms = tuple(Term(name) for name in effects)
+    slots = slots_of_terms(terms, catalogue(), layout, "poses")
+    size = np.array([_size(slot) for slot in slots])
+    value = np.array([_value(slot, rng) for slot in slots])
+    # The catalogue's spring is a motor's; at a joint without a reduction it would be a rubber band.
+    ratio = np.abs(np.diag(np.asarray(load_robot(robot).transmission)))
+    stiff = REDUCTION**2 if (ratio == 1.0).all() else 1.0
+    value = np.where([slot.effect == "joint_compliance" for slot in slots], stiff, 1.0) * value
+    loose = rng.normal(size=(len(slots), len(slots))) * 0.01
+    covariance = (0.01 * size)[:, None] * (np.eye(len(slots)) + loose @ loose.T) * (0.01 * size)
+    stage = StageModel("poses", terms, slots, value, covariance, (True,) * len(slots))
+    base = np.array([[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
+    session = Session("drawn", "0" * 64, base, ("T1", "T2", "T3"), 12.0, (20.0, 30.0))
+    return Model(robot, layout, {"poses": stage}, (session,))
+
+
+def drawn_arm(robot: str = "kuka_kr20_r1810", effects: Sequence[str] = STANDARD, seed: int = 0) -> IdentifiedArm:
+    """The arm of such a model, a tool of 12 kg on it."""
+    return arm_of(drawn_model(robot, effects, seed), tool_com=(0.0, 0.0, 0.08))
+
+
+def conditions(n: int = 6, seed: int = 0) -> Conditions:
+    """Directions and temperatures at random."""
+    rng = np.random.default_rng(seed)
+    return Conditions(np.sign(rng.normal(size=n)), 10 * rng.normal(size=n), 10 * rng.normal(size=n), 60.0)
+
+
+def postures(arm: IdentifiedArm, count: int, seed: int = 0) -> np.ndarray:
+    """Joint values ``(count, n)`` within limits and a turn."""
+    rng = np.random.default_rng(seed)
+    low, high = np.maximum(arm.robot.lower, -np.pi), np.minimum(arm.robot.upper, np.pi)
+    return rng.uniform(low, high, (count, arm.n))
+
+
+def _size(slot: Slot) -> float:
+    return float(find_parameter(slot, catalogue()).size)
+
+
+def _value(slot: Slot, rng: np.random.Generator) -> float:
+    parameter = find_parameter(slot, catalogue())
+    if parameter.shape:
+        return parameter.grid[0]
+    drawn = 0.5 * parameter.size * rng.normal()
+    low, high = parameter.bounds
+    return float(np.clip(abs(drawn) if low >= 0 else drawn, low, high))

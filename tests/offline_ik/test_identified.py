@@ -1,0 +1,137 @@
+"""The identified arm: one forward model, and solutions on it, singular or not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ik_arms import MOUNT, conditions, drawn_arm, postures
+
+from clampid.catalogue import catalogue
+from kinematics.description import load_robot
+from kinematics.poe import forward
+from offline_ik.arm import nominal_arm
+from offline_ik.solver import Solver
+
+POSES = sorted(name for name, effect in catalogue().items() if "poses" in effect.stages)
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_the_kernel_is_clampids_own_prediction(name: str) -> None:
+    effects = tuple(dict.fromkeys(("geometry", "gravity", "joint_compliance", name)))
+    arm = drawn_arm(effects=effects)
+    given_, q = conditions(), postures(arm, 20)
+    solver = Solver(arm, MOUNT)
+    mine = arm.base @ solver.pose(q, given_)
+    position, rotation, _ = arm.general(q, given_, MOUNT[:3, 3])
+    assert np.abs(mine[:, :3, 3] - position).max() < 1e-12
+    assert np.abs(mine[:, :3, :3] - rotation @ MOUNT[:3, :3]).max() < 1e-12
+
+
+def test_the_kernel_is_clampids_own_prediction_with_a_linkage() -> None:
+    arm = drawn_arm("abb_irb2400_12_155", ("geometry", "backlash"))
+    given_, q = conditions(), postures(arm, 20)
+    mine = arm.base @ Solver(arm, MOUNT).pose(q, given_)
+    position, _, _ = arm.general(q, given_, MOUNT[:3, 3])
+    assert np.abs(mine[:, :3, 3] - position).max() < 1e-12
+
+
+def test_the_sensitivity_is_clampids_own() -> None:
+    arm, given_ = drawn_arm(), conditions()
+    solver, q = Solver(arm, MOUNT), postures(arm, 1)[0]
+    _, rotation, J = arm.general(q[None], given_, MOUNT[:3, 3])
+    R, mine, _ = solver.sensitivity.one(np.r_[q, given_.vector])
+    mine = np.kron(np.eye(2), arm.base[:3, :3]) @ mine.reshape(6, -1)
+    assert np.abs(mine - J[0]).max() < 1e-12 * max(1.0, np.abs(J).max())
+    assert np.abs(arm.base[:3, :3] @ R.reshape(3, 3) - rotation[0] @ MOUNT[:3, :3]).max() < 1e-12
+
+
+def test_without_effects_the_arm_is_the_nominal_one() -> None:
+    robot = load_robot("kuka_kr20_r1810")
+    arm = nominal_arm(robot)
+    q = postures(arm, 20)
+    assert np.abs(Solver(arm, np.eye(4)).pose(q, conditions()) - forward(robot.screws, robot.flange, q)).max() < 1e-13
+
+
+@pytest.fixture(scope="module")
+def solver() -> Solver:
+    return Solver(drawn_arm(), MOUNT)
+
+
+def check(solver: Solver, q: np.ndarray, seed: int = 0) -> None:
+    given_ = conditions(seed=seed)
+    T = solver.pose(q, given_)
+    found = solver.solve(T, np.zeros_like(q), solver.signs(q), given_)
+    assert found.reached.all(), f"{(~found.reached).sum()} of {len(q)} not reached"
+    assert np.abs(solver.pose(found.q, given_) - T).max() < 1e-9
+
+
+def test_every_reachable_pose_is_reached(solver: Solver) -> None:
+    check(solver, postures(solver.arm, 10_000))
+
+
+def test_with_the_wrist_singular(solver: Solver) -> None:
+    q, rng = postures(solver.arm, 300, seed=1), np.random.default_rng(1)
+    q[:, 4] = rng.normal(size=len(q)) * 10 ** rng.uniform(-9, -2, len(q))
+    check(solver, q)
+
+
+def test_with_the_arm_stretched(solver: Solver) -> None:
+    q, rng = postures(solver.arm, 300, seed=2), np.random.default_rng(2)
+    assert solver.ortho is not None
+    q[:, 2] = solver.ortho.stretched + rng.normal(size=len(q)) * 10 ** rng.uniform(-9, -2, len(q))
+    check(solver, q)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6), st.integers(0, 5))
+def test_any_posture_is_found_again(values: list[float], seed: int) -> None:
+    solver = shared()
+    middle = 0.5 * (solver.arm.robot.lower + solver.arm.robot.upper)
+    check(solver, (middle + np.array(values) * np.minimum(solver.arm.robot.upper - middle, np.pi))[None], seed)
+
+
+_shared: list[Solver] = []
+
+
+def shared() -> Solver:
+    """One solver for all examples: compiling takes longer than solving."""
+    if not _shared:
+        _shared.append(Solver(drawn_arm(), MOUNT))
+    return _shared[0]
+
+
+def test_an_arm_without_a_spherical_wrist_is_solved_from_a_posture_nearby() -> None:
+    arm = drawn_arm("ur10", ("geometry", "joint_compliance"))
+    solver = Solver(arm, MOUNT)
+    q, given_ = postures(arm, 20) / 2, conditions()
+    T = solver.pose(q, given_)
+    found = solver.solve(T, q + 0.05, solver.signs(q), given_)
+    assert found.reached.all()
+    assert np.abs(solver.pose(found.q, given_) - T).max() < 1e-9
+
+
+def test_directions_and_temperatures_count() -> None:
+    arm = drawn_arm()
+    solver, q = Solver(arm, np.eye(4)), np.array([[0.3, -1.2, 1.0, 0.4, 0.8, 0.2]])
+    here = conditions()
+    there = replace(here, direction=-here.direction)
+    warm = replace(here, link_temperature=here.link_temperature + 10)
+    assert np.abs(solver.pose(q, there) - solver.pose(q, here)).max() > 1e-6
+    assert np.abs(solver.pose(q, warm) - solver.pose(q, here)).max() > 1e-6
+    cold = arm.without("thermal_expansion")
+    assert np.array_equal(Solver(cold, np.eye(4)).pose(q, warm), Solver(cold, np.eye(4)).pose(q, here))
+
+
+@pytest.mark.slow
+def test_a_million_poses() -> None:
+    solver = Solver(drawn_arm(seed=4), MOUNT)
+    q = postures(solver.arm, 1_000_000)
+    given_ = conditions()
+    T = solver.pose(q, given_)
+    found = solver.solve(T, np.zeros_like(q), solver.signs(q), given_)
+    assert (~found.reached).sum() <= 5
+    assert np.abs(solver.pose(found.q, given_) - T)[found.reached].max() < 1e-9

@@ -1,0 +1,117 @@
+"""``clampid ik`` and ``clampid serve`` from the outside: output, JSON, exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from offline_ik.detector import open_detector
+
+CLAMPID = Path(sys.executable).parent / "clampid"
+PLACE = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.8")
+
+
+def run(*args: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(CLAMPID), *map(str, args)], capture_output=True, text=True, check=False, timeout=300)
+
+
+def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "ik.json"
+    near = "0.1,-1.2,1.2,0.1,0.4,0"
+    done = run("ik", model_file, *PLACE, "--cell", cell_file, "--near", near, "--approach", "--pyfai", "--json", out)
+    assert done.returncode == 0, done.stderr
+    assert "convention: thesis, gamma_outer" in done.stdout
+    assert "joint 6" in done.stdout
+    data = json.loads(out.read_text(encoding="utf-8"))
+    assert data["reachable"] is True
+    detector = open_detector(model_file, cell_file)
+    q = np.array(data["solutions"][0]["q_rad"])
+    from dataclasses import replace
+
+    given = replace(detector.still, direction=np.array(data["solutions"][0]["approach_direction"], dtype=float))
+    assert np.allclose(detector.pose(q[None], given)[0][:3, 3], data["detector_position_m"], atol=3e-9)
+    assert data["path"]["safe"] in (True, False)
+    assert data["approach"]["gain_m"] > 0
+    assert data["pyfai"]["dist"] == pytest.approx(0.8)
+    assert data["convention"]["beam"][1] == pytest.approx(np.sqrt(0.5))
+
+
+def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
+    done = run("ik", model_file, *PLACE, "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert "assumed, for want of a cell that says: sample" in done.stderr
+    assert "sample" in json.loads(done.stdout)["cell"]["assumed"]
+
+
+@pytest.mark.parametrize(
+    ("place", "says"),
+    [
+        (("--gamma", "30", "--delta", "0.2", "--r", "0.8"), "did you mean 30 degrees"),
+        (("--gamma", "0.3", "--delta", "0.2", "--r", "800"), "did you mean 800 mm"),
+        (("--gamma", "nan", "--delta", "0.2", "--r", "0.8"), "finite"),
+        ((*PLACE, "--roll", "wide"), "--roll"),
+        ((*PLACE, "--near", "1,2,x"), "--near"),
+        ((*PLACE, "--branch", "best"), "branch"),
+        ((*PLACE, "--robot", "ur10"), "ur10"),
+        ((*PLACE, "--cell", "no-such-cell.toml"), "no-such-cell.toml"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_exit_2(model_file: Path, place: tuple[str, ...], says: str) -> None:
+    done = run("ik", model_file, *place, "--json", "-")
+    assert done.returncode == 2, done.stderr
+    assert says in done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+
+
+def test_a_model_that_is_none_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.json"
+    path.write_text("{}", encoding="utf-8")
+    done = run("ik", path, *PLACE)
+    assert done.returncode == 2
+    assert str(path) in done.stderr
+
+
+def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path) -> None:
+    done = run("ik", model_file, "--gamma", "0.3", "--delta", "0.2", "--r", "3", "--cell", cell_file)
+    assert done.returncode == 0
+    assert "not reachable: out of reach by" in done.stdout
+    assert "nearest: gamma" in done.stdout
+
+
+def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> None:
+    command = [str(CLAMPID), "serve", str(model_file), "--cell", str(cell_file), "--listen", "127.0.0.1:0"]
+    env = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as server:
+        try:
+            assert server.stdout is not None
+            found = re.search(r"listening on (\S+):(\d+)", server.stdout.readline())
+            assert found
+            with socket.create_connection((found[1], int(found[2])), timeout=60) as client:
+                client.sendall(b"where gamma=0.3 delta=0.2 r=0.8\nwhere gamma=30 delta=0.2 r=0.8\n")
+                with client.makefile() as lines:
+                    assert json.loads(lines.readline())["reachable"] is True
+                    assert json.loads(lines.readline())["ok"] is False
+        finally:
+            server.send_signal(signal.SIGINT)
+            _, errors = server.communicate(timeout=60)
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [(("--listen", "nowhere"), "HOST:PORT"), (("--link", "127.0.0.1:1"), "no robot link is installed")],
+)
+def test_serve_refuses_what_it_cannot_do(model_file: Path, args: tuple[str, ...], says: str) -> None:
+    done = run("serve", model_file, *args)
+    assert done.returncode == 2
+    assert says in done.stderr

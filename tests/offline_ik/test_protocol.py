@@ -1,0 +1,198 @@
+"""The line protocol without a socket: answers, refusals that change nothing, and the seam for a robot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from offline_ik.detector import Detector
+from offline_ik.protocol import WORDS, Session, Speaker
+
+GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
+
+
+def say(speaker: Speaker, line: bytes | str, session: Session | None = None) -> dict[str, Any]:
+    found = speaker.answer(line.encode() if isinstance(line, str) else line, session or Session())
+    assert found.endswith(b"\n")
+    assert found.count(b"\n") == 1
+    answer: dict[str, Any] = json.loads(found)
+    return answer
+
+
+@pytest.fixture
+def speaker(detector: Detector) -> Speaker:
+    return Speaker(detector)
+
+
+def test_a_position_is_answered_with_angles_uncertainty_and_convention(speaker: Speaker, detector: Detector) -> None:
+    found = say(speaker, GOOD + b" id=a17")
+    assert found["ok"] is True
+    assert found["id"] == "a17"
+    direct = detector.locate(0.3, 0.2, 0.8).solutions[0]
+    told = found["solutions"][0]
+    assert np.allclose(told["q_rad"], direct.q, atol=1e-11)
+    assert np.allclose(told["motor_rad"], direct.motor, rtol=1e-11)
+    assert told["std_m"] == pytest.approx(direct.uncertainty.std_m, rel=1e-5)
+    assert told["tangential_std_pixels"] == pytest.approx(direct.uncertainty.tangential_m / 55e-6, rel=1e-5)
+    assert found["convention"]["sample_m"] == [1.4, 0.0, 0.0]
+
+
+def test_approach_and_pyfai_are_given_where_asked_for(speaker: Speaker) -> None:
+    found = say(speaker, GOOD + b" approach=yes pyfai=yes")
+    assert found["approach"]["gain_m"] > 0
+    assert found["pyfai"]["dist"] == pytest.approx(0.8, abs=1e-9)
+
+
+def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
+    found = say(speaker, "where gamma=0.3 delta=0.2 r=3")
+    assert found["ok"] is True
+    assert found["reachable"] is False
+    assert found["solutions"] == []
+    assert found["nearest"]["distance_m"] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (b"", "empty line"),
+        (b"fetch", "no request is called 'fetch'"),
+        (b"where", "expected gamma=NUMBER"),
+        (b"where gamma=0.3 delta=0.2", "expected r=NUMBER"),
+        (b"where gamma=30 delta=0.2 r=0.8", "did you mean 30 degrees"),
+        (b"where gamma=0.3 delta=0.2 r=800", "did you mean 800 mm"),
+        (b"where gamma=nan delta=0.2 r=0.8", "finite"),
+        (b"where gamma=x delta=0.2 r=0.8", "expected a number, found 'x'"),
+        (b"where gamma=0.3 delta=0.2 r=0.8 r=0.9", "twice"),
+        (b"where gamma=0.3 delta=0.2 r=0.8 colour=red", "no key is called 'colour'"),
+        (b"where gamma 0.3", "expected key=value"),
+        (b"where gamma=0.3 delta=0.2 r=0.8 near=1,2", "expected 6 joint angles"),
+        (b"where gamma=0.3 delta=0.2 r=0.8 branch=best", "expected nearest, all"),
+        (b"where gamma=0.3 delta=0.2 r=0.8 approach=maybe", "expected yes or no"),
+        (b"path gamma=0.3 delta=0.2 r=0.8", "expected a posture to start from"),
+        (b"start", "expected q="),
+        (b"temperature", "expected link="),
+        (b"temperature link=1,2", "expected 6 temperatures"),
+        (b"temperature link=1,2,3,4,5,900", "expected 6 temperatures"),
+        (b"temperature link=nan,2,3,4,5,6", "expected 6 temperatures"),
+        (b"stream gamma=0.3 delta=0.2 r=0.8 dt=-1", "expected a time"),
+        (b"move gamma=0.3 delta=0.2 r=0.8", "only computes"),
+        (b"\xff\xfe", "ASCII"),
+        (b'{"gamma": 0.3}', "no request is called"),
+    ],
+)
+def test_a_malformed_line_gets_an_error_and_changes_nothing(speaker: Speaker, line: bytes, says: str) -> None:
+    session = Session(here=np.zeros(6)) if line.startswith(b"stream") else Session()
+    before, here = say(speaker, "state"), session.here
+    found = say(speaker, line, session)
+    assert found["ok"] is False
+    assert says in found["error"]
+    assert "q_rad" not in json.dumps(found)
+    after = say(speaker, "state")
+    assert session.here is here
+    assert {k: v for k, v in after.items() if k not in ("answered", "refused")} == {
+        k: v for k, v in before.items() if k not in ("answered", "refused")
+    }
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.one_of(
+    st.binary(max_size=200),
+    st.builds(lambda w, k, v: f"{w} {k}={v}".encode("latin1", "replace"), st.sampled_from(sorted(WORDS)),
+              st.sampled_from(["gamma", "q", "near", "link", "dt", "id"]), st.text(max_size=30)),
+))  # fmt: skip
+def test_no_line_raises(speaker: Speaker, line: bytes) -> None:
+    if b"\n" not in line:
+        assert isinstance(say(speaker, line)["ok"], bool)
+
+
+def test_a_stream_follows_its_last_target_and_refuses_what_is_too_fast(speaker: Speaker) -> None:
+    session = Session()
+    first = say(speaker, "stream gamma=0.30 delta=0.2 r=0.8", session)
+    assert first["number"] == 1
+    second = say(speaker, "stream gamma=0.31 delta=0.2 r=0.8 dt=1", session)
+    assert second["number"] == 2
+    assert second["needs_s"] < 1
+    assert np.abs(np.subtract(second["solutions"][0]["q_rad"], first["solutions"][0]["q_rad"])).max() < 0.1
+    here = session.here
+    fast = say(speaker, "stream gamma=0.9 delta=0.2 r=0.8 dt=0.01", session)
+    assert fast["ok"] is False
+    assert "the joints need" in fast["error"]
+    assert session.here is here
+    assert say(speaker, "stream gamma=0.31 delta=0.21 r=0.8 dt=1", session)["number"] == 3
+
+
+def test_a_path_is_checked_along_its_length(speaker: Speaker) -> None:
+    session = Session()
+    q = say(speaker, GOOD)["solutions"][0]["q_rad"]
+    assert say(speaker, f"start q={','.join(map(str, q))}", session)["ok"]
+    assert say(speaker, "path gamma=0.35 delta=0.2 r=0.8", session)["path"]["safe"] is True
+    through = [*q[:4], q[4], q[5]]
+    through[1] = np.deg2rad(60.0)  # down into the stage and the floor of the limits
+    far = say(speaker, f"path to={','.join(map(str, through))}", session)
+    assert far["path"]["safe"] is False
+
+
+def test_temperatures_change_answers_for_all(speaker: Speaker) -> None:
+    before = say(speaker, GOOD)["solutions"][0]["q_rad"]
+    told = say(speaker, "temperature link=45,45,45,45,45,45")
+    assert told["link_C"] == pytest.approx([45.0] * 6)
+    after = say(speaker, GOOD)["solutions"][0]["q_rad"]
+    assert 1e-7 < np.abs(np.subtract(before, after)).max() < 1e-2
+
+
+def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
+    assert set(say(speaker, "help")["requests"]) == set(WORDS)
+    session = Session()
+    say(speaker, "quit", session)
+    assert session.done
+
+
+def test_the_page_of_the_protocol_names_every_request_and_key() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "server.md").read_text(encoding="utf-8")
+    for word, keys in WORDS.items():
+        assert f"`{word}`" in page
+        assert all(f"`{key}" in page for key in keys), word
+
+
+class Arm:
+    """A link that remembers what it was told."""
+
+    def __init__(self, q: np.ndarray) -> None:
+        self.q, self.told = q, []
+
+    def posture(self) -> np.ndarray:
+        return self.q
+
+    def move(self, postures: np.ndarray, speed: float) -> None:
+        self.told.append((postures, speed))
+
+    def state(self) -> Mapping[str, Any]:
+        return {"moving": bool(self.told)}
+
+    def stop(self) -> None:
+        self.told.clear()
+
+
+def test_the_seam_moves_a_robot_only_where_the_way_is_safe(detector: Detector) -> None:
+    q = detector.locate(0.3, 0.2, 0.8).solutions[0].q
+    arm = Arm(q)
+    speaker = Speaker(detector, arm)
+    assert say(speaker, "state")["link"] == {"moving": False}
+    found = say(speaker, "move gamma=0.35 delta=0.2 r=0.8")
+    assert found["moving"] is True
+    assert np.allclose(arm.told[0][0][-1], found["solutions"][0]["q_rad"], atol=1e-9)
+    arm.told.clear()
+    away = q.copy()
+    away[1] = np.deg2rad(60.0)
+    arm.q = away
+    assert say(speaker, "move gamma=0.35 delta=0.2 r=0.8")["moving"] is False
+    assert not arm.told
+    say(speaker, "move gamma=30 delta=0.2 r=0.8")
+    assert not arm.told

@@ -1,0 +1,127 @@
+"""Moves are checked along their whole length: limits, speeds, the arm with itself and with what stands around."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ik_arms import drawn_arm
+
+from offline_ik.cell import Cell, Obstacle, default_cell
+from offline_ik.detector import Detector
+from offline_ik.errors import CellError
+from offline_ik.safety import check_path, move_time
+
+START = np.array([-0.8, -1.2, 1.3, 0.0, 0.5, 0.0])
+END = np.array([0.8, -1.2, 1.3, 0.0, 0.5, 0.0])
+
+
+def placed(*obstacles: Obstacle, **changes: object) -> Detector:
+    arm = drawn_arm(effects=("geometry",))
+    cell: Cell = replace(default_cell(arm.robot), obstacles=obstacles, size=(0.2, 0.2, 0.1), **changes)  # type: ignore[arg-type]
+    return Detector(arm, cell)
+
+
+def at(point: np.ndarray) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, 3] = point
+    return out
+
+
+def in_the_way(detector: Detector, share: float = 0.5) -> np.ndarray:
+    """Where the flange is on the way from START to END."""
+    return detector.pose((START + share * (END - START))[None])[0][:3, 3]
+
+
+def test_an_empty_cell_lets_a_usual_move_pass() -> None:
+    report = check_path(placed(), [START, END])
+    assert report.safe, report.reasons
+    assert report.clearance > 0.02
+    assert report.base_distance > 0
+
+
+@pytest.mark.parametrize("size", [0.05, 0.005, 0.0005])
+def test_a_thin_post_in_the_middle_is_found_though_both_ends_are_free(size: float) -> None:
+    free = placed()
+    post = Obstacle("post", "cylinder", (size, 0.6), at(in_the_way(free, 0.4531)))
+    detector = placed(post, clearance=0.0)
+    assert check_path(detector, START).safe
+    assert check_path(detector, END).safe
+    report = check_path(detector, [START, END])
+    assert not report.safe
+    assert "post" in report.between
+    assert any("post" in reason for reason in report.reasons)
+    assert 0 < report.at < 1
+
+
+def test_what_is_checked_between_samples_is_what_fine_sampling_finds() -> None:
+    """On random moves past a ball the verdict is that of two thousand places on the way."""
+    rng = np.random.default_rng(3)
+    free = placed()
+    ball = Obstacle("ball", "sphere", (0.15,), at(in_the_way(free)))
+    detector = placed(ball, clearance=0.0)
+    from offline_ik.safety import _world
+
+    world, verdicts = _world(detector), []
+    for _ in range(12):
+        start, end = START + rng.normal(size=6) * 0.5, END + rng.normal(size=6) * 0.5
+        start, end = (np.clip(q, detector.lower, detector.upper) for q in (start, end))
+        least = min(world.distances(start + s * (end - start)).min() for s in np.linspace(0, 1, 400))
+        safe = check_path(detector, [start, end]).safe
+        assert safe <= (least > 0)
+        if least > 5e-3:
+            assert safe
+        verdicts.append(safe)
+    assert len(set(verdicts)) == 2
+
+
+def test_each_shape_stands_in_the_way() -> None:
+    where = at(in_the_way(placed()))
+    shapes = [("box", (0.1, 0.1, 0.1)), ("sphere", (0.05,)), ("capsule", (0.05, 0.1)), ("cylinder", (0.05, 0.1))]
+    for shape, size in shapes:
+        assert not check_path(placed(Obstacle("thing", shape, size, where)), [START, END]).safe
+
+
+def test_a_mesh_stands_in_the_way_and_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+    mesh = tmp_path / "tetra.obj"
+    mesh.write_text("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n", encoding="utf-8")
+    where = at(in_the_way(placed()))
+    assert not check_path(placed(Obstacle("tetra", "mesh", (), where, mesh)), [START, END]).safe
+    mesh.write_text("this is no mesh", encoding="utf-8")
+    with pytest.raises(CellError, match="tetra"):
+        placed(Obstacle("tetra", "mesh", (), where, mesh))
+
+
+def test_the_arm_does_not_fold_into_itself() -> None:
+    detector = placed()
+    folded = np.array([0.0, -1.2, 2.9, 0.0, 1.5, 0.0])
+    report = check_path(detector, [START, folded])
+    assert not report.safe
+    assert all(name.startswith(("link", "base", "detector")) for name in report.between)
+
+
+def test_a_limit_and_a_number_that_is_none_are_named() -> None:
+    detector = placed()
+    beyond = END.copy()
+    beyond[4] = 2.6
+    assert any("130" in r for r in check_path(detector, [START, beyond]).reasons)
+    beyond[4] = np.nan
+    assert any("not a finite angle" in r for r in check_path(detector, [START, beyond]).reasons)
+
+
+def test_the_time_is_that_of_the_slowest_joint() -> None:
+    detector = placed(speed=0.5)
+    fastest = detector.robot.joints[0].max_speed
+    assert fastest is not None
+    assert move_time(detector, np.array([START, END])) == pytest.approx(1.6 / (0.5 * fastest))
+    assert move_time(detector, np.array([START, END, START])) == pytest.approx(3.2 / (0.5 * fastest))
+
+
+def test_a_sample_in_an_obstacle_is_refused_unless_it_may_be_there() -> None:
+    sample = np.array(default_cell(drawn_arm(effects=("geometry",)).robot).convention.sample)
+    stage = Obstacle("stage", "box", (0.3, 0.3, 0.3), at(sample))
+    with pytest.raises(CellError, match="inside stage"):
+        placed(stage)
+    assert placed(replace(stage, holds_sample=True)).cell.obstacles[0].holds_sample

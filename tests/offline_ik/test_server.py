@@ -1,0 +1,206 @@
+"""The server on a socket: many clients, bounded lines and queues, and answers between any amount of rubbish."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import numpy as np
+import pytest
+
+from offline_ik.detector import Detector
+from offline_ik.errors import DetectorError
+from offline_ik.protocol import Speaker
+from offline_ik.server import LINE_BYTES, Limits, Server, is_loopback, parse_address
+
+GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
+Talk = Callable[[Server, str, int], Awaitable[Any]]
+
+
+def serving(detector: Detector, talk: Talk, limits: Limits | None = None) -> Any:
+    async def run() -> Any:
+        server = Server(Speaker(detector), limits)
+        host, port = await server.start("127.0.0.1", 0)
+        try:
+            return await asyncio.wait_for(talk(server, host, port), 120)
+        finally:
+            await server.close()
+
+    return asyncio.run(run())
+
+
+@asynccontextmanager
+async def connected(host: str, port: int) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+    """A client that leaves nothing open behind it."""
+    reader, writer = await asyncio.open_connection(host, port, limit=1 << 20)
+    try:
+        yield reader, writer
+    finally:
+        writer.transport.abort()
+        with suppress(ConnectionError):
+            await writer.wait_closed()
+
+
+async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, line: bytes) -> dict[str, Any]:
+    writer.write(line + b"\n")
+    answer: dict[str, Any] = json.loads(await reader.readline())
+    return answer
+
+
+def test_many_clients_each_get_their_own_answers_in_order(detector: Detector) -> None:
+    async def one(host: str, port: int, k: int) -> None:
+        async with connected(host, port) as (reader, writer):
+            for i in range(20):
+                writer.write(GOOD + f" id={k}-{i}\n".encode())
+            for i in range(20):
+                found = json.loads(await reader.readline())
+                assert found["id"] == f"{k}-{i}"
+                assert found["ok"]
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        await asyncio.gather(*(one(host, port, k) for k in range(30)))
+        assert server.speaker.answered == 600
+
+    serving(detector, talk)
+
+
+def rubbish(rng: np.random.Generator) -> bytes:
+    match rng.integers(5):
+        case 0:
+            return bytes(rng.integers(0, 256, rng.integers(0, 300), dtype=np.uint8)).replace(b"\n", b" ")
+        case 1:
+            return GOOD[: rng.integers(0, len(GOOD) - 8)]
+        case 2:
+            return b"where " + b"x" * int(rng.integers(LINE_BYTES, 3 * LINE_BYTES))
+        case 3:
+            return GOOD + b" near=" + b",".join([b"1e999"] * 6)
+        case _:
+            return b"\x00" * 10
+
+
+def test_rubbish_is_answered_and_every_good_request_between_is(detector: Detector) -> None:
+    rng = np.random.default_rng(0)
+
+    async def talk(server: Server, host: str, port: int) -> int:
+        async with connected(host, port) as (reader, writer):
+            reading = asyncio.create_task(good_ones(reader))
+            for k in range(3000):
+                writer.write((GOOD if k % 10 == 0 else rubbish(rng)) + b"\n")
+                if k % 100 == 0:
+                    await writer.drain()
+            writer.write_eof()
+            return await reading
+
+    async def good_ones(reader: asyncio.StreamReader) -> int:
+        good = 0
+        while line := await reader.readline():
+            good += json.loads(line)["ok"]
+        return good
+
+    assert serving(detector, talk) == 300
+
+
+def test_a_line_in_pieces_is_one_line_and_an_oversized_one_is_one_error(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer):
+            for piece in (GOOD[:5], GOOD[5:20], GOOD[20:] + b"\nstate"):
+                writer.write(piece)
+                await writer.drain()
+                await asyncio.sleep(0.01)
+            assert json.loads(await reader.readline())["do"] == "where"
+            writer.write(b"\n")
+            assert json.loads(await reader.readline())["do"] == "state"
+            for _ in range(40):
+                writer.write(b"y" * LINE_BYTES)
+                await writer.drain()
+            writer.write(b"\nhelp\n")
+            assert "at most" in json.loads(await reader.readline())["error"]
+            assert json.loads(await reader.readline())["do"] == "help"
+
+    serving(detector, talk)
+
+
+def test_a_slow_line_is_ended_and_others_go_on(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (slow_reader, slow), connected(host, port) as other:
+            slow.write(b"where gam")
+            assert (await ask(*other, GOOD))["ok"]
+            assert "not completed" in json.loads(await slow_reader.readline())["error"]
+            assert await slow_reader.readline() == b""
+            assert (await ask(*other, GOOD))["ok"]
+
+    serving(detector, talk, Limits(patience=0.2))
+
+
+def test_patience_is_with_a_line_and_not_with_a_connection(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer):
+            writer.write(GOOD[:9])
+            for _ in range(12):  # every piece ends within a line, for three times as long as a line may take
+                await asyncio.sleep(0.1)
+                writer.write(GOOD[9:] + b"\n" + GOOD[:9])
+            for _ in range(12):
+                assert json.loads(await reader.readline())["ok"]
+
+    serving(detector, talk, Limits(patience=0.4))
+
+
+def test_one_client_too_many_is_told(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as first:
+            assert (await ask(*first, GOOD))["ok"]
+            async with connected(host, port) as (reader, _):
+                assert "too many clients" in json.loads(await reader.readline())["error"]
+            assert (await ask(*first, GOOD))["ok"]
+
+    serving(detector, talk, Limits(clients=1))
+
+
+def test_a_client_that_does_not_read_is_not_read_either(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (_, writer), connected(host, port) as other:
+            for _ in range(2000):
+                writer.write(b"state\n" * 50)
+                await asyncio.sleep(0)
+            while not (client := next((c for c in server.clients if not c.writable), None)):
+                await asyncio.sleep(0.01)
+            assert (await ask(*other, GOOD))["ok"]
+            assert client.transport is not None
+            assert not client.transport.is_reading()
+            assert client.transport.get_write_buffer_size() < 1 << 20
+            assert sum(map(len, client.lines)) < 1 << 20
+            assert server.speaker.answered < 50_000  # of 100 000: those that the sockets' own buffers took
+
+    serving(detector, talk)
+
+
+def test_an_error_of_the_program_is_one_answer(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> bytes:
+        raise ZeroDivisionError("broken")
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer):
+            with monkeypatch.context() as patched:
+                patched.setattr(server.speaker, "answer", broken)
+                assert "internal error" in (await ask(reader, writer, GOOD))["error"]
+            assert (await ask(reader, writer, GOOD))["ok"]
+            assert server.failures == 1
+
+    serving(detector, talk)
+
+
+@pytest.mark.parametrize("text", ["", "7310", "host:", "host:port", "host:70000", ":7310"])
+def test_an_address_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(DetectorError, match="HOST:PORT"):
+        parse_address(text)
+
+
+def test_addresses() -> None:
+    assert parse_address("127.0.0.1:0") == ("127.0.0.1", 0)
+    assert parse_address("[::1]:7310") == ("::1", 7310)
+    assert is_loopback("localhost")
+    assert is_loopback("127.8.0.1")
+    assert not is_loopback("0.0.0.0")
