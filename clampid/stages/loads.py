@@ -11,7 +11,14 @@ from kinematics.gravity import gravity_parameters, gravity_regressor
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 
-__all__ = ["bearing_signals", "flange_to_base", "gravity_regressors", "gravity_signals", "inertia_torque", "inertial_signals"]
+__all__ = [
+    "bearing_signals",
+    "flange_to_base",
+    "gravity_regressors",
+    "gravity_signals",
+    "inertia_torque",
+    "inertial_signals",
+]
 
 
 def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
