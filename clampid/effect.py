@@ -58,6 +58,8 @@ SIGNALS: Mapping[str, Signal] = {
     "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),
     "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion"),
     "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion"),
+    "own_speed": Signal(("n",), "rad/s", "speed that each motor would have if its own joint alone turned it"),
+    "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion"),
     "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
     "torque_rate": Signal(("n",), "Nm/s", "rate of the torque measured at the motors"),
     "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),

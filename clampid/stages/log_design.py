@@ -189,6 +189,8 @@ class LogDesign:
             "motor_speed": wm,
             "joint_motion": joint,
             "motor_motion": motor,
+            "own_speed": qd / np.diag(self.T),
+            "own_motion": joint * np.sign(np.diag(self.T)),
             "joint_acceleration": qdd,
             "elapsed": time - facts.since,
             "rest_direction": np.zeros_like(q),

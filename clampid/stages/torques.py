@@ -100,6 +100,8 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
         "motor_speed": wm,
         "joint_motion": motion,
         "motor_motion": motion_m,
+        "own_speed": qd / np.diag(T),
+        "own_motion": motion * np.sign(np.diag(T)),
         "joint_acceleration": qdd,
         "elapsed": time - time.min(),
         **temperatures(joined, n),

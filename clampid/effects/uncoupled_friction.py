@@ -1,0 +1,33 @@
+"""Friction of a motor that does not turn with the joints which the transmission couples it with.
+
+Friction follows the shaft that rubs. Where it follows the motor's own joint alone, the coupling in T is wrong; or it is
+right, and the log's joint angles are motor angles over their ratios, with the coupling left out. F_c and F_v are then
+the motor's whole Coulomb and viscous friction; half of them would mean half of the coupling.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """tau_motor = F_c (sign(w_own) - sign(w_motor)) + F_v (w_own - w_motor), w_own = w_joint/T_ii."""
+    return p.Fc * (x.own_motion - x.motor_motion) + p.Fv * (x.own_speed - x.motor_speed)
+
+
+EFFECT = Effect(
+    name="uncoupled_friction",
+    family="coupling_ratio_error",
+    acts={"motor_torque": torque},
+    parameters=(
+        Parameter("Fc", "Nm", 0.3, "joint", meaning="dry friction that follows the motor's own joint, not T"),
+        Parameter("Fv", "Nm s/rad", 3e-3, "joint", meaning="viscous friction that follows the motor's own joint"),
+    ),
+    needs=("own_speed", "own_motion", "motor_speed", "motor_motion"),
+    stages=("free_air",),
+    equation="tau_motor = F_c (sign(w_own) - sign(w_motor)) + F_v (w_own - w_motor), w_own = w_joint/T_ii",
+    source=("Thesis",),
+    coupled_only=("free_air",),
+)
