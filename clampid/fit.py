@@ -16,7 +16,6 @@ from clampid.stages.rows import Array, Bools, Rows
 
 __all__ = ["Estimate", "FitError", "Prior", "clamping_offsets", "fit", "solve"]
 
-PRIOR_SIZES = 10.0  # the weak prior's standard deviation, in reasonable sizes
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
@@ -85,8 +84,8 @@ class Estimate:
 
     @property
     def identified(self) -> Bools:
-        """Which parameters are known to within their reasonable size ``(P + K,)``."""
-        return self.std < self.experiment.sizes()
+        """Which parameters ``(P + K,)`` the rows tell to within their reasonable size."""
+        return self.std < self.experiment.clear()
 
     def values(self) -> dict[Slot, float]:
         """Slot → value."""
@@ -236,12 +235,9 @@ def _step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array
 
 
 def _prior(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
-    """Precision ``(P + K, P + K)`` and mean: the weak prior everywhere, what earlier stages know where they know it."""
-    size, start = experiment.sizes(), experiment.start()
-    precision = np.diag(1.0 / (PRIOR_SIZES * size) ** 2)
-    shapes = experiment.shapes()
-    precision[shapes, shapes] = 1.0 / size[shapes] ** 2  # a shape is known up to its own size
-    mean = np.where(shapes, start, 0.0)
+    """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
+    precision = np.diag(1.0 / experiment.prior_std() ** 2)
+    mean = np.where(experiment.shapes(), experiment.start(), 0.0)
     for prior in priors:
         index = {slot: k for k, slot in enumerate(experiment.slots)}
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]

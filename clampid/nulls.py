@@ -29,6 +29,10 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
     silent = np.diag(information) < 1e-9
+    # Parameters that only a prior keeps apart are told as a whole, by the place that they belong to, not one by one.
+    assumed = estimate.experiment.prior_std()[:count] <= size
+    assumed &= ~estimate.experiment.shapes()[:count]
+    information = information + np.diag(np.where(assumed, 2.0 * WEAK, 0.0))
     out = []
     groups: dict[str, list[str]] = {}
     for slot in (s for s, alone in zip(estimate.slots, silent, strict=True) if alone):
