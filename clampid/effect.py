@@ -184,7 +184,11 @@ class Effect:
     coupled_only
         Stages in which it can sit only at joints that the transmission couples with others.
     tried
-        How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``.
+        How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
+        ``jointly``: at all places at once, after which each place must pay for itself.
+    revealed_by
+        A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
+        the catalogue, and the probe asks the same question of the same rows.
     """
 
     name: str
@@ -198,7 +202,8 @@ class Effect:
     at: str = "robot"
     coupled_only: tuple[Stage, ...] = ()
     beyond: str | None = None
-    tried: Literal["places", "together", "both"] = "both"
+    tried: Literal["places", "together", "both", "jointly"] = "both"
+    revealed_by: str | None = None
     meaning: str = field(default="")
 
     def __post_init__(self) -> None:

@@ -1,0 +1,53 @@
+"""Angle error periodic in a joint's revolution, of any shape: what an encoder's disc or a wheel's teeth leave.
+
+A joint's own curve, in as many harmonics as such a shape needs. Between poses and beyond the angles that any pose
+visited nothing is known but its size: there it fades to zero within a few degrees, and its band opens to that size.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import cos, sin
+from clampid.effect import Effect, Parameter
+
+HARMONICS = 48
+"""Shapes down to 4 degrees; a disc's flaw of that width is smeared by the reading head, finer ones more so."""
+
+ERROR = 3e-4
+"""rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the rms of the whole curve."""
+
+
+def error(p: Any, x: Any) -> Any:
+    """Dq = sum over k of a_k sin kq + b_k cos kq."""
+    total = 0.0
+    for k in range(1, HARMONICS + 1):
+        total = total + getattr(p, f"a{k}") * sin(k * x.q) + getattr(p, f"b{k}") * cos(k * x.q)
+    return total
+
+
+EFFECT = Effect(
+    name="joint_angle_curve",
+    family="gear_eccentricity",
+    acts={"joint_angle": error},
+    parameters=tuple(
+        Parameter(
+            f"{a}{k}",
+            "rad",
+            ERROR / HARMONICS**0.5,  # sine and cosine of each harmonic carry half of its variance each
+            "joint",
+            (-0.05, 0.05),
+            f"{f} part, {k} per revolution of the joint",
+            spread=1.0,
+        )
+        for k in range(1, HARMONICS + 1)
+        for a, f in (("a", "sine"), ("b", "cosine"))
+    ),
+    needs=("q",),
+    stages=("poses",),
+    equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1 ... 48, a_k and b_k about (0.3 mrad)/sqrt(48)",
+    source=("UniversalModel", "Landgraf2021"),
+    tried="jointly",
+    revealed_by="joint_angle_periodic",
+    meaning="periodic in the joint's angle, of any shape",
+)
