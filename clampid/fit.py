@@ -203,13 +203,14 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         best = trial
         A, g = best.normal(precision, mean)
         damping = 0.0 if damping < DAMPING_START else damping / 10
-    covariance = linalg.pinvh(A * np.outer(size, size)) * np.outer(size, size)
-    freedom = max(len(best.white.residual) - len(theta), 1)
+    covariance = _inverse(A)
+    told = len(theta) - float(np.sum(covariance * precision))  # parameters that the rows tell, not the prior
+    freedom = max(len(best.white.residual) - told, 1.0)
     scale = float(best.white.residual @ best.white.residual) / freedom
     return Estimate(
         experiment=experiment,
         theta=best.theta,
-        covariance=np.asarray(covariance * max(scale, 1e-12)),
+        covariance=covariance * max(scale, 1e-12),
         noise=noise,
         whitened=best.white,
         residual=best.residual,
@@ -218,6 +219,22 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         prior_mean=mean,
         iterations=iteration,
     )
+
+
+def _inverse(A: Array) -> Array:
+    """Inverse of a normal matrix, its columns balanced first.
+
+    The prior makes it definite. A pseudo-inverse would drop, as numerically zero, the directions of which only the
+    prior knows anything, and give them no error at all where it is largest.
+    """
+    balance = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A * np.outer(balance, balance)
+    try:
+        inverse = linalg.cho_solve(linalg.cho_factor(scaled), np.eye(len(A)))
+    except linalg.LinAlgError:
+        inverse = linalg.pinvh(scaled)
+    inverse = 0.5 * (inverse + inverse.T)
+    return np.asarray(inverse * np.outer(balance, balance))
 
 
 def _step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:

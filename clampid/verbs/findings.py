@@ -37,6 +37,14 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
             motors.append((name, f"motor {k}", *(_number(v) for v in cells), *(_number(v, 5) for v in shares)))
     columns = ("table", "rows", "rms", "mean", "max", "held out", "rms", "mean", "max", "noise floor")
     out.table("model against measurement", columns, rows)
+    for name, table in data["tables"].items():
+        far = table.get("extrapolated")
+        if far and far["share"]:
+            joints = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in far["joints"].items())
+            share = f"{100 * far['share']:.0f} %"
+            out.say(
+                f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near: {joints}"
+            )
     if motors:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
