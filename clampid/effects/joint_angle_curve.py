@@ -14,6 +14,10 @@ from clampid.effect import Effect, Parameter
 HARMONICS = 48
 """Shapes down to 4 degrees; a disc's flaw of that width is smeared by the reading head, finer ones more so."""
 
+FADING = tuple(1.0 - (k / (HARMONICS + 1)) ** 2 for k in range(1, HARMONICS + 1))
+"""The same smear as shares of the harmonics. Had all the same size and the next one none, what is known of one angle
+would ring on through all those where no pose was."""
+
 ERROR = 3e-4
 """rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the rms of the whole curve."""
 
@@ -34,7 +38,7 @@ EFFECT = Effect(
         Parameter(
             f"{a}{k}",
             "rad",
-            ERROR / HARMONICS**0.5,  # sine and cosine of each harmonic carry half of its variance each
+            ERROR * FADING[k - 1] / sum(share**2 for share in FADING) ** 0.5,  # a sine's mean square is a half
             "joint",
             (-0.05, 0.05),
             f"{f} part, {k} per revolution of the joint",
@@ -45,7 +49,7 @@ EFFECT = Effect(
     ),
     needs=("q",),
     stages=("poses",),
-    equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1 ... 48, a_k and b_k about (0.3 mrad)/sqrt(48)",
+    equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1 ... 48, in all about 0.3 mrad",
     source=("UniversalModel", "Landgraf2021"),
     tried="jointly",
     revealed_by="joint_angle_periodic",
