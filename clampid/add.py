@@ -191,6 +191,9 @@ def _resolved(
     for term in asked:
         effect = effects[term.effect]
         own = [s for s in scored if s.candidate.name == term.effect and s.freedom]
+        if term.place is not None and effect.tried == "jointly":
+            out |= {term: None} if own and term in own[0].candidate.terms else {}
+            continue
         if term.place is not None and effect.per != "robot" and effect.tried != "together":
             own = [s for s in own if s.candidate.places == (term.place,)]
         for s in sorted(own, key=lambda s: s.explained):

@@ -11,6 +11,7 @@ import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
 from clampid.agreement import Agreement, agreement_of, pose_drives
+from clampid.curves import angle_errors
 from clampid.effect import Stage
 from clampid.fit import Prior, fit
 from clampid.identify import TABLES_OF, held_out_folds
@@ -137,12 +138,20 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int) -> dict[str, dict[str,
             continue
         shown = (rows.table == table) & (fitted if fitted.any() else True)
         chosen = tested & (np.isin(test.table, [table, "verification"]))
-        out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
+        far = _extrapolated(opened, test, chosen) if stage == "poses" else None
+        out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor, far)
     return out
 
 
 def _table(
-    rows: Rows, residual: Array, shown: Bools, test: Rows, test_residual: Array, chosen: Bools, floor: Floor
+    rows: Rows,
+    residual: Array,
+    shown: Bools,
+    test: Rows,
+    test_residual: Array,
+    chosen: Bools,
+    floor: Floor,
+    extrapolated: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     poses = rows.stage == "poses"
     counts = rows.used[:, 0] if poses else rows.used.any(axis=1)
@@ -155,6 +164,8 @@ def _table(
     }
     seen = test.used[:, 0] if poses else test.used.any(axis=1)
     entry["heldout"] = {"rows": int((chosen & seen).sum()), **_numbers(test, test_residual, chosen, floor)}
+    if extrapolated is not None:
+        entry["extrapolated"] = extrapolated
     if not poses:
         entry["per_motor"] = [
             {
@@ -210,7 +221,21 @@ def _refitted(opened: Reopened, refit: Sequence[str], share: float, seed: int) -
     test = experiment(rows, opened.effects, slots)
     residual = predicted(test, estimate.theta)
     floor = noise_floor(rows, residual)
-    return _table(rows, residual, ~out, rows, residual, out, floor)
+    return _table(rows, residual, ~out, rows, residual, out, floor, _extrapolated(opened, rows, out))
+
+
+def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
+    """Which share of the held-out rows, joint by joint, stands at angles that no pose of the fit came near.
+
+    None where the model has no angle errors that depend on where a joint stands.
+    """
+    q = rows.signals["q"][chosen]
+    found = angle_errors(opened.stages["poses"], opened.effects, opened.layout, rows.robot, q)
+    if not found.active.any() or not len(q):
+        return None
+    far = found.extrapolated
+    joints = {f"joint{j + 1}": float(far[:, j].mean()) for j in np.flatnonzero(far.any(axis=0))}
+    return {"share": float(far.any(axis=1).mean()), "joints": joints}
 
 
 def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:

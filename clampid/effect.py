@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 __all__ = ["FAMILIES", "SIGNALS", "STATIONS", "UNITS", "Effect", "EffectError", "Parameter", "Signal", "Stage"]
@@ -16,6 +17,7 @@ Stage = Literal["free_air", "clamped", "poses"]
 Per = Literal["robot", "joint", "link", "target", "session"]
 Deviation = Callable[[Any, Any], Any]
 
+WEAK = 10.0  # sizes: a prior that says next to nothing
 STAGES: tuple[Stage, ...] = ("free_air", "clamped", "poses")
 
 FAMILIES: tuple[str, ...] = (
@@ -109,7 +111,11 @@ class Parameter:
     unit
         SI, one of :data:`UNITS`.
     size
-        What it may reasonably amount to: scales the solver, and is the weak prior.
+        What it may reasonably amount to: scales the solver.
+    spread
+        Standard deviation of its prior in sizes. The usual 10 says next to nothing. Of an effect with many parameters,
+        which rows can hardly tell one by one, 1 says what they amount to: what the rows leave open stays near zero, by
+        as much as the family's size allows.
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``session``: one for each.
     bounds
@@ -128,6 +134,7 @@ class Parameter:
     meaning: str = ""
     shape: bool = False
     grid: tuple[float, ...] = ()
+    spread: float = WEAK
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -136,6 +143,18 @@ class Parameter:
             raise EffectError(f"parameter {self.name}: a shape parameter needs a grid; its first value is the start")
         if not self.size > 0:
             raise EffectError(f"parameter {self.name}: size must be positive, found {self.size}")
+        if not self.spread > 0:
+            raise EffectError(f"parameter {self.name}: spread must be positive, found {self.spread}")
+
+    @property
+    def prior_std(self) -> float:
+        """Standard deviation of the prior, in the parameter's unit; a shape is known up to its own size."""
+        return self.size * (1.0 if self.shape else self.spread)
+
+    @property
+    def clear(self) -> float:
+        """The standard error below which rows tell it: its size, and no more than half of what the prior says."""
+        return self.size if self.shape else min(self.size, 0.5 * self.prior_std)
 
 
 @dataclass(frozen=True)
@@ -167,7 +186,11 @@ class Effect:
     coupled_only
         Stages in which it can sit only at joints that the transmission couples with others.
     tried
-        How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``.
+        How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
+        ``jointly``: at all places at once, after which each place must pay for itself.
+    revealed_by
+        A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
+        the catalogue, and the probe asks the same question of the same rows.
     """
 
     name: str
@@ -181,7 +204,8 @@ class Effect:
     at: str = "robot"
     coupled_only: tuple[Stage, ...] = ()
     beyond: str | None = None
-    tried: Literal["places", "together", "both"] = "both"
+    tried: Literal["places", "together", "both", "jointly"] = "both"
+    revealed_by: str | None = None
     meaning: str = field(default="")
 
     def __post_init__(self) -> None:
@@ -195,7 +219,12 @@ class Effect:
                 if name not in known:
                     raise EffectError(f"effect {self.name}: {kind} {name!r} does not exist; known: {', '.join(known)}")
 
-    @property
+    @cached_property
+    def by_name(self) -> Mapping[str, Parameter]:
+        """Its parameters by their names."""
+        return {parameter.name: parameter for parameter in self.parameters}
+
+    @cached_property
     def per(self) -> Per:
         """``joint`` or ``link`` where the effect can sit at several places, else ``robot``."""
         kinds: set[Per] = {p.per for p in self.parameters if p.per in ("joint", "link")}

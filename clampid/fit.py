@@ -22,13 +22,13 @@ __all__ = [
     "Prior",
     "clamping_offsets",
     "fit",
+    "inverse_of",
     "newton_step",
     "prior_of",
     "solve",
     "start_of",
 ]
 
-PRIOR_SIZES = 10.0  # the weak prior's standard deviation, in reasonable sizes
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
@@ -97,8 +97,8 @@ class Estimate:
 
     @property
     def identified(self) -> Bools:
-        """Which parameters are known to within their reasonable size ``(P + K,)``."""
-        return self.std < self.experiment.sizes()
+        """Which parameters ``(P + K,)`` the rows tell to within their reasonable size."""
+        return self.std < self.experiment.clear()
 
     def values(self) -> dict[Slot, float]:
         """Slot → value."""
@@ -230,13 +230,14 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         best = trial
         A, g = best.normal(precision, mean)
         damping = 0.0 if damping < DAMPING_START else damping / 10
-    covariance = linalg.pinvh(A * np.outer(size, size)) * np.outer(size, size)
-    freedom = max(len(best.white.residual) - len(theta), 1)
+    covariance = inverse_of(A)
+    told = len(theta) - float(np.sum(covariance * precision))  # parameters that the rows tell, not the prior
+    freedom = max(len(best.white.residual) - told, 1.0)
     scale = float(best.white.residual @ best.white.residual) / freedom
     return Estimate(
         experiment=experiment,
         theta=best.theta,
-        covariance=np.asarray(covariance * max(scale, 1e-12)),
+        covariance=covariance * max(scale, 1e-12),
         noise=noise,
         whitened=best.white,
         residual=best.residual,
@@ -245,6 +246,22 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         prior_mean=mean,
         iterations=iteration,
     )
+
+
+def inverse_of(A: Array) -> Array:
+    """Inverse of a normal matrix, its columns balanced first.
+
+    The prior makes it definite. A pseudo-inverse would drop, as numerically zero, the directions of which only the
+    prior knows anything, and give them no error at all where it is largest.
+    """
+    balance = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A * np.outer(balance, balance)
+    try:
+        inverse = linalg.cho_solve(linalg.cho_factor(scaled), np.eye(len(A)))
+    except linalg.LinAlgError:
+        inverse = linalg.pinvh(scaled)
+    inverse = 0.5 * (inverse + inverse.T)
+    return np.asarray(inverse * np.outer(balance, balance))
 
 
 def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:
@@ -262,12 +279,9 @@ def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) ->
 
 
 def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
-    """Precision ``(P + K, P + K)`` and mean: the weak prior everywhere, what earlier stages know where they know it."""
-    size, start = experiment.sizes(), experiment.start()
-    precision = np.diag(1.0 / (PRIOR_SIZES * size) ** 2)
-    shapes = experiment.shapes()
-    precision[shapes, shapes] = 1.0 / size[shapes] ** 2  # a shape is known up to its own size
-    mean = np.where(shapes, start, 0.0)
+    """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
+    precision = np.diag(1.0 / experiment.prior_std() ** 2)
+    mean = np.where(experiment.shapes(), experiment.start(), 0.0)
     for prior in priors:
         index = {slot: k for k, slot in enumerate(experiment.slots)}
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]

@@ -14,7 +14,7 @@ from clampid.fit_log import fit_log
 from clampid.log_errors import LogPrior, log_errors
 from clampid.model import StageModel
 from clampid.moments import covariance_of
-from clampid.nulls import named_directions
+from clampid.nulls import assumed_of, named_directions
 from clampid.priors import description_priors
 from clampid.slots import Layout, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
@@ -102,7 +102,7 @@ class LogStage:
         slots, count = self.experiment.slots, len(self.experiment.slots)
         here = np.flatnonzero(np.r_[np.ones(count, dtype=bool), kept[self.design.offset_keys[:, 0]]])
         inside = np.ix_(here, here)
-        covariance = covariance_of(fit.moments, precision, prior.size, len(here))[:count, :count]
+        covariance = covariance_of(fit.moments, precision)[:count, :count]
         std, size = np.sqrt(np.maximum(np.diag(covariance), 0.0)), prior.size[here]
         information = fit.moments.normal[inside] * np.outer(size, size)
         model = StageModel(
@@ -111,10 +111,10 @@ class LogStage:
             slots=slots,
             theta=fit.moments.at[:count],
             covariance=covariance,
-            identified=tuple(bool(b) for b in std < prior.size[:count]),
+            identified=tuple(bool(b) for b in std < self.experiment.clear()[:count]),
             held_out=tuple(tuple(f) for f in held),
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
-            null_directions=named_directions(information, size, slots, precision[inside]),
+            null_directions=named_directions(information, size, slots, precision[inside], assumed_of(self.experiment)),
         )
         out = bool(held) and any(held)
         return FittedLog(model, log_errors(self.design, fit, prior, self.folds, kept, out, seed))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
-from clampid.fit import ITERATIONS, NEGLIGIBLE, newton_step
+from clampid.fit import ITERATIONS, NEGLIGIBLE, inverse_of, newton_step
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["Moments", "covariance_of", "minimise"]
@@ -87,11 +86,9 @@ def minimise(moments: Moments, theta: Array, precision: Array, mean: Array, size
     return moments.moved(theta)
 
 
-def covariance_of(moments: Moments, precision: Array, size: Array, parameters: int) -> Array:
-    """Covariance ``(P, P)`` of the solution, scaled by what the whitened residual is left with.
-
-    ``parameters``: how many of the rows' degrees of freedom the fit took.
-    """
-    scaled = (moments.normal + precision) * np.outer(size, size)
-    scale = moments.squares / max(moments.count - parameters, 1)
-    return np.asarray(linalg.pinvh(scaled) * np.outer(size, size) * max(scale, 1e-12))
+def covariance_of(moments: Moments, precision: Array) -> Array:
+    """Covariance ``(P, P)`` of the solution, scaled by what the whitened residual is left with, as in `clampid.fit`."""
+    covariance = inverse_of(moments.normal + precision)
+    told = len(covariance) - float(np.sum(covariance * precision))  # parameters that the rows tell, not the prior
+    scale = moments.squares / max(moments.count - told, 1.0)
+    return np.asarray(covariance * max(scale, 1e-12))

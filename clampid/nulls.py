@@ -8,9 +8,10 @@ import numpy as np
 
 from clampid.fit import Estimate
 from clampid.slots import Slot
-from clampid.stages.rows import Array
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Bools
 
-__all__ = ["named_directions", "null_directions"]
+__all__ = ["assumed_of", "named_directions", "null_directions"]
 
 WEAK = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
 
@@ -24,11 +25,19 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
     J = estimate.whitened.jacobian
     size = estimate.experiment.sizes()
     scaled = (J * size) if J.size else J
-    return named_directions(scaled.T @ scaled, size, estimate.slots, estimate.prior_precision, limit)
+    return named_directions(
+        scaled.T @ scaled, size, estimate.slots, estimate.prior_precision, assumed_of(estimate.experiment), limit
+    )
+
+
+def assumed_of(experiment: Experiment) -> Bools:
+    """Which of an experiment's slots ``(P,)`` a prior of their own keeps apart from each other."""
+    count = len(experiment.slots)
+    return np.asarray((experiment.prior_std() <= experiment.sizes())[:count] & ~experiment.shapes()[:count])
 
 
 def named_directions(
-    information: Array, sizes: Array, slots: Sequence[Slot], precision: Array, limit: int = 12
+    information: Array, sizes: Array, slots: Sequence[Slot], precision: Array, assumed: Bools, limit: int = 12
 ) -> tuple[str, ...]:
     """The same from what the data tell.
 
@@ -42,6 +51,8 @@ def named_directions(
         The first P parameters.
     precision
         The prior's ``(P + K, P + K)``, SI.
+    assumed
+        ``(P,)``: slots that a prior of their own keeps apart.
     """
     count = len(slots)
     size = sizes[:count]
@@ -52,6 +63,8 @@ def named_directions(
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
     silent = np.diag(information) < 1e-9
+    # Parameters that only a prior keeps apart are told as a whole, by the place that they belong to, not one by one.
+    information = information + np.diag(np.where(assumed, 2.0 * WEAK, 0.0))
     out = []
     groups: dict[str, list[str]] = {}
     for slot in (s for s, alone in zip(slots, silent, strict=True) if alone):

@@ -105,10 +105,10 @@ def parse_term(text: str, catalogue: Mapping[str, Effect], layout: Layout) -> Te
 
 def find_parameter(slot: Slot, catalogue: Mapping[str, Effect]) -> Parameter:
     """The parameter that a slot is a value of."""
-    for parameter in catalogue[slot.effect].parameters:
-        if parameter.name == slot.parameter:
-            return parameter
-    raise EffectError(f"effect {slot.effect} has no parameter {slot.parameter!r}")
+    found = catalogue[slot.effect].by_name.get(slot.parameter)
+    if found is None:
+        raise EffectError(f"effect {slot.effect} has no parameter {slot.parameter!r}")
+    return found
 
 
 def slots_of_terms(

@@ -6,17 +6,18 @@ what a unit of each parameter would do to the measurement.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.diagnosis.columns import Columns, columns_from
+from clampid.diagnosis.columns import Columns, Products, columns_from
 from clampid.effect import Effect, Parameter
 from clampid.fit import Estimate
 from clampid.gauge import independent_geometry
 from clampid.noise import Whitened
 from clampid.slots import Slot, Term, find_parameter, slots_of
+from clampid.stages.rows import Array
 
 __all__ = ["Candidate", "named_candidates", "terms_not_active"]
 
@@ -39,8 +40,10 @@ class Candidate:
         Whitened, one a slot.
     depends_on
         Recorded variables it depends on, by column name without unit.
-    place
+    places
         Where it acts: ``joint3``, ``base`` …
+    prior
+        Standard deviations ``(k,)`` of the amplitudes, of which it has too many to be told without; else None.
     """
 
     name: str
@@ -48,9 +51,10 @@ class Candidate:
     terms: tuple[Term, ...]
     slots: tuple[Slot, ...]
     shapes: Mapping[Slot, float]
-    columns: Columns
+    columns: Columns | Products
     depends_on: tuple[str, ...]
     places: tuple[str, ...]
+    prior: Array | None = None
 
     @property
     def label(self) -> str:
@@ -80,10 +84,20 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     return out
 
 
-def named_candidates(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Candidate]:
-    """The absent effects as candidates: place by place, and at all remaining places at once where that is usual."""
+def named_candidates(
+    estimate: Estimate, effects: Mapping[str, Effect], fired: Collection[str] | None = None
+) -> list[Candidate]:
+    """The absent effects as candidates: place by place, and at all remaining places at once where that is usual.
+
+    Parameters
+    ----------
+    fired
+        Names of the probes that fired; effects that others reveal are left out. None: nothing is left out.
+    """
     rows = estimate.experiment.rows
     terms = terms_not_active(estimate, effects)
+    if fired is not None:
+        terms = [t for t in terms if effects[t.effect].revealed_by is None or effects[t.effect].revealed_by in fired]
     slots: dict[Slot, None] = {}
     of_term: dict[Term, tuple[Slot, ...]] = {}
     for term in terms:
@@ -114,7 +128,7 @@ def named_candidates(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             groups: list[Sequence[Term]] = []
             if effect.tried in ("places", "both") or effect.per == "robot":
                 groups += [(t,) for t in own]
-            if effect.tried in ("together", "both") and (len(own) > 1 or effect.tried == "together"):
+            if effect.tried in ("together", "jointly") or (effect.tried == "both" and len(own) > 1):
                 groups.append(own)
             for group in groups:
                 members = list(dict.fromkeys(s for t in group for s in of_term[t] if s in index))
@@ -144,6 +158,7 @@ def _candidate(
     members = list(members)
     amplitudes = tuple(s for s in members if not parameters[s].shape)
     shapes = {s: values[index[s]] for s in members if parameters[s].shape}
+    assumed = all(parameters[s].spread <= 1.0 for s in amplitudes)
     return Candidate(
         name=effect.name,
         family=effect.family,
@@ -153,4 +168,5 @@ def _candidate(
         columns=columns_from(white, [index[s] for s in amplitudes]),
         depends_on=(),
         places=tuple(t.place for t in group if t.place is not None),
+        prior=np.array([parameters[s].prior_std for s in amplitudes]) if assumed else None,
     )

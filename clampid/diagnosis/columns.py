@@ -10,7 +10,7 @@ from scipy import sparse
 from clampid.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Columns", "channel_starts", "columns_from"]
+__all__ = ["Columns", "Products", "channel_starts", "columns_from"]
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,10 @@ class Columns:
             out += block.T @ other[start : start + len(block)]
         return out
 
-    def cross(self, other: Columns) -> Array:
+    def cross(self, other: Columns | Products) -> Array:
         """``(k, k')``: D' D'."""
+        if isinstance(other, Products):
+            return np.asarray(other.cross(self).T)
         out = np.zeros((self.width, other.width))
         theirs = dict(other.pieces)
         for start, block in self.pieces:
@@ -61,6 +63,82 @@ class Columns:
         out = np.zeros((entries, self.width))
         for start, block in self.pieces:
             out[start : start + len(block)] = block
+        return out
+
+
+@dataclass(frozen=True)
+class Products:
+    """Whitened columns ``(M, n f)`` that are products of a lever and functions of each row: every place's in turn.
+
+    A place's columns are D = diag(lever) F, F the same for all entries of a row, so that sums over entries are taken
+    once a row and not once a column: of hundreds of columns the table itself is never written down.
+
+    Attributes
+    ----------
+    lever
+        ``(M, n)``: what a unit at each place does to each whitened entry.
+    entry
+        ``(M,)``: the row that each entry came from.
+    functions
+        ``(n, N, f)``: the functions of each place in each row.
+    """
+
+    lever: Array
+    entry: Integers
+    functions: Array
+
+    @property
+    def width(self) -> int:
+        """Number of columns."""
+        return int(self.functions.shape[0] * self.functions.shape[2])
+
+    def _by_row(self, weights: Array) -> Array:
+        """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
+        return np.asarray(np.bincount(self.entry, weights, minlength=self.functions.shape[1]), dtype=float)
+
+    def gram(self) -> Array:
+        """``(k, k)``: D'D."""
+        n, _, f = self.functions.shape
+        out = np.zeros((n, f, n, f))
+        for i in range(n):
+            for j in range(i, n):
+                weight = self._by_row(self.lever[:, i] * self.lever[:, j])
+                block = (self.functions[i] * weight[:, None]).T @ self.functions[j]
+                out[i, :, j], out[j, :, i] = block, block.T
+        return out.reshape(self.width, self.width)
+
+    def times(self, other: Array) -> Array:
+        """``(k, …)``: D' other, for other ``(M, …)``, of which only the first M entries count."""
+        flat = other[: len(self.entry)].reshape(len(self.entry), -1)
+        selector = sparse.csr_matrix(
+            (np.ones(len(self.entry)), (self.entry, np.arange(len(self.entry)))),
+            shape=(self.functions.shape[1], len(self.entry)),
+        )
+        parts = [
+            F.T @ (selector @ (flat * lever[:, None])) for F, lever in zip(self.functions, self.lever.T, strict=True)
+        ]
+        return np.concatenate(parts).reshape(self.width, *other.shape[1:])
+
+    def cross(self, other: Columns | Products) -> Array:
+        """``(k, k')``: D' D'."""
+        return self.times(other.dense(len(self.entry)))
+
+    def summed(self, by_unit: sparse.csc_matrix) -> Array:
+        """``(units, k)``: ``by_unit @ D`` for a sparse ``(units, M…)``."""
+        count, used = self.functions.shape[1], by_unit[:, : len(self.entry)]
+        parts = []
+        for F, lever in zip(self.functions, self.lever.T, strict=True):
+            to_row = sparse.csr_matrix(
+                (lever, (np.arange(len(self.entry)), self.entry)), shape=(len(self.entry), count)
+            )
+            parts.append((used @ to_row) @ F)
+        return np.hstack(parts)
+
+    def dense(self, entries: int) -> Array:
+        """``(entries, k)``."""
+        out = np.zeros((entries, self.width))
+        parts = [F[self.entry] * lever[:, None] for F, lever in zip(self.functions, self.lever.T, strict=True)]
+        out[: len(self.entry)] = np.hstack(parts)
         return out
 
 

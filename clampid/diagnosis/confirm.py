@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
+from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.probes import probes
-from clampid.diagnosis.score import Scored, Space
+from clampid.diagnosis.score import Scored, Space, explained_by
 from clampid.fit import Estimate
 from clampid.noise import Noise
 from clampid.stages.pose_rows import join_rows
@@ -43,14 +44,13 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
     shape = (FOLDS + 1, len(part))
     by_part = sparse.csc_matrix((space.residual, (part + 1, np.arange(len(part)))), shape=shape)
     absorbed = by_part @ space.basis
-    rows = max(space.rows, 2)
     amplitudes = [(s.candidate.columns.summed(by_part) - absorbed @ s.absorbed) @ s.weights for s in able]
     again = 0
     for k in range(FOLDS):
         best, best_value = None, -np.inf
         for s, amplitude in zip(able, amplitudes, strict=True):
             rest = amplitude.sum(axis=0) - amplitude[k + 1]
-            value = float(rest @ rest) / space.scale**2 - s.freedom * np.log(rows)
+            value = float(explained_by(s, rest, space.scale)) - s.cost
             if value > best_value:
                 best, best_value = s, value
         again += best is not None and _same(best, chosen)
@@ -96,10 +96,17 @@ def probe_held_out_p(estimate: Estimate, verification: Rows, label: str, seed: i
     wide, count = np.c_[J, D], J.shape[1]
     A = wide[fit].T @ wide[fit]
     A[:count, :count] += precision
+    A[count:, count:] += _assumed(found)
     after = np.linalg.lstsq(A, np.r_[start, D[fit].T @ r[fit]], rcond=None)[0]
     test = ~fit
     squares_before, squares_after = (r - J @ before)[test] ** 2, (r - wide @ after)[test] ** 2
     return held_out_p(squares_before, squares_after, both.unit[white.entry[test]], seed)
+
+
+def _assumed(candidate: Candidate) -> Array:
+    """Precision ``(k, k)`` of a candidate's prior; zero where it has none."""
+    width = candidate.columns.width
+    return np.zeros((width, width)) if candidate.prior is None else np.diag(1.0 / candidate.prior**2)
 
 
 def cross_fitted_p(estimate: Estimate, s: Scored, seed: int) -> float:
@@ -116,6 +123,7 @@ def cross_fitted_p(estimate: Estimate, s: Scored, seed: int) -> float:
     lever = precision @ (estimate.prior_mean - estimate.theta)
     padded = np.zeros((wide.shape[1], wide.shape[1]))
     padded[:count, :count] = precision
+    padded[count:, count:] = _assumed(s.candidate)
     gram, moment = wide.T @ wide + padded, wide.T @ r
     moment[:count] += lever
     before, after = np.zeros(len(r)), np.zeros(len(r))

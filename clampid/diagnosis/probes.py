@@ -12,15 +12,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.diagnosis.candidates import Candidate
-from clampid.diagnosis.columns import Columns, channel_starts, columns_from
+from clampid.diagnosis.columns import Columns, Products, channel_starts, columns_from
 from clampid.fit import Estimate
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["probes"]
+__all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 
 Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
 HARMONICS = 3
+PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
+PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
+JOINT_ANGLE_PERIODIC = "joint_angle_periodic"
+"""Name of the probe that reveals effects of any periodic shape."""
 
 
 def probes(estimate: Estimate) -> list[Candidate]:
@@ -106,7 +110,40 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         columns = np.zeros((len(rows), width, 3))
         columns[:, np.arange(3), np.arange(3)] = place[:, k, None]
         found.append(_probe(estimate, "instrument", f"position along {axis}", (axis,), columns))
+    found.append(_periodic(estimate, sensitivity[:, :width, offsets["joint_angle"]]))
     return [p for p in found if p is not None]
+
+
+def _periodic(estimate: Estimate, unit: Array) -> Candidate | None:
+    """Errors of all joint angles, each any periodic function of its own joint, down to a few degrees' width.
+
+    All joints at once: one alone would take for its own what the others leave, and find nothing clear. Their many
+    columns are told apart by the size that errors of joints have (:data:`PERIODIC_SIZE` in all, spread evenly).
+
+    Parameters
+    ----------
+    unit
+        ``(N, m, n)``: what a unit of each joint's angle does to the measurement.
+    """
+    rows = estimate.experiment.rows
+    white = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
+    seen = np.any(white.jacobian, axis=0)
+    if not seen.any():
+        return None
+    joints = np.flatnonzero(seen)
+    functions = np.stack([_harmonics(rows.signals["q"][:, j], PERIODIC) for j in joints])
+    columns = Products(np.ascontiguousarray(white.jacobian[:, joints]), white.entry, functions)
+    return Candidate(
+        name=JOINT_ANGLE_PERIODIC,
+        family="probe",
+        terms=(),
+        slots=(),
+        shapes={},
+        columns=columns,
+        depends_on=tuple(f"q{j + 1}" for j in joints),
+        places=tuple(f"joint{j + 1}" for j in joints),
+        prior=np.full(columns.width, PERIODIC_SIZE / PERIODIC**0.5),
+    )
 
 
 def _log_covariates(rows: Rows) -> list[list[Covariate]]:

@@ -17,6 +17,7 @@ from scipy import linalg, sparse, stats
 from scipy.special import gammaln
 
 from clampid.diagnosis.candidates import Candidate
+from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.fit import Estimate
 from clampid.stages.rows import Array, Integers
 
@@ -25,15 +26,18 @@ __all__ = [
     "Scored",
     "Space",
     "canonical",
+    "explained_by",
     "explained_together",
     "flip_maxima",
     "log_tail",
     "score",
     "space_of",
+    "tail_of",
 ]
 
 ABSORBED = 1e-6
 WEAK = 0.05
+SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
 FAR = 1000.0  # beyond this chi-square's tail underflows for some freedoms
 
 
@@ -75,12 +79,17 @@ class Scored:
         ``(k, f)``: Z times these is orthonormal.
     amplitude
         ``(f,)``: the residual's components in these directions.
+    kept
+        ``(f,)``: the share of each that its prior lets it take, 1 without a prior.
+    cost
+        What as many free directions are charged: f ln(rows), or with a prior the logarithm of how much the rows narrow
+        it (so that explained less cost is twice the logarithm of the Bayes factor).
     explained
         Sum of squares that it explains, in units of the residual's variance.
     log_p
         Natural logarithm of the asymptotic p-value.
     bic
-        Score-BIC: explained less f ln(rows); the larger the better.
+        Score-BIC: explained less cost; the larger the better.
     retained
         Share of the columns that the active parameters cannot absorb.
     state
@@ -93,6 +102,8 @@ class Scored:
     absorbed: Array
     weights: Array
     amplitude: Array
+    kept: Array
+    cost: float
     explained: float
     log_p: float
     bic: float
@@ -105,6 +116,31 @@ class Scored:
         """Independent directions of the candidate in these rows."""
         return int(self.weights.shape[1])
 
+    @property
+    def value(self) -> Array:
+        """One step from zero ``(k,)``: what the score makes of the parameters, SI."""
+        return np.asarray(self.weights @ (self.kept * self.amplitude))
+
+    @property
+    def spread(self) -> Array:
+        """What a unit of the residual's scale moves :attr:`value` by ``(k,)``, SI."""
+        return np.asarray(np.sqrt(np.sum((self.weights * self.kept) ** 2, axis=1)))
+
+
+def explained_by(s: Scored, amplitude: Array, scale: float) -> Array:
+    """The sum of squares that amplitudes ``(..., f)`` in a candidate's directions explain, in units of variance."""
+    return np.asarray(np.sum(s.kept * amplitude**2, axis=-1) / scale**2)
+
+
+def tail_of(kept: Array, explained: Array | float) -> Array:
+    """Natural logarithm of the chance to explain so much where nothing is missing.
+
+    A weighted sum of chi-squares by the one chi-square with its mean and variance (Satterthwaite); exact where all
+    weights are 1.
+    """
+    mean, square = float(kept.sum()), float(kept @ kept)
+    return log_tail(np.asarray(explained) * (mean / square), mean**2 / square)
+
 
 def space_of(estimate: Estimate) -> Space:
     """The residual and absorbed span of an estimate."""
@@ -112,7 +148,9 @@ def space_of(estimate: Estimate) -> Space:
     size = estimate.experiment.sizes()
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size  # root' root = precision
-    residual = np.r_[white.residual, root @ (estimate.prior_mean - estimate.theta)]
+    # A weak prior is no measurement: a tool mounted half a turn from where the description has it is no residual.
+    weak = 1.0 / np.sqrt(np.diag(estimate.prior_precision)) >= (1.0 - 1e-9) * WEAK_PRIOR * size
+    residual = np.r_[white.residual, root @ np.where(weak, 0.0, estimate.prior_mean - estimate.theta)]
     jacobian = np.vstack([white.jacobian, root])
     norms = np.linalg.norm(jacobian, axis=0)
     Q, R, _ = linalg.qr(jacobian / np.where(norms > 0, norms, 1.0), mode="economic", pivoting=True)
@@ -127,7 +165,7 @@ def space_of(estimate: Estimate) -> Space:
     return Space(residual, basis, units, max(scale, 1e-12), freedom, count)
 
 
-def log_tail(x: Array | float, freedom: int) -> Array:
+def log_tail(x: Array | float, freedom: float) -> Array:
     """Natural logarithm of the chi-square tail, also where the tail itself is too small for a number."""
     value = np.asarray(x, dtype=float)
     half = np.maximum(value, 1e-300) / 2.0
@@ -153,29 +191,39 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     none = np.zeros((k, 0))
 
     def nothing(retained: float, state: str) -> Scored:
-        return Scored(c, absorbed, none, np.zeros(0), 0.0, 0.0, -np.inf, retained, state, unit_limit)
+        zero = np.zeros(0)
+        return Scored(c, absorbed, none, zero, zero, 0.0, 0.0, 0.0, -np.inf, retained, state, unit_limit)
 
     if not seen.any():
         return nothing(0.0, "absent")
     # Columns of unit length before the projection: a direction that keeps less than a millionth of itself is absorbed.
+    # With a prior, columns in units of it over the residual's scale: values are the rows' information over the prior's.
     inverse = np.where(seen, 1.0 / np.where(seen, length, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(Z2 * np.outer(inverse, inverse))
     retained = float(np.clip(np.sum(left[seen] ** 2 * inverse[seen] ** 2) / np.count_nonzero(seen), 0.0, 1.0))
-    keep = values > ABSORBED
+    least = ABSORBED
+    if c.prior is not None:
+        inverse, least = c.prior / space.scale, SEEN
+    values, vectors = linalg.eigh(Z2 * np.outer(inverse, inverse))
+    keep = values > least
     if not keep.any():
         return nothing(retained, "absorbed")
-    weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values[keep])
+    values = values[keep]
+    weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
     amplitude = weights.T @ c.columns.times(space.residual)
-    explained = float(amplitude @ amplitude) / space.scale**2
-    freedom = int(np.count_nonzero(keep))
+    kept, cost = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2)))
+    if c.prior is not None:
+        kept, cost = values / (1.0 + values), float(np.sum(np.log1p(values)))
+    explained = float(kept @ amplitude**2) / space.scale**2
     return Scored(
         candidate=c,
         absorbed=absorbed,
         weights=weights,
         amplitude=amplitude,
+        kept=kept,
+        cost=cost,
         explained=explained,
-        log_p=float(log_tail(explained, freedom)),
-        bic=explained - freedom * float(np.log(max(space.rows, 2))),
+        log_p=float(tail_of(kept, explained)),
+        bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK else "testable",
         unit_limit=unit_limit,
@@ -189,9 +237,18 @@ def _overlap(a: Scored, b: Scored) -> Array:
 
 
 def canonical(a: Scored, b: Scored) -> float:
-    """Largest squared canonical correlation of two candidates, 0 to 1."""
+    """Largest squared canonical correlation of two candidates, 0 to 1.
+
+    Of a candidate with a prior, which can follow nearly everything, the share of what it found here that the other
+    could have found.
+    """
     if not a.freedom or not b.freedom:
         return 0.0
+    for s, other in ((a, b), (b, a)):
+        if s.candidate.prior is not None:
+            found = s.kept * s.amplitude
+            shared = found @ _overlap(s, other)
+            return min(float(shared @ shared) / max(float(found @ found), 1e-300), 1.0)
     return min(float(np.linalg.norm(_overlap(a, b), 2)) ** 2, 1.0)
 
 
@@ -199,7 +256,7 @@ def explained_together(space: Space, a: Scored, b: Scored) -> float:
     """What two candidates explain together, in units of the residual's variance."""
     cross = _overlap(a, b)
     amplitude = np.r_[a.amplitude, b.amplitude]
-    gram = np.block([[np.eye(a.freedom), cross], [cross.T, np.eye(b.freedom)]])
+    gram = np.block([[np.diag(1.0 / a.kept), cross], [cross.T, np.diag(1.0 / b.kept)]])
     return float(amplitude @ np.linalg.pinv(gram, rcond=1e-6, hermitian=True) @ amplitude) / space.scale**2
 
 
@@ -233,7 +290,7 @@ def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -
     amplitude = signs @ parts
     maxima, start = np.zeros(flips), 0
     for s in chosen:
-        explained = np.sum(amplitude[:, start : start + s.freedom] ** 2, axis=1) / space.scale**2
+        explained = explained_by(s, amplitude[:, start : start + s.freedom], space.scale)
         start += s.freedom
-        maxima = np.maximum(maxima, -log_tail(explained, s.freedom))
+        maxima = np.maximum(maxima, -tail_of(s.kept, explained))
     return Flips(maxima)

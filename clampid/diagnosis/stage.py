@@ -217,10 +217,11 @@ class _Look:
 
 def _look(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, rejected: set[str]) -> _Look:
     space = space_of(estimate)
-    named = score(space, named_candidates(estimate, effects))
     free = score(space, probes(estimate))
-    named_null = flip_maxima(space, named, flips, seed)
     free_null = flip_maxima(space, free, flips, seed + 1)
+    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
+    named = score(space, named_candidates(estimate, effects, fired))
+    named_null = flip_maxima(space, named, flips, seed)
     named = [s if _plausible(s, effects, space.scale) else replace(s, state="implausible") for s in named]
     best = _best([s for s in named if s.candidate.label not in rejected])
     if best is not None and named_null.p_familywise(best.log_p) > RATE:
@@ -245,8 +246,7 @@ def _best(scored: Sequence[Scored]) -> Scored | None:
 
 def _plausible(s: Scored, effects: Mapping[str, Effect], scale: float) -> bool:
     """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
-    value = s.weights @ s.amplitude
-    spread = SURE * scale * np.sqrt(np.sum(s.weights**2, axis=1))
+    value, spread = s.value, SURE * scale * s.spread
     alone = len(s.candidate.terms) < 2  # of several places, one step from zero may put a few on the wrong side
     for slot, v, sd in zip(s.candidate.slots, value, spread, strict=True):
         parameter = find_parameter(slot, effects)
@@ -274,6 +274,8 @@ def _rivals(space: Space, named: Sequence[Scored], best: Scored, rejected: set[s
             continue
         if other.explained < best.explained - SAME - other.freedom:
             continue
+        if other.candidate.prior is not None and other.bic < best.bic - SAME:
+            continue  # what can follow anything explains what the simpler one does, and is no rival for it
         if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
             found.setdefault((other.candidate.name, other.candidate.places), other)
     kept = [
@@ -290,13 +292,18 @@ def _pruned(
         return trial, list(new)
     estimate = trial.estimate
     rows = max(len(estimate.whitened.residual), 2)
+    assumed = estimate.experiment.prior_std() <= estimate.experiment.sizes()
     kept = []
     for term in new:
         index = [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
         if not index:
             continue
         theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
-        if float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta) > len(index) * np.log(rows):
+        cost = len(index) * float(np.log(rows))
+        if assumed[index].all():  # what the rows narrowed the prior by
+            prior = estimate.experiment.prior_std()[index]
+            cost = -float(np.linalg.slogdet(covariance / np.outer(prior, prior))[1])
+        if float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta) > cost:
             kept.append(term)
     if not kept or len(kept) == len(new):
         return trial, list(new)
@@ -347,8 +354,7 @@ def _entry(
 
 def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None) -> list[dict[str, Any]]:
     if estimate is None:  # the score's own estimate: one step from zero
-        value = s.weights @ s.amplitude
-        spread = np.sqrt(np.sum((s.weights * 1.0) ** 2, axis=1))
+        value, spread = s.value, s.spread
         return [
             {"name": slot.label, "value": float(v), "std": float(sd), "unit": find_parameter(slot, effects).unit}
             for slot, v, sd in zip(s.candidate.slots, value, spread, strict=False)
@@ -431,7 +437,8 @@ def _variables(look: _Look) -> list[str]:
 def noncentrality(freedom: int, null: Flips) -> float:
     """The noncentrality that is found with 90 % power at this dictionary's size."""
     log_p = null.critical_log_p(RATE)
-    critical = float(optimize.brentq(lambda x: float(log_tail(x, freedom)) - log_p, 0.0, -4.0 * log_p + 100.0))
+    most = 4.0 * (freedom - log_p) + 100.0
+    critical = float(optimize.brentq(lambda x: float(log_tail(x, freedom)) - log_p, 0.0, most))
 
     def short(x: float) -> float:
         return float(stats.ncx2.sf(critical, freedom, x)) - POWER
@@ -447,8 +454,15 @@ def _testability(named: Sequence[Scored], null: Flips, effects: dict[str, Effect
     for s in named:
         if s.freedom and s.freedom not in factor:
             factor[s.freedom] = np.sqrt(noncentrality(s.freedom, null))
-        limits = []
+        limits: list[dict[str, Any]] = []
+        together = s.candidate.prior is not None  # too many to be found one by one: so many times the assumed size
+        if together and s.freedom:
+            information = float(np.sum(s.kept**2 / np.maximum(1.0 - s.kept, 1e-9)))
+            name = f"{s.candidate.name}, in assumed sizes"
+            limits.append({"name": name, "limit": float(factor[s.freedom] / np.sqrt(information)), "unit": ""})
         for slot, unit_limit in zip(s.candidate.slots, s.unit_limit, strict=True):
+            if together:
+                break
             limit = float(unit_limit * factor[s.freedom]) if s.freedom and np.isfinite(unit_limit) else None
             limits.append({"name": slot.label, "limit": limit, "unit": find_parameter(slot, effects).unit})
         entry = {"effect": s.candidate.family, "name": s.candidate.name, "where": list(s.candidate.places)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from clampid.fit import PRIOR_SIZES, Estimate
+from clampid.fit import Estimate
 from clampid.noise import Noise, Whitened
 from clampid.nulls import null_directions
 from clampid.planning.indices import observability
@@ -21,8 +21,7 @@ __all__ = ["expected_of", "predicted_covariance", "prior_precision"]
 def prior_precision(experiment: Experiment) -> Array:
     """What a fit of these slots knows before any row ``(P, P)``: the weak prior, and the description's masses."""
     count = len(experiment.slots)
-    size, shapes = experiment.sizes()[:count], experiment.shapes()[:count]
-    precision = np.diag(1.0 / (np.where(shapes, 1.0, PRIOR_SIZES) * size) ** 2)
+    precision = np.diag(1.0 / experiment.prior_std()[:count] ** 2)
     index = {slot: k for k, slot in enumerate(experiment.slots)}
     for prior in description_priors(experiment.rows):
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]

@@ -14,6 +14,7 @@ __all__ = ["comparison_table", "evidence", "parameters_text"]
 Json = Mapping[str, Any]
 MOST_CONSIDERED = 12
 MOST_OUTLIERS = 40
+MOST_PARAMETERS = 80
 _COMPARED = "Root mean square errors of the fitted and of the held-out rows, and what noise alone leaves."
 _HEADS = (
     "Effect",
@@ -127,6 +128,8 @@ def parameters_text(parameters: Sequence[Json] | Json) -> str:
     """Parameters with standard errors in display units: of a verdict, or of what was hidden."""
     if isinstance(parameters, Mapping):
         return ", ".join(f"{k} = {_plain(v)}" for k, v in parameters.items()) or "–"
+    if len(parameters) > MOST_PARAMETERS:
+        return f"{len(parameters)} numbers, drawn as curves below"
     out = []
     for p in parameters:
         value, std = float(p.get("value", float("nan"))), float(p.get("std", float("nan")))

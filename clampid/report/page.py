@@ -13,6 +13,7 @@ from plotly.offline import get_plotlyjs
 
 from clampid.model import Model
 from clampid.reopen import reopen
+from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section
 from clampid.report.measured import measured_section
@@ -56,6 +57,7 @@ def page(
         robot_section(campaign.robot, poses, before) if poses is not None else None,
         budget_section(stages),
         torque_section(stages),
+        angle_curves_section(model, effects, campaign.robot),
         parameters_section(model, effects),
         dh_section(model),
         origin_section(model, campaign, effects),

@@ -15,6 +15,7 @@ __all__ = ["OPEN", "parameters_section"]
 
 OPEN = "not identifiable"
 _PREFIXES = {"base_": "base", "target_": "targets", "flange_": "flange"}
+_MANY = 40  # parameters of an effect at a place, which nobody reads one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
 
 
@@ -25,10 +26,13 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
     open_ones = 0
     for stage in in_order(model.stages):
         stage_model = model.stages[stage]
-        open_ones += sum(not ok for ok in stage_model.identified)
+        many = {name for name in {s.effect for s in stage_model.slots} if len(effects[name].parameters) > _MANY}
+        rest = zip(stage_model.slots, stage_model.identified, strict=True)
+        open_ones += sum(not ok for slot, ok in rest if slot.effect not in many)
         blocks.append(stage_title(stage))
         if stage_model.base:
             blocks.append(_base(stage_model))
+        notes += [f"{stage_title(stage)}: {name} is drawn as curves, not listed number by number." for name in many]
         blocks += [_pivot(stage_model, effects, indices) for indices in _groups(stage_model, effects)]
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
     text = "Value ± one standard error."
@@ -63,6 +67,8 @@ def _groups(stage: StageModel, effects: Mapping[str, Effect]) -> list[list[int]]
     groups: dict[tuple[str, ...], list[int]] = {}
     for k, slot in enumerate(stage.slots):
         effect = effects[slot.effect]
+        if len(effect.parameters) > _MANY:
+            continue
         kind = slot.place.rstrip("0123456789")
         alone = slot.effect == "geometry" or len(effect.parameters) > _WIDE
         part = next((p for p in _PREFIXES if slot.effect == "geometry" and slot.parameter.startswith(p)), "")

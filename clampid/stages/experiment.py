@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.chain import Chain, build_chain
-from clampid.effect import Effect, Stage
+from clampid.effect import WEAK, Effect, Stage
 from clampid.slots import Slot, find_parameter
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
@@ -83,6 +83,16 @@ class Experiment:
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
         own = [find_parameter(slot, self.effects).size for slot in self.slots]
+        return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
+
+    def prior_std(self) -> Array:
+        """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
+        own = [find_parameter(slot, self.effects).prior_std for slot in self.slots]
+        return np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
+
+    def clear(self) -> Array:
+        """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
+        own = [find_parameter(slot, self.effects).clear for slot in self.slots]
         return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def bounds(self) -> tuple[Array, Array]:

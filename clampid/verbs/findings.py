@@ -10,6 +10,7 @@ from clampid.verbs.units import error_text, with_error
 
 __all__ = ["show_addition", "show_comparison", "show_diagnosis", "where_text"]
 
+MANY = 40  # parameters of one effect at one place, beyond which nobody reads them one by one
 WORDS = {
     "adequate": "nothing is missing",
     "missing": "an effect is missing",
@@ -36,6 +37,14 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
             motors.append((name, f"motor {k}", *(_number(v) for v in cells), *(_number(v, 5) for v in shares)))
     columns = ("table", "rows", "rms", "mean", "max", "held out", "rms", "mean", "max", "noise floor")
     out.table("model against measurement", columns, rows)
+    for name, table in data["tables"].items():
+        far = table.get("extrapolated")
+        if far and far["share"]:
+            joints = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in far["joints"].items())
+            share = f"{100 * far['share']:.0f} %"
+            out.say(
+                f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near: {joints}"
+            )
     if motors:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
@@ -66,8 +75,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             columns = ("effect", "at", "p", "p of the family", "held out, before", "after")
             out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
-            values = [(p["name"], with_error(p["value"], _nan(p.get("std")), p["unit"])) for p in parameters]
-            out.table("", ("parameter", "value"), values)
+            out.table("", ("parameter", "value"), _values(parameters))
         if part.get("depends_on"):
             out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
         if part.get("next_measurement"):
@@ -98,10 +106,27 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
         out.say(f"{stage}: on held-out rows {before} before, {after} after; noise floor {floor}")
         rows = []
         for added in part["added"]:
-            for p in added["parameters"]:
-                value = with_error(p["value"], _nan(p.get("std")), p["unit"])
-                rows.append((added["effect"], where_text(added["where"]), p["name"], value))
+            values = _values(added["parameters"])
+            rows += [(added["effect"], where_text(added["where"]), *named) for named in values]
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
+
+
+def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Parameter and value; of an effect with very many at a place, their number and their root sum of squares."""
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for p in parameters:
+        effect, _, place = str(p["name"]).partition("@")
+        groups.setdefault((effect.partition(".")[0], place), []).append(p)
+    out = []
+    for (effect, place), own in groups.items():
+        if len(own) <= MANY:
+            out += [(p["name"], with_error(p["value"], _nan(p.get("std")), p["unit"])) for p in own]
+            continue
+        total = sum(p["value"] ** 2 for p in own) ** 0.5
+        spread = sum(_nan(p.get("std")) ** 2 for p in own) ** 0.5
+        name = f"{effect}@{place}, {len(own)} numbers, root sum of squares"
+        out.append((name, with_error(total, spread, own[0]["unit"])))
+    return out
 
 
 def where_text(where: str | Sequence[str]) -> str:

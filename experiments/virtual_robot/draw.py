@@ -24,6 +24,7 @@ TOOL_MASS = 12.0
 TOOL_COM = np.array([0.0, 0.0, 0.08])
 TARGETS = {"T1": (0.10, 0.0, 0.12), "T2": (-0.05, 0.0866, 0.12), "T3": (-0.05, -0.0866, 0.12)}
 ARCSEC = np.pi / 180 / 3600
+DISC_MARKS = 36  # of an encoder, round its disc: errors of spacing show at every ten degrees
 
 
 def nominal_geometry(robot: RobotDescription) -> Geometry:
@@ -162,6 +163,9 @@ def _draw_drive(robot: RobotDescription, rng: np.random.Generator) -> Drive:
         slip=np.zeros((n, 3)),
         slip_torque=np.ones((n, 3)),
         eccentricity=np.zeros((n, 4)),
+        disc=np.zeros(DISC_MARKS),
+        disc_turn=np.zeros(n),
+        disc_sense=np.ones(n),
         rotor=3e-4 * (rated * ratio / rated[0] / ratio[0]) ** 0.5 * rng.uniform(0.7, 1.3, n),
     )
 

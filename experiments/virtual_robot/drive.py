@@ -35,7 +35,17 @@ def gear_output(drive: Drive, motor: Array, zero: Array) -> Array:
     q = motor @ drive.transmission + zero
     e = drive.eccentricity
     periodic = e[:, 0] * np.sin(q) + e[:, 1] * np.cos(q) + e[:, 2] * np.sin(2 * q) + e[:, 3] * np.cos(2 * q)
-    return np.asarray(q + periodic, dtype=float)
+    return np.asarray(q + periodic + _disc_error(drive, q), dtype=float)
+
+
+def _disc_error(drive: Drive, q: Array) -> Array:
+    """Return by how much the encoders' discs are off, rad, (N, n): straight from mark to mark."""
+    marks = len(drive.disc)
+    turns = (drive.disc_sense * q + drive.disc_turn) / (2 * np.pi) * marks
+    before = np.floor(turns).astype(int)
+    part = turns - before
+    left, right = drive.disc[before % marks], drive.disc[(before + 1) % marks]
+    return np.asarray(drive.disc_sense * (left + part * (right - left)), dtype=float)
 
 
 def nonlinear_yield(drive: Drive, tau: Array) -> Array:

@@ -58,6 +58,21 @@ def hide_eccentricity(plant: Plant, i: int, m: float, s: Sight, rng: np.random.G
     return wavy(plant, terms), named(("sin_q_rad", "cos_q_rad", "sin_2q_rad", "cos_2q_rad"), terms)
 
 
+def hide_disc(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Give all joints encoders with one and the same faulty disc, each turned and read from the side as it came."""
+    n, marks = plant.n, len(plant.drive.disc)
+    error, turn, sense = rng.normal(size=marks), rng.uniform(0.0, 2 * np.pi, n), rng.choice([-1.0, 1.0], n)
+    error -= error.mean()
+    error /= np.sqrt(np.mean(error**2))
+
+    def faulty(p: Plant, rms: float) -> Plant:
+        return replace(p, drive=replace(p.drive, disc=rms * error, disc_turn=turn, disc_sense=sense))
+
+    rms = m * SMALL * s.factor(lambda p: faulty(p, SMALL))
+    told = {"marks_rms_rad": rms, **{f"turn{j + 1}_rad": float(turn[j]) for j in range(n)}}
+    return faulty(plant, rms), told | {f"sense{j + 1}_1": float(sense[j]) for j in range(n)}
+
+
 def hide_ratio(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Make an entry of T wrong: of the wrist's coupling to the joint before, or else of the joint's own ratio."""
     T = s.plant.drive.transmission

@@ -10,6 +10,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnose import diagnose
+from clampid.effect import EffectError, Parameter
 from clampid.fit import FitError, Prior, fit
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
@@ -177,3 +178,29 @@ def test_nothing_to_fit_is_said(arm: Campaign):
     trial = experiment(replace(rows, used=np.zeros_like(rows.used)), catalogue(), (Slot("geometry", "x", "link2"),))
     with pytest.raises(FitError, match="no rows"):
         fit(trial)
+
+
+def test_a_tight_prior_keeps_what_rows_leave_open(arm: Campaign):
+    """Of a parameter with a spread of 1 the fit knows its size where no row tells it, and says so."""
+    rows = stage_rows([arm], layout_of([arm]), "poses")
+    rows = replace(rows, signals={**rows.signals, "q": np.zeros_like(rows.signals["q"])})
+    first = catalogue()["gear_eccentricity"]
+    assumed = tuple(replace(p, spread=1.0) for p in first.parameters)
+    effects = {**catalogue(), first.name: replace(first, parameters=assumed)}
+    sine, cosine = Slot(first.name, "a1", "joint2"), Slot(first.name, "b1", "joint2")
+    trial = experiment(rows, effects, (sine, cosine))
+    off, _ = trial.residual(np.array([0.0, 2e-4]))
+    noise = np.random.default_rng(0).normal(0.0, rows.sigma)
+    trial = trial.with_rows(replace(rows, measured=rows.measured - off + noise))
+    estimate = fit(trial, reject=False)  # at q = 0 the sine is not seen, and the cosine is
+    scale = np.sqrt(np.mean(estimate.whitened.residual**2))
+    assert estimate.std[0] == pytest.approx(assumed[0].size * scale, rel=0.02)
+    assert estimate.std[1] < 0.2 * assumed[0].size
+    assert abs(estimate.theta[1] - 2e-4) < 4 * estimate.std[1]
+    assert list(estimate.identified) == [False, True]
+    assert experiment(rows, catalogue(), (sine,)).prior_std()[0] == 10 * first.parameters[0].size
+
+
+def test_a_spread_must_be_positive():
+    with pytest.raises(EffectError, match="spread must be positive"):
+        Parameter("a", "rad", 1e-4, spread=0.0)

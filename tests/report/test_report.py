@@ -273,3 +273,17 @@ def test_arm_points_end_at_the_flange():
     flange = forward(robot.screws, robot.flange, q @ np.asarray(robot.linkage).T)[:, :3, 3]
     np.testing.assert_allclose(points[:, -1], flange, atol=1e-12)
     assert points.shape == (5, robot.n + 2, 3)
+
+
+def test_angle_errors_are_drawn_as_curves(tmp_path: Path):
+    measured = measure(load_robot("ur10"), [Hidden("encoder_disc", None, 3.0)], seed=1, poses=50, tables=("poses",))
+    write_campaign(tmp_path / "arm", measured.header, measured.tables)
+    campaign = read_campaign(tmp_path / "arm")
+    model = identify(campaign, ("geometry", "joint_angle_curve"), holdout=0.1)
+    write_report(tmp_path / "report.html", model, campaign)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    plots = dict(re.findall(r'data-plot="(\w+)">(.*?)</script>', text, re.DOTALL))
+    curves = json.loads(plots["angles"])
+    assert [a["text"] for a in curves["layout"]["annotations"]][:6] == [f"joint {j}" for j in range(1, 7)]
+    assert len(curves["data"]) == 18
+    assert "joint_angle_curve is drawn as curves" in text

@@ -61,7 +61,7 @@ def test_an_effect_changes_the_tables_that_it_should(robot, clean, effect):
     assert max(_change(hidden, clean).values()) > 0.7
     told = hidden.hidden[0]
     assert told["effect"] == effect
-    assert re.fullmatch(r"joint[1-6]|link[1-6]|tool|base|fixture|instrument|clock|point", told["where"])
+    assert re.fullmatch(r"joint[1-6]|joints|link[1-6]|tool|base|fixture|instrument|clock|point", told["where"])
     for name, value in told["parameters"].items():
         assert re.search(r"_(m|rad|kg|kg_m|Nm|1|K|1_K|s|N_m|rad_s|rad_Nm|m_N|rad_rad|rad_Nm3|1_Nm2|Nm_rad)$", name)
         assert isinstance(value, float)
