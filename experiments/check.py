@@ -12,6 +12,7 @@ import numpy as np
 from experiments.campaign import Campaign
 from experiments.check_angles import angle_findings
 from experiments.check_clock import clock_findings
+from experiments.check_friction import friction_findings
 from experiments.check_motion import motion_findings, moved_joints, replicates
 from experiments.check_points import point_findings
 from experiments.check_signals import signal_findings
@@ -48,6 +49,7 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
         *point_findings(campaign, wrong),
         *torques,
         *signal_findings(campaign, wrong, weighed),
+        *friction_findings(campaign, wrong | weighed),
         *clock_findings(campaign),
         *motion_findings(campaign, wrong),
         *speed_findings(campaign, wrong),

@@ -8,35 +8,20 @@ torque was written; and since weight changes while a joint turns, the other way 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy.stats import norm
 
 from experiments.campaign import Campaign
 from experiments.columns import joint_columns
 from experiments.finding import Finding
-from experiments.signals import (
-    Shift,
-    acceleration,
-    accelerations,
-    choose_window,
-    combine_shifts,
-    low_pass,
-    rest_threshold,
-    speeds,
-    time_shift,
-)
-from experiments.signals.typing_ import Array, Bools, Integers
-from kinematics.gravity import add_tool, gravity_parameters, gravity_regressor
+from experiments.moving_log import ROWS, MovingLog, clear_moves, read_log, weight_regressor
+from experiments.signals import Shift, combine_shifts, time_shift
+from experiments.signals.typing_ import Array
+from kinematics.gravity import add_tool, gravity_parameters
 
 __all__ = ["torque_findings", "torque_shift"]
 
-# A table is judged on at most this many rows, smoothed and thinned: a check should not take longer than a fit.
-ROWS = 12_000
-# Rows at either end of a move in which friction builds up.
-BUILD_UP = 2
 # Descriptions, undeclared tools and balancers leave the weight within a factor of 1.5 (one sigma), and within 3.4 in
 # 997 of 1000 motors; gears are factors of 30 to 250, and percent of the rated torque, on robots' motors, of 10 to 100.
 SPREAD = np.log(1.5)
@@ -49,19 +34,6 @@ REJECTED, BELIEVED = 1e-6, 1e-2
 # sample step: drives read position and current at different instants of their own cycle.
 FALSE_ALARMS, SHIFT_STEPS = 1e-4, 0.25
 MOVES = 6
-
-
-@dataclass(frozen=True)
-class _Log:
-    """A torque table as arrays: step [s], time ``(N,)`` [s], run ``(N,)``; q, qd, qdd, tau ``(N, n)``."""
-
-    step: float
-    time: Array
-    run: Integers
-    q: Array
-    qd: Array
-    qdd: Array
-    tau: Array
 
 
 def torque_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
@@ -85,8 +57,8 @@ def torque_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
     for table in ("free_air", "wrist"):
         if table not in campaign.tables or table in angles_wrong or len(campaign.tables[table]) < ROWS // 100:
             continue
-        log = _read(campaign, campaign.tables[table])
-        regressor = _regressor(campaign, log.q)
+        log = read_log(campaign, campaign.tables[table])
+        regressor = weight_regressor(campaign, log.q)
         if robot.transmission_known:
             yield from _units(campaign, table, log, regressor)
         shift = _shift(campaign, log, regressor)
@@ -115,38 +87,8 @@ def torque_shift(campaign: Campaign, table: str) -> Shift | None:
     Shift or None
         All motors together; None where fewer than two carry weight that moves enough.
     """
-    log = _read(campaign, campaign.tables[table])
-    return _shift(campaign, log, _regressor(campaign, log.q))
-
-
-def _read(campaign: Campaign, frame: pd.DataFrame) -> _Log:
-    n = campaign.robot.n
-
-    def take(pattern: str) -> Array:
-        return frame[list(joint_columns(pattern, n))].to_numpy(dtype=np.float64)
-
-    time, run = frame["time_s"].to_numpy(dtype=np.float64), frame["run"].to_numpy(dtype=np.int64)
-    q, tau = take("q{}_rad"), take("tau{}_Nm")
-    steps = np.diff(time)[run[1:] == run[:-1]]
-    step = float(np.median(steps)) if steps.size else 1.0
-    if "qd1_rad_s" in frame:
-        qd = take("qd{}_rad_s")
-        qdd = acceleration(qd, time, run)
-    else:
-        window = choose_window(q, time, run, 2)
-        qd, qdd = speeds(q, time, run, window), accelerations(q, time, run, window)
-    every = -(-len(time) // ROWS)
-    if every > 1:
-        q, qd, qdd, tau = (low_pass(v, time, run, 2 * every * step)[::every] for v in (q, qd, qdd, tau))
-        time, run = time[::every], run[::every]
-    return _Log(step, time, run, q, qd, qdd, tau)
-
-
-def _regressor(campaign: Campaign, q: Array) -> Array:
-    """Joint torques of weight, linear in the links' masses and moments ``(N, n, 4n)``."""
-    robot = campaign.robot
-    linkage = np.asarray(robot.linkage)
-    return np.asarray(linkage.T @ gravity_regressor(robot.screws, q @ linkage.T, campaign.gravity))
+    log = read_log(campaign, campaign.tables[table])
+    return _shift(campaign, log, weight_regressor(campaign, log.q))
 
 
 def _masses(campaign: Campaign) -> Array:
@@ -154,20 +96,7 @@ def _masses(campaign: Campaign) -> Array:
     return add_tool(gravity_parameters(robot.links), robot.flange, tool.mass, tool.com)
 
 
-def _clear_moves(speed: Array, run: Integers) -> tuple[Bools, Integers]:
-    """Rows ``(N,)`` of clear motion of one motor of speed ``(N,)``, away from starts and stops, and their moves."""
-    limit = max(float(rest_threshold(speed[:, None])[0]), 0.02 * float(np.abs(speed).max(initial=0.0)))
-    sign = np.where(np.abs(speed) > limit, np.sign(speed), 0.0)
-    new = np.r_[True, (sign[1:] != sign[:-1]) | (run[1:] != run[:-1])]
-    move = np.cumsum(new)
-    first = np.flatnonzero(new)
-    last = np.r_[first[1:], len(speed)] - 1
-    index = np.arange(len(speed))
-    used = (sign != 0.0) & (index >= first[move - 1] + BUILD_UP) & (index <= last[move - 1] - BUILD_UP)
-    return used, move
-
-
-def _friction(campaign: Campaign, log: _Log, motor: int, speed: Array) -> Array:
+def _friction(campaign: Campaign, log: MovingLog, motor: int, speed: Array) -> Array:
     """What a motor's torque may hold besides weight, up to factors ``(N, k)``."""
     T = campaign.robot.transmission
     coupled = np.flatnonzero((T[motor] != 0.0) & (np.arange(campaign.robot.n) != motor))
@@ -176,14 +105,14 @@ def _friction(campaign: Campaign, log: _Log, motor: int, speed: Array) -> Array:
     return np.column_stack([*own, np.sign(log.qd[:, coupled]), log.qd, log.qdd, log.qd[:, i] * log.qd[:, k]])
 
 
-def _shift(campaign: Campaign, log: _Log, regressor: Array) -> Shift | None:
+def _shift(campaign: Campaign, log: MovingLog, regressor: Array) -> Shift | None:
     robot = campaign.robot
     motor_regressor = np.asarray(robot.transmission @ regressor)
     weight = motor_regressor @ _masses(campaign)
     speed = log.qd @ np.linalg.inv(robot.transmission)
     found = []
     for m in range(robot.n):
-        used, move = _clear_moves(speed[:, m], log.run)
+        used, move = clear_moves(speed[:, m], log.run)
         if len(np.unique(move[used])) < MOVES:
             continue
         # Friction that grows with the load changes with it, up and down: without this it would look like a shift.
@@ -196,7 +125,7 @@ def _shift(campaign: Campaign, log: _Log, regressor: Array) -> Shift | None:
     return combine_shifts(found)
 
 
-def _units(campaign: Campaign, table: str, log: _Log, regressor: Array) -> Iterator[Finding]:
+def _units(campaign: Campaign, table: str, log: MovingLog, regressor: Array) -> Iterator[Finding]:
     """Compare the factors of weight with those that other units, sides and signs would give."""
     robot = campaign.robot
     T = robot.transmission
@@ -251,14 +180,14 @@ def _numbers(motors: list[int]) -> str:
     return f"{'s' if len(motors) > 1 else ''} {', '.join(str(m + 1) for m in motors)}"
 
 
-def _factors(campaign: Campaign, log: _Log, speed: Array, weight: Array) -> Array:
+def _factors(campaign: Campaign, log: MovingLog, speed: Array, weight: Array) -> Array:
     """Weight ``(N, n)`` in each torque: factor, its standard error by moves, share of what is not friction, and drag.
 
     ``(n, 4)``; (0, 1, 0, 0) where the log does not tell. Drag is the torque that goes with the sign of motion.
     """
     out = np.tile([0.0, 1.0, 0.0, 0.0], (campaign.robot.n, 1))
     for m in range(campaign.robot.n):
-        used, move = _clear_moves(speed[:, m], log.run)
+        used, move = clear_moves(speed[:, m], log.run)
         moves, member = np.unique(move[used], return_inverse=True)
         others = _friction(campaign, log, m, speed[:, m])[used]
         if len(moves) < MOVES or used.sum() < 3 * others.shape[1]:

@@ -17,7 +17,7 @@ from clampid.slots import Layout
 from clampid.stages.loads import gravity_signals, inertial_signals
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import Campaign
-from experiments.signals import acceleration, held_sign, rest_threshold, segments, speeds
+from experiments.signals import acceleration, held_sign, rest_threshold, segments, speeds, typical_step
 
 __all__ = ["residual", "steady_share", "torque_rows"]
 
@@ -28,6 +28,8 @@ STEADY = 0.15  # of the log's largest acceleration of a joint
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
+BLOCKS = 200  # at least, where a log is short: fewer could not say what is one chance in a hundred
+BLOCK_ROWS = 24  # at least: twice as far as the noise is taken to remember itself
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
@@ -128,7 +130,7 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
         used &= (inertial <= INERTIA_SHARE * noise) & steady
     signals["torque_rate"] = np.gradient(measured, axis=0)
     stretch = segments(run, time, np.ones(len(run), dtype=bool))
-    _, unit = np.unique(np.c_[stretch, np.floor(time / BLOCK_S)], axis=0, return_inverse=True)
+    _, unit = np.unique(np.c_[stretch, np.floor(time / _block_seconds(time, run))], axis=0, return_inverse=True)
     fold = run if run.max() > 0 else (np.arange(len(run)) * FIFTHS // len(run)).astype(np.int64)
     return Rows(
         stage="free_air",
@@ -151,6 +153,12 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
         },
         per_row=("time", "run"),
     )
+
+
+def _block_seconds(time: Array, run: Integers) -> float:
+    """How long the blocks of a log are of which the null hypothesis changes the sign, s."""
+    step = typical_step(time, run)
+    return min(BLOCK_S, max(step * len(time) / BLOCKS, BLOCK_ROWS * step))
 
 
 def steady_share(campaign: Campaign) -> float:

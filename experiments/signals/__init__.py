@@ -3,7 +3,7 @@
 Nothing here knows of effects or of a robot.
 """
 
-from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows
+from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows, typical_step
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
 from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
 from experiments.signals.selection import medians
@@ -30,4 +30,5 @@ __all__ = [
     "stale_rows",
     "threshold_of_counts",
     "time_shift",
+    "typical_step",
 ]

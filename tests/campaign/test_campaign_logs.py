@@ -12,6 +12,7 @@ import pytest
 
 from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.check import Finding, check_campaign
+from experiments.check_friction import friction_findings
 from experiments.check_torques import torque_shift
 from experiments.signals import Shift, combine_shifts, time_shift
 from experiments.virtual_robot import Hidden, Measured, measure
@@ -261,3 +262,22 @@ class TestSpeeds:
 
         finding = only(campaign(tmp_path, edit, tables=table), "warning", f"nothing moves in {table} (standstill only)")
         assert finding.column == "q1_rad"
+
+
+class TestFriction:
+    """Friction takes energy, whatever the robot weighs."""
+
+    @pytest.mark.parametrize("motor", [2, 5])
+    def test_a_mirrored_torque_is_found_without_masses(self, motor: int, tmp_path: Path) -> None:
+        def mirrored(frame: pd.DataFrame) -> pd.DataFrame:
+            return frame.assign(**{f"tau{motor}_Nm": -frame[f"tau{motor}_Nm"]})
+
+        found = list(friction_findings(campaign(tmp_path, mirrored, seed=3), frozenset()))
+        assert [f.column for f in found] == [f"tau{motor}_Nm"]
+        assert found[0].severity == "warning"
+        assert f"friction of motor {motor} drives it" in found[0].message
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_sound_logs_are_called_sound(self, seed: int, tmp_path: Path) -> None:
+        sound = campaign(tmp_path, seed=seed, tables="free_air wrist")
+        assert not list(friction_findings(sound, frozenset()))
