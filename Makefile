@@ -17,7 +17,7 @@ WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-slow test-all lint format docs figures clean
+.PHONY: help venv demo test test-slow test-studies test-all lint format docs figures clean
 
 help:
 	@sed -n '3,6s/^# *//p' Makefile
@@ -52,10 +52,13 @@ demo: $(VENV)/.run
 	$(BIN)/clampid demo --seed $(SEED) --out $(OUT)
 
 test: $(VENV)/.develop
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(if $(SLOW),,-m "not slow")
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m $(if $(SLOW),"not study","not slow and not study")
 
 test-slow: $(VENV)/.develop
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m slow
+
+test-studies: $(VENV)/.develop
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m study
 
 test-all:
 	$(MAKE) test SLOW=yes

@@ -145,9 +145,9 @@ def test_products_are_the_columns_that_they_stand_for():
     np.testing.assert_allclose(columns.cross(columns), D.T @ D)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_the_ur10_of_the_public_measurements(shared_folder: Path):
+@pytest.mark.parametrize("splits", [pytest.param(1, marks=pytest.mark.slow), pytest.param(5, marks=pytest.mark.study)])
+def test_the_ur10_of_the_public_measurements(splits: int, shared_folder: Path):
     """The effect of a real robot is found by name, and its error falls, also in another session."""
     folders = [shared_folder / "real" / f"ur10_series_{s}" for s in "cd"]
     if not all(f.is_dir() for f in folders):
@@ -157,8 +157,8 @@ def test_the_ur10_of_the_public_measurements(shared_folder: Path):
     assert found.candidates[0]["name"] == "joint_angle_curve"
     assert found.depends_on[0].startswith("q")
     effects = ("geometry", "joint_compliance", "joint_angle_curve")
-    means = np.zeros((5, 4))
-    for seed in range(5):
+    means = np.zeros((splits, 4))
+    for seed in range(splits):
         for k, campaign in enumerate((c, d)):
             model = identify(campaign, effects, holdout=0.2, seed=seed)
             means[seed, k] = compare(model, campaign).tables["poses"]["heldout"]["mean"]

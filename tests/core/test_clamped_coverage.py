@@ -66,7 +66,7 @@ def test_clearances_are_told_from_zero_where_the_limit_says():
     assert large.sum() == 18
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(3600)
 def test_two_hundred_seeds():
     first, second = ([p[k] for p in pairs(MANY)] for k in (0, 1))
