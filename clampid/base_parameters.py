@@ -23,12 +23,13 @@ import numpy as np
 from clampid.base_names import BaseParameter, base_name
 from clampid.fit import Estimate
 from clampid.slots import Slot, find_parameter
+from clampid.stages.experiment import Experiment
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.rows import Array, Rows
 from kinematics.dynamics import inertial_parameters
 from kinematics.robot import RobotDescription
 
-__all__ = ["INERTIAL", "base_parameters", "described_parameters", "regroup", "to_joint_points"]
+__all__ = ["INERTIAL", "MOST_ROWS", "base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
 
 INERTIAL = ("gravity", "link_inertia", "payload", "inertia")
 """Effects whose parameters are masses, first moments and inertias; in the order in which their columns are taken."""
@@ -56,19 +57,44 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
     tuple
         From the base outwards; empty where the fit has no inertial parameters, or is of another stage.
     """
-    slots, effects = estimate.slots, estimate.experiment.effects
-    if estimate.experiment.stage != "free_air" or not any(s.effect in INERTIAL for s in slots):
+    experiment, count = estimate.experiment, len(estimate.slots)
+    if experiment.stage != "free_air" or not any(s.effect in INERTIAL for s in estimate.slots):
         return ()
-    robot, count = estimate.experiment.rows.robot, len(slots)
-    size = estimate.experiment.sizes()[:count]
-    turned = to_joint_points(slots, robot)
     columns, offsets = _columns(estimate)
+    return grouped(
+        experiment,
+        estimate.theta[:count],
+        estimate.covariance[:count, :count],
+        estimate.prior_precision[:count, :count],
+        columns,
+        offsets,
+    )
+
+
+def grouped(
+    experiment: Experiment, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
+) -> tuple[BaseParameter, ...]:
+    """The base parameters of a torque fit whose columns are given.
+
+    Parameters
+    ----------
+    experiment
+        Slots and robot.
+    theta, covariance, precision
+        ``(P,)``, ``(P, P)`` and the prior's ``(P, P)``, SI.
+    columns, offsets
+        Of some rows over their noise, the Jacobian of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
+    """
+    slots, effects = experiment.slots, experiment.effects
+    robot, count = experiment.rows.robot, len(slots)
+    size = experiment.sizes()[:count]
+    turned = to_joint_points(slots, robot)
     order = sorted(range(count), key=lambda k: _turn(slots[k]))
     kept, coefficients = regroup(columns @ np.linalg.inv(turned) * size, order, offsets)
     described = described_parameters(slots, robot)
-    theta = turned @ estimate.theta[:count] + described
-    covariance = turned @ estimate.covariance[:count, :count] @ turned.T
-    before = turned @ np.linalg.inv(estimate.prior_precision[:count, :count]) @ turned.T
+    theta = turned @ theta + described
+    before = turned @ np.linalg.inv(precision) @ turned.T
+    covariance = turned @ covariance @ turned.T
     out = []
     for k, shares in zip(kept, coefficients, strict=True):
         if slots[k].effect not in INERTIAL:

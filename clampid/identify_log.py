@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from clampid.accuracy import StageErrors
+from clampid.base_names import BaseParameter
+from clampid.base_parameters import INERTIAL, MOST_ROWS, grouped
 from clampid.effect import Effect
 from clampid.fit import prior_of, start_of
-from clampid.fit_log import fit_log
+from clampid.fit_log import LogFit, fit_log
 from clampid.log_errors import LogPrior, log_errors
+from clampid.log_sample import sampled_columns
 from clampid.model import StageModel
 from clampid.moments import covariance_of
 from clampid.nulls import assumed_of, named_directions
@@ -20,7 +23,7 @@ from clampid.slots import Layout, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
-from clampid.stages.rows import Integers, Rows
+from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 from experiments.log_windows import LogTable
 
@@ -115,9 +118,19 @@ class LogStage:
             held_out=tuple(tuple(f) for f in held),
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
             null_directions=named_directions(information, size, slots, precision[inside], assumed_of(self.experiment)),
+            base=self._base(fit, covariance, precision[:count, :count]),
         )
         out = bool(held) and any(held)
         return FittedLog(model, log_errors(self.design, fit, prior, self.folds, kept, out, seed))
+
+    def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:
+        """The base parameters of gravity and inertia."""
+        slots, effects = self.experiment.slots, self.experiment.effects
+        if not any(s.effect in INERTIAL for s in slots):
+            return ()
+        steady = not any(effects[s.effect].family == "inertia" for s in slots)
+        columns = sampled_columns(self.design, self.parts, slots, fit.noise.sigma, MOST_ROWS, steady)
+        return grouped(self.experiment, fit.moments.at[: len(slots)], covariance, precision, *columns)
 
     def _place(self, row: int) -> tuple[int, str, int]:
         """Session, table and row from 1 of a row of the log from 0."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
+import signal
 from collections import deque
 from collections.abc import Callable
 
@@ -246,9 +247,15 @@ def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) ->
             at = await server.start(host, port)
         except OSError as error:
             raise DetectorError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+        # Said, not left to the interpreter: started in the background of a shell, it would not hear an interrupt.
+        loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(server.run())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            with contextlib.suppress(NotImplementedError):  # Windows hears an interrupt by itself
+                loop.add_signal_handler(number, serving.cancel)
         say(f"listening on {at[0]}:{at[1]}")
         try:
-            await server.run()
+            with contextlib.suppress(asyncio.CancelledError):
+                await serving
         finally:
             await server.close()
 

@@ -103,7 +103,10 @@ def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> N
                     assert json.loads(lines.readline())["ok"] is False
         finally:
             server.send_signal(signal.SIGINT)
-            _, errors = server.communicate(timeout=60)
+            try:
+                _, errors = server.communicate(timeout=60)
+            finally:
+                server.kill()
     assert "Traceback" not in errors
 
 

@@ -1,0 +1,87 @@
+"""Some rows of a long log's design, spread over it: enough to see what depends on what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.slots import Slot
+from clampid.stages.loads import gravity_regressors
+from clampid.stages.log_design import LogDesign
+from clampid.stages.log_facts import LogPart, joint_columns
+from clampid.stages.rows import Array, Integers
+
+__all__ = ["sampled_columns"]
+
+_OF_LINK = ("m", "mx", "my", "mz")
+
+
+def sampled_columns(
+    design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot], sigma: Array, rows: int, at_rest: bool
+) -> tuple[Array, Array]:
+    """The derivative of the prediction in some rows that count, over the noise.
+
+    Parameters
+    ----------
+    design, parts
+        The log.
+    sigma
+        Standard deviation of the motors' noise ``(n,)``, Nm.
+    rows
+        How many rows of the log, about.
+    at_rest
+        Masses and first moments as in rest: the little acceleration of steady rows must not blur what gravity cannot
+        tell apart.
+
+    Returns
+    -------
+    Array, Array
+        Of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
+    """
+    every = max(1, design.facts.rows // rows)
+    row, motor, values = [], [], []
+    for block in design:
+        for c, channel in enumerate(block.channels):
+            own = np.arange(channel.own, len(channel.row))
+            chosen = own[channel.row[own] % every == 0]
+            wide = np.zeros((len(chosen), design.parameters))
+            wide[:, channel.columns] = channel.both[chosen, :-1]
+            row.append(channel.row[chosen])
+            motor.append(np.full(len(chosen), c))
+            values.append(wide)
+    at, which, columns = np.concatenate(row), np.concatenate(motor), np.concatenate(values)
+    if at_rest:
+        _weigh(columns, at, which, design, parts, slots)
+    columns = columns / sigma[which][:, None]
+    return columns[:, : len(slots)], columns[:, len(slots) :]
+
+
+def _weigh(
+    columns: Array, row: Integers, motor: Integers, design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot]
+) -> None:
+    """Put the columns of weight alone into ``columns`` ``(M, P + K)``."""
+    index = {slot: k for k, slot in enumerate(slots)}
+    n, T = design.n, design.T
+    before = 0
+    for part in parts:
+        inside = np.flatnonzero((row >= before) & (row < before + part.table.rows))
+        wanted, of = np.unique(row[inside] - before, return_inverse=True)
+        q, done = np.zeros((len(wanted), n)), 0
+        for chunk in part.table.chunks(joint_columns("q", "rad", n)):
+            found = np.column_stack(list(chunk.values()))
+            here = (wanted >= done) & (wanted < done + len(found))
+            q[here] = found[wanted[here] - done]
+            done += len(found)
+        gravity = np.asarray(part.campaign.gravity, dtype=float)
+        weight = gravity_regressors(part.campaign.robot, gravity, q)
+        links, tool = T @ weight["regressor"], T @ weight["tool_regressor"]
+        for i, name in enumerate(_OF_LINK):
+            for k in range(n):
+                slot = index.get(Slot("gravity", name, f"link{k + 1}"))
+                if slot is not None:
+                    columns[inside, slot] = links[of, motor[inside], 4 * k + i]
+            slot = index.get(Slot("payload", name, "tool"))
+            if slot is not None:
+                columns[inside, slot] = tool[of, motor[inside], i]
+        before += part.table.rows
