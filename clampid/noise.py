@@ -124,7 +124,6 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
     return Noise(sigma, tuple(autocorrelations))
 
 
-
 def _stretches(rows: Rows) -> Integers:
     """The stretch of the log ``(N,)`` that each row is of; between two, the clock breaks off."""
     return segments(rows.constants["run"], rows.constants["time"], np.ones(len(rows), dtype=bool))
