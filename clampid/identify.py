@@ -14,7 +14,7 @@ from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fit import Estimate, Prior, fit
 from clampid.gauge import independent_geometry
-from clampid.identify_log import LogStage, log_parts
+from clampid.identify_log import LogStage
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.nulls import null_directions
@@ -22,9 +22,10 @@ from clampid.priors import description_priors
 from clampid.slots import Layout, Slot, Term, parse_term, slots_of_terms
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.experiment import experiment
+from clampid.stages.log_facts import log_parts, steady_share
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
-from clampid.stages.torques import steady_share, torque_rows
+from clampid.stages.torques import torque_rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
@@ -86,7 +87,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
         springs = ("joint_compliance",) if campaigns[0].robot.has_masses else ()
         names["poses"] = ("geometry", *springs, "backlash") if directed else ("geometry", *springs)
-    if "free_air" in found and min(steady_share(c) for c in campaigns) < MOSTLY:
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
         names["free_air"] += ("inertia",)
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 

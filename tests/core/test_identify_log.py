@@ -13,10 +13,10 @@ import pytest
 from clampid.accuracy import StageErrors, stage_errors
 from clampid.catalogue import catalogue
 from clampid.identify import FittedStage, fit_stage, has_inertia, held_out_folds, stage_rows
-from clampid.identify_log import FittedLog, LogStage, log_parts
+from clampid.identify_log import FittedLog, LogStage
 from clampid.layout import layout_of
 from clampid.slots import Term
-from clampid.stages.log_facts import LogPart
+from clampid.stages.log_facts import LogPart, log_parts
 from experiments.campaign import Campaign, Tool
 from experiments.log_windows import LogTable, windows
 from experiments.simulate import measured_campaign
