@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clampid.diagnosis.stage import StageDiagnosis, diagnose_stage
+from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.identify import TABLES_OF, FittedStage, fit_stage
 from clampid.model import Model
