@@ -116,9 +116,9 @@ def _undecided(
 
 
 def _unknown(result: StageDiagnosis, look: Look) -> None:
-    """Set down that something is left which no name explains, and on what it depends."""
+    """Set down that something is left which no name explains, and on what it depends, if a probe tells."""
     result.verdict = "unknown"
-    result.depends_on = variables_of(look)
+    result.depends_on = variables_of(look) if look.fires else []
     result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
 
 
