@@ -34,6 +34,8 @@ class Variable:
         Signals of :data:`clampid.effect.SIGNALS` that it is read from.
     code
         Expressions of the row's signals ``x``: one, or for speeds two (sign of the motion, speed).
+    index
+        Which number of its signals it is, from 0; None where they have one only.
     basis
         What smooth functions of it are made of.
     scale
@@ -45,6 +47,7 @@ class Variable:
     name: str
     signals: tuple[str, ...]
     code: tuple[str, ...]
+    index: int | None
     basis: Basis
     scale: float
     unit: str
@@ -208,7 +211,8 @@ def _variable(name: str, stage: Stage) -> Variable:
         known = ", ".join(_listed((k, v.numbered) for k, v in _KINDS[stage].items()))
         raise EffectError(f"variable {name!r} is not known in {stage}; known: {known}")
     code = tuple(c.format(i=number - 1) for c in kind.code)
-    return Variable(name, kind.signals, code, kind.basis, kind.scale, kind.unit)
+    index = number - 1 if kind.numbered else "xyz".find(name) if name in "xyz" else None
+    return Variable(name, kind.signals, code, index, kind.basis, kind.scale, kind.unit)
 
 
 def _place(at: str, stage: Stage) -> Place:

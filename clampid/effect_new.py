@@ -44,7 +44,7 @@ def shape({arguments}) -> dict[str, Any]:
 
 
 def deviation(p: Any, x: Any) -> Any:
-    """{formula}: the sum over the terms of factor times term."""
+    """Sum over the terms of factor times term: {formula}."""
     {deviation}
 
 
@@ -140,12 +140,7 @@ def _written(name: str, found: Dependence, orders: int) -> str:
     deviation, placing = _deviation(place, f"shape({inputs})")
     arguments = [argument for v in found.variables for argument in v.arguments]
     zeros = ", ".join("0.0" for _ in arguments)
-    parameter, loop, meaning = f'name, "{next(iter(place.units.values()))}"', "", 'meaning=f"factor of {name}"'
-    if several:
-        parameter, loop = 'f"{axis}_{name}", unit', "        for axis, unit in AXES.items()\n"
-        meaning = 'meaning=f"factor of {name} in {axis}"'
-    size = f"{place.size:g}".replace("e-0", "e-") if place.size >= 1e-3 else f"{place.size:.0e}".replace("e-0", "e-")
-    signals = list(dict.fromkeys(s for v in found.variables for s in v.signals))
+    signals = [f'"{s}"' for s in dict.fromkeys(s for v in found.variables for s in v.signals)]
     return _FILE.format(
         title=name.replace("_", " ").capitalize(),
         name=name,
@@ -160,8 +155,8 @@ def _written(name: str, found: Dependence, orders: int) -> str:
         formula=_formula(place),
         deviation=deviation,
         station=place.station,
-        parameters=f"tuple(\n        Parameter({parameter}, {size}, {meaning})\n{loop}        for name in shape({zeros})\n    )",
-        needs="".join(f'"{s}", ' for s in signals).rstrip() if len(signals) == 1 else ", ".join(f'"{s}"' for s in signals),
+        parameters=_parameters(place, zeros),
+        needs=", ".join(signals) + ("," if len(signals) == 1 else ""),
         stage=found.stage,
     )
 
@@ -192,6 +187,18 @@ def _deviation(place: Place, shape: str) -> tuple[str, tuple[str, ...]]:
     if place.station == "link_twist":
         return f"terms = {shape}\n    return at_link({place.number}, [{motion}], x)", ("at_link",)
     return f"terms = {shape}\n    return rows(*({motion}))", ("rows",)
+
+
+def _parameters(place: Place, zeros: str) -> str:
+    """The expression of the parameters, a factor for each term, and for each axis where there are several."""
+    size = f"{place.size:g}" if place.size >= 1e-3 else f"{place.size:.0e}".replace("e-0", "e-")
+    if len(place.units) == 1:
+        unit = next(iter(place.units.values()))
+        return f'tuple(Parameter(name, "{unit}", {size}, meaning=f"factor of {{name}}") for name in shape({zeros}))'
+    return (
+        f'tuple(\n        Parameter(f"{{axis}}_{{name}}", unit, {size}, meaning=f"factor of {{name}} in {{axis}}")\n'
+        f"        for axis, unit in AXES.items()\n        for name in shape({zeros})\n    )"
+    )
 
 
 def _formula(place: Place) -> str:

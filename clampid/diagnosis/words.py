@@ -81,7 +81,8 @@ def summary_of(result: StageDiagnosis) -> str:
             return start + f"These data cannot tell apart: {'; '.join(rest)}. To part them: {result.next_measurement}."
         case _:
             error = "" if confirmed else f" (held-out error {shown(result.after)}, {floor})"
+            next_step = f" To make it an effect: {result.shape['command']}" if result.shape else ""
             return (
                 f"{start}Structure is left that no known effect explains; it depends on "
-                f"{', '.join(result.depends_on)}{error}."
+                f"{', '.join(result.depends_on)}{error}.{next_step}"
             )
