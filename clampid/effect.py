@@ -178,7 +178,7 @@ class Effect:
     name
         The variant, unique in the catalogue.
     family
-        One of :data:`FAMILIES`.
+        One of :data:`FAMILIES`; an effect of a user's own that belongs to none goes by its own name.
     acts
         Station → ``deviation(p, x)``; p gives the parameters (casadi, ``(n,)`` or scalar), x the signals.
     parameters
@@ -222,7 +222,7 @@ class Effect:
 
     def __post_init__(self) -> None:
         for kind, found, known in (
-            ("family", (self.family,), FAMILIES),
+            ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
             ("signal", self.needs, tuple(SIGNALS)),
             ("stage", self.stages, STAGES),

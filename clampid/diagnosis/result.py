@@ -27,6 +27,7 @@ class StageDiagnosis:
     candidates: list[dict[str, Any]] = field(default_factory=list)
     considered: list[dict[str, Any]] = field(default_factory=list)
     depends_on: list[str] = field(default_factory=list)
+    shape: dict[str, Any] | None = None
     outliers: list[dict[str, Any]] = field(default_factory=list)
     next_measurement: str | None = None
     omission: list[dict[str, Any]] = field(default_factory=list)
@@ -46,6 +47,7 @@ class StageDiagnosis:
             "candidates": self.candidates,
             "considered": self.considered,
             "depends_on": self.depends_on,
+            "shape": self.shape,
             "outliers": self.outliers,
             "next_measurement": self.next_measurement,
             "omission": self.omission,

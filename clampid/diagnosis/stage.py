@@ -22,6 +22,7 @@ from clampid.diagnosis.separators import separating_measurement
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import Refit, held_out, pruned
 from clampid.diagnosis.words import omission_of, outliers_of, summary_of
+from clampid.diagnosis.unknown_shape import shape_of
 from clampid.effect import Effect
 from clampid.fit import Estimate
 from clampid.identify import FittedStage
@@ -97,6 +98,8 @@ def diagnose_stage(
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
         _unknown(result, look)
+        if look.fires and look.probe is not None:
+            result.shape = shape_of(fitted.estimate, look.space, look.probe, result.depends_on, seed)
     result.candidates = merged(result.candidates)
     result.omission = omission_of(first, fitted.estimate)
     result.fitted = fitted

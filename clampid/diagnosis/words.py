@@ -86,7 +86,8 @@ def summary_of(result: StageDiagnosis) -> str:
                     f"{start}The error is far above the noise{error}, but no known effect explains it, and it depends "
                     "on no recorded variable as far as these rows tell."
                 )
+            next_step = f" To make it an effect: {result.shape['command']}" if result.shape else ""
             return (
                 f"{start}Structure is left that no known effect explains; it depends on "
-                f"{', '.join(result.depends_on)}{error}."
+                f"{', '.join(result.depends_on)}{error}.{next_step}"
             )
