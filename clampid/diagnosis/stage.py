@@ -27,7 +27,7 @@ from clampid.diagnosis.score import (
 from clampid.diagnosis.separators import separating_measurement
 from clampid.effect import Effect, Stage
 from clampid.fit import Estimate
-from clampid.identify import FittedStage
+from clampid.fitted_stage import FittedStage
 from clampid.slots import Slot, Term, find_parameter
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Integers, Rows
