@@ -10,7 +10,8 @@ from typing import Any
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
-from clampid.identify import TABLES_OF, FittedStage, fit_stage
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify import TABLES_OF
 from clampid.model import Model
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot, Term
@@ -74,7 +75,7 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
         known = {**start, **last.model.values()}
-        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage))
+        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
     return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 from clampid.catalogue import catalogue
-from clampid.dependence import AXES, Dependence, Place, Variable, dependence
+from clampid.dependence import Dependence, Place, Variable, dependence
 from clampid.effect import EffectError, Stage
 from clampid.model import write_text
 
