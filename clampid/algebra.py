@@ -131,7 +131,7 @@ def at_link(number: int, motion: Sequence[Any], x: Any) -> Any:
 
 def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:
     """``sin_q4``, ``cos_q4``, ``sin_2q4``, … up to ``orders`` a turn."""
-    found = {}
+    found: dict[str, Any] = {}
     for k in range(1, orders + 1):
         label = name if k == 1 else f"{k}{name}"
         found |= {f"sin_{label}": sin(k * angle), f"cos_{label}": cos(k * angle)}
