@@ -69,8 +69,8 @@ def diagnose(
 
 
 def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:
-    fitted = opened.refit(stage)
     rows = opened.rows(stage)
+    fitted = opened.refit(stage, rows)
     before = {s: m for s, m in opened.stages.items() if s != stage}
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:

@@ -61,14 +61,13 @@ def diagnose_stage(
     first = fitted.estimate
     rejected: set[str] = set()
     refused: list[dict[str, Any]] = []
-    for number in range(ROUNDS):
-        look = look_at(fitted.estimate, effects, flips, seed + 2 * number, rejected)
-        if number == 0:
-            result.testability = testability_of(look.named, look.named_null, effects)
-            if look.fires and look.probe is not None:
-                result.depends_on = list(look.probe.candidate.depends_on)
-        best = look.best
-        if best is None or look.stands_in:
+    look = look_at(fitted.estimate, effects, flips, seed)
+    result.testability = testability_of(look.named, look.named_null, effects)
+    if look.fires and look.probe is not None:
+        result.depends_on = list(look.probe.candidate.depends_on)
+    for number in range(1, ROUNDS + 1):
+        best = look.best(rejected)
+        if best is None or look.only_stands_in(best):
             break
         rivals = rivals_of(look.space, look.named, best, rejected)
         if rivals:
@@ -94,6 +93,7 @@ def diagnose_stage(
         result.verdict = "missing"
         fitted, held = trial, new
         result.after = held.rms
+        look = look_at(fitted.estimate, effects, flips, seed + 2 * number)
     result.considered = refused + considered_of(look.named, look.named_null)
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
