@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import linalg
 from scipy.special import gammainc, gammaincc, gammaln
 
 from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.fit import Estimate
 from clampid.stages.rows import Array, Integers
@@ -71,16 +72,15 @@ class Space:
     rows: int
 
     @cached_property
-    def by_unit(self) -> sparse.csc_matrix:
-        """``(U, M + p)``: times a column, each unit's share of its product with the residual."""
+    def by_unit(self) -> Sums:
+        """Each unit's share of a column's product with the residual, U units."""
         _, unit = np.unique(self.unit, return_inverse=True)
-        shape = (int(unit.max()) + 1, len(unit))
-        return sparse.csc_matrix((self.residual, (unit, np.arange(len(unit)))), shape=shape)
+        return Sums.of(unit, self.residual)
 
     @cached_property
     def basis_by_unit(self) -> Array:
         """``(U, r)``: the same of the basis."""
-        return np.asarray(self.by_unit @ self.basis)
+        return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
 
 
 @dataclass(frozen=True)
