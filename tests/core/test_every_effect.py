@@ -46,7 +46,7 @@ def _values(trial: Experiment, near: float, seed: int) -> np.ndarray:
     theta = theta + near * trial.sizes() * rng.uniform(-1.0, 1.0, len(theta)) * ~trial.shapes()
     for k, slot in enumerate(trial.slots):
         if slot.effect == "joint_compliance":
-            theta[k] = find_parameter(slot, EFFECTS).size * rng.uniform(0.7, 1.3)
+            theta[k] = trial.parameters[k].size * rng.uniform(0.7, 1.3)
     theta = np.clip(theta, lower, upper)
     if trial.stage == "clamped":
         theta[len(trial.slots) :] = clamping_offsets(trial, theta)
