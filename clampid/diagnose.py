@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from clampid.diagnosis.next_measurement import NextPoses
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.score import Scored
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
+from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage, fit_stage
 from clampid.identify import TABLES_OF
 from clampid.model import Model
@@ -78,7 +81,14 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
         return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
-    return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+
+    def propose(estimate: Estimate, rivals: Sequence[Scored], scale: float) -> NextPoses | None:
+        from clampid.diagnosis.next_poses import next_poses  # brings collision checking along, which few need
+
+        return next_poses(opened.campaign, estimate, rivals, scale, seed)
+
+    asked = propose if stage == "poses" else None
+    return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips, asked)
 
 
 def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.effect import Effect
@@ -14,10 +15,9 @@ from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers
 from kinematics.description import RobotDescription
 
-__all__ = ["ABLE", "CONFUSABLE", "RATE", "SAME", "Look", "look_at", "rivals_of"]
+__all__ = ["ABLE", "CONFUSABLE", "RATE", "Look", "look_at", "rivals_of"]
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
-SAME = 20.0  # explained beyond another candidate less than this: these data cannot tell the two apart
 CONFUSABLE = 0.8
 STANDS_IN = 0.9
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear

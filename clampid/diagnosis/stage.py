@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from clampid.accuracy import noise_floor
@@ -16,6 +16,7 @@ from clampid.diagnosis.entries import (
     with_stand_ins,
 )
 from clampid.diagnosis.look import Look, look_at, rivals_of
+from clampid.diagnosis.next_measurement import NextPoses
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
@@ -35,6 +36,8 @@ STABLE = 0.6
 FAR_OFF = 2.0  # noise floors: so much is not noise, even if the instrument's maker was an optimist
 ROUNDS = 8
 
+Propose = Callable[[Estimate, Sequence[Scored], float], NextPoses | None]
+
 
 def diagnose_stage(
     fitted: FittedStage,
@@ -43,6 +46,7 @@ def diagnose_stage(
     verification: Rows | None,
     seed: int,
     flips: int,
+    propose: Propose | None = None,
 ) -> StageDiagnosis:
     """Diagnose one fitted stage.
 
@@ -50,6 +54,8 @@ def diagnose_stage(
     ----------
     refit
         Fits the stage with other terms, from an earlier fit's values and given start values.
+    propose
+        Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
     """
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
@@ -71,7 +77,7 @@ def diagnose_stage(
             break
         rivals = rivals_of(look.space, look.named, best, rejected)
         if rivals:
-            _undecided(result, look, [best, *rivals], effects, held.rms)
+            _undecided(result, look, [best, *rivals], effects, fitted.estimate, propose)
             break
         terms = [*fitted.model.terms, *best.candidate.terms]
         trial = refit(terms, fitted, best.candidate.shapes)
@@ -106,14 +112,21 @@ def diagnose_stage(
 
 
 def _undecided(
-    result: StageDiagnosis, look: Look, rivals: Sequence[Scored], effects: dict[str, Effect], before: float
+    result: StageDiagnosis,
+    look: Look,
+    rivals: Sequence[Scored],
+    effects: dict[str, Effect],
+    estimate: Estimate,
+    propose: Propose | None,
 ) -> None:
     """Set down candidates that these rows cannot tell apart, and what would."""
     result.verdict = "ambiguous"
     for s in rivals:
-        entry = entry_of(s, look.named_null, effects, before, None, rivals=rivals)
+        entry = entry_of(s, look.named_null, effects, result.after, None, rivals=rivals)
         result.candidates.append({**entry, "alternative": True})
     result.next_measurement = separating_measurement(s.candidate.family for s in rivals)
+    if propose is not None:
+        result.ask_for(propose(estimate, rivals, look.space.scale))
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:
