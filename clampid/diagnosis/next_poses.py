@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -77,13 +78,9 @@ def _inner(limits: Limits) -> Limits:
 
 
 def _cell(campaign: Campaign) -> tuple[Cell, Limits, tuple[str, ...]]:
-    reference = campaign.robot.name
-    if campaign.path is not None:
-        said = str(tomllib.loads((campaign.path / "campaign.toml").read_text(encoding="utf-8"))["robot"])
-        reference = str(campaign.path / said) if said.endswith(".toml") else said
     cell = Cell(
         robot=campaign.robot,
-        reference=reference,
+        reference=campaign.robot.name,
         gravity=np.asarray(campaign.gravity, dtype=float),
         tool_mass=campaign.tool.mass,
         tool_com=np.asarray(campaign.tool.com, dtype=float),
@@ -93,6 +90,15 @@ def _cell(campaign: Campaign) -> tuple[Cell, Limits, tuple[str, ...]]:
     )
     limits, assumed = limits_of(campaign.robot)
     return cell, limits, assumed
+
+
+def _reference(campaign: Campaign) -> str:
+    """What the campaign calls its robot: a bundled name, or the path of a description of the user's own."""
+    header = None if campaign.path is None else campaign.path / "campaign.toml"
+    if header is None or not header.is_file():
+        return campaign.robot.name
+    said = str(tomllib.loads(header.read_text(encoding="utf-8"))["robot"])
+    return str(header.parent / said) if Path(said).suffix else said
 
 
 def _imagined_columns(
@@ -142,6 +148,7 @@ def plan_of(campaign: Campaign, proposed: NextPoses) -> Plan:
         The campaign's robot lets no such motion be.
     """
     cell, limits, assumed = _cell(campaign)
+    cell = replace(cell, reference=_reference(campaign))
     order, left = [0], list(range(1, len(proposed.q)))
     while left:
         order.append(min(left, key=lambda k: float(np.max(np.abs(proposed.q[k] - proposed.q[order[-1]])))))
