@@ -110,6 +110,8 @@ def add(
         new = (
             fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held) if new_terms else old
         )
+        # An effect that takes another's place finds its own places.
+        every, new_terms = new.model.terms, [t for t in new.model.terms if t not in stages[stage].terms]
         verification = verification_rows(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
         references |= new.base_reference
@@ -185,8 +187,10 @@ def _resolved(
     if not asked:
         return [], {}
     estimate = fitted.estimate
+    active = {slot.effect for slot in estimate.slots}
+    out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
+    asked = [t for t in asked if effects[t.effect].aligns is None]
     scored = score(space_of(estimate), named_candidates(estimate, {t.effect: effects[t.effect] for t in asked}))
-    out: dict[Term, None] = {}
     shapes: dict[Any, float] = {}
     for term in asked:
         effect = effects[term.effect]

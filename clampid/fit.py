@@ -127,6 +127,7 @@ def fit(
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
     precision, mean = prior_of(experiment, priors)
     theta = start_of(experiment, start, priors)
+    mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
     estimate = solve(experiment, theta, model, precision, mean)
@@ -287,7 +288,9 @@ def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Ar
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]
         where = [index[prior.slots[k]] for k in shared]
         if where:
-            precision[np.ix_(where, where)] = linalg.pinvh(prior.covariance[np.ix_(shared, shared)])
+            known = prior.covariance[np.ix_(shared, shared)]
+            size = np.sqrt(np.maximum(np.diag(known), 1e-300))  # what is small beside others is still known
+            precision[np.ix_(where, where)] = linalg.pinvh(known / np.outer(size, size)) / np.outer(size, size)
             mean[where] = prior.mean[shared]
     return precision, mean
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from clampid.accuracy import stage_errors
 from clampid.base_parameters import base_parameters
+from clampid.begin import begun
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fit import Estimate, Prior, fit
@@ -210,11 +211,21 @@ def fit_stage(
     ----------
     before
         The stages already fitted, whose values this one takes over.
+
+    Raises
+    ------
+    EffectError
+        An effect needs something of these rows to begin with that they do not have.
     """
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
-    slots = active_slots(rows, effects, terms)
     priors, carried = carried_over(rows, before)
-    estimate = fit(experiment(fitted_rows, effects, slots), priors, {**carried, **(start or {})})
+
+    def fit_terms(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
+        return fit(experiment(fitted_rows, effects, active_slots(rows, effects, chosen)), priors, values)
+
+    terms, known = begun(terms, effects, rows.layout, {**carried, **(start or {})}, fit_terms)
+    estimate = fit_terms(terms, known)
+    slots = estimate.slots
     count = len(slots)
     listed = [
         (int(fitted_rows.session[i]), str(fitted_rows.table[i]), int(fitted_rows.row[i]))
@@ -287,7 +298,7 @@ def identify(
             reference |= fitted.base_reference
             verification = verification_rows(several, layout, stage, fitted.base_reference)
             errors = stage_errors(fitted.estimate, rows, held, verification, seed)
-        labels = tuple(t.label for t in wanted)
+        labels = tuple(t.label for t in stages[stage].terms)
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor))
     sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)

@@ -16,6 +16,7 @@ from clampid.stages.rows import Array, Rows
 __all__ = ["Experiment", "experiment"]
 
 
+HELD = 1e-9  # sizes: as tightly as numbers allow
 OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
 
 
@@ -88,7 +89,19 @@ class Experiment:
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
         own = [find_parameter(slot, self.effects).prior_std for slot in self.slots]
-        return np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
+        std = np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
+        return np.where(self.held(), HELD * self.sizes(), std)
+
+    def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` a fit keeps where they start."""
+        out = np.zeros(len(self.slots) + self.offsets, dtype=bool)
+        seen: set[tuple[str, str]] = set()
+        for k, slot in enumerate(self.slots):
+            kind = find_parameter(slot, self.effects).held
+            first = (slot.effect, slot.parameter) not in seen
+            out[k] = kind == "everywhere" or (kind == "first" and first)
+            seen.add((slot.effect, slot.parameter))
+        return out
 
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
