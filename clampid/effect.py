@@ -18,6 +18,7 @@ Per = Literal["robot", "joint", "link", "target", "session"]
 Deviation = Callable[[Any, Any], Any]
 
 WEAK = 10.0  # sizes: a prior that says next to nothing
+DIRECT = 1e-4  # a compliance at the joint by that at the motor, at a reduction of 100
 STAGES: tuple[Stage, ...] = ("free_air", "clamped", "poses")
 
 FAMILIES: tuple[str, ...] = (
@@ -127,6 +128,9 @@ class Parameter:
     held
         Where a fit keeps it at its start: ``everywhere``, because it is chosen and not measured, or at the ``first`` of
         its places, because the others count from there.
+    geared
+        A number of the motor's side of a drive, per joint. Where a description has no reduction, and motor and joint
+        are one, it amounts to :data:`DIRECT` of what it is behind one.
     """
 
     name: str
@@ -139,6 +143,7 @@ class Parameter:
     grid: tuple[float, ...] = ()
     spread: float = WEAK
     held: Literal["nowhere", "first", "everywhere"] = "nowhere"
+    geared: bool = False
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:

@@ -17,7 +17,9 @@ EFFECT = Effect(
     family="joint_compliance",
     acts={"joint_angle": deflection},
     parameters=(
-        Parameter("c", "rad/Nm", 0.3, "joint", (1e-4, 1e3), "compliance of the drive's spring, 1/k, at the motor"),
+        Parameter(
+            "c", "rad/Nm", 0.3, "joint", (1e-4, 1e3), "compliance of the drive's spring, 1/k, at the motor", geared=True
+        ),
     ),
     needs=("torque",),
     stages=("clamped", "poses"),

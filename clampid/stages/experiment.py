@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clampid.chain import Chain, build_chain
-from clampid.effect import WEAK, Effect, Stage
+from clampid.effect import DIRECT, WEAK, Effect, Parameter, Stage
 from clampid.slots import Slot, find_parameter
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
@@ -83,12 +83,12 @@ class Experiment:
 
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
-        own = [find_parameter(slot, self.effects).size for slot in self.slots]
+        own = self._each(lambda p: p.size)
         return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
-        own = [find_parameter(slot, self.effects).prior_std for slot in self.slots]
+        own = self._each(lambda p: p.prior_std)
         std = np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
         return np.where(self.held(), HELD * self.sizes(), std)
 
@@ -105,14 +105,23 @@ class Experiment:
 
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
-        own = [find_parameter(slot, self.effects).clear for slot in self.slots]
+        own = self._each(lambda p: p.clear)
         return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def bounds(self) -> tuple[Array, Array]:
         """Physical limits ``(P + K,)`` each."""
-        pairs = [find_parameter(slot, self.effects).bounds for slot in self.slots]
-        pairs += [(-np.inf, np.inf)] * self.offsets
-        return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
+        lower, upper = self._each(lambda p: p.bounds[0]), self._each(lambda p: p.bounds[1])
+        return np.array([*lower, *[-np.inf] * self.offsets]), np.array([*upper, *[np.inf] * self.offsets])
+
+    def _each(self, what: Callable[[Parameter], float]) -> list[float]:
+        """A number of each slot's parameter, those of a drive's motor at joints without reduction as at the joint."""
+        direct = np.abs(np.diag(np.asarray(self.rows.robot.transmission))) == 1.0
+        out = []
+        for slot in self.slots:
+            parameter = find_parameter(slot, self.effects)
+            at_joint = parameter.geared and direct[int(slot.place.removeprefix("joint")) - 1]
+            out.append(what(parameter) * (DIRECT if at_joint else 1.0))
+        return out
 
     def shapes(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` are shapes, not amplitudes."""
