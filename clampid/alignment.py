@@ -33,12 +33,13 @@ STRONG = float(np.log(150.0))
 STEPS = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
 PEAKS = 10  # of the correlation, a sense: where curves overlap little, the right one is not the highest
 NEAR = np.pi / 360.0  # rad: a turn is refined within half a degree
-START, LEAST = 0.3, 0.01  # of the curve's size: the deviations with which joints are looked for, and the least tried
+START, LEAST, MOST = 0.3, 0.01, 0.999  # of the curves' size: deviations with which joints are looked for, and tried
+SIZES = (float(np.log(1e-6)), float(np.log(1e-2)))  # rad: curves' sizes
 
 
 @dataclass(frozen=True)
 class Curves:
-    """What rows say of the joints' own curves, and what was assumed of each hypothesis' coefficients.
+    """What rows say of the joints' own curves, and the shape of what is assumed of them.
 
     Coefficients of a joint are in the order of harmonics, sine and cosine of each: ``2 K``.
 
@@ -50,12 +51,8 @@ class Curves:
         ``(J, 2K, J, 2K)``, 1/rad²: of the rows alone, all else in the model integrated out.
     score
         ``(J, 2K)``, 1/rad: information times estimate.
-    own
-        ``(2K,)``, rad: standard deviations of the prior of a joint's own curve.
-    shared
-        ``(2K - 2L,)``, rad: of the one curve, which has no first L harmonics.
     seat
-        ``(2L,)``, rad: of what each joint on the one curve has of its own, the first L harmonics.
+        ``(2L,)``, rad: standard deviations of the prior of the first L harmonics, which always are a joint's own.
     share
         ``(2K - 2L,)``: of the further ones, per unit of their root mean square over a turn.
     """
@@ -63,8 +60,6 @@ class Curves:
     joints: tuple[int, ...]
     information: Array
     score: Array
-    own: Array
-    shared: Array
     seat: Array
     share: Array
 
@@ -160,8 +155,6 @@ def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None =
         joints,
         information.reshape(len(joints), width, len(joints), width),
         (posterior @ estimate.theta[chosen]).reshape(len(joints), width),
-        prior,
-        np.array([effect.by_name[a].prior_std for a in shared]),
         np.array([effect.by_name[f"own_{a}"].prior_std for a in low]),
         np.array([effect.by_name[f"own_{a}"].prior_std for a in shared]),
     )
@@ -239,39 +232,48 @@ class _Turn:
 class _Group:
     """Joints on one curve while others keep their own: the evidence of taking in one more.
 
-    A member's coefficients are the curve's, turned, plus what it has of its own, with standard deviations ``apart``.
+    A member's coefficients are the curve's, turned, plus deviations of its own; of both together as much is assumed as
+    of a joint with a curve of its own, so that nothing but their likeness speaks for one curve.
     """
 
-    def __init__(self, curves: Curves, deviation: float, members: Mapping[int, _Turn]) -> None:
-        self.curves, self.low, self.width = curves, curves.low, len(curves.shared)
+    def __init__(self, curves: Curves, size: float, deviation: float, members: Mapping[int, _Turn]) -> None:
+        self.curves, self.low, self.width = curves, curves.low, len(curves.share)
         self.harmonics = 1.0 + self.low / 2 + np.arange(self.width // 2)
         self.members = dict(members)
-        self.deviation = deviation
+        self.size, self.deviation = size, deviation
 
     @property
-    def apart(self) -> Array:
-        """``(2K,)``."""
-        return np.r_[self.curves.seat, self.deviation * self.curves.share]
+    def shared(self) -> Array:
+        """``(2K - 2L,)``: what is assumed of the curve; with the deviations a joint's error is as large as any."""
+        return np.sqrt(self.size**2 - self.deviation**2) * self.curves.share
+
+    def own(self, size: float) -> Array:
+        """``(2K,)``: what is assumed of a joint's own, of a size."""
+        return np.r_[self.curves.seat, size * self.curves.share]
 
     def with_deviation(self, deviation: float) -> _Group:
         """The same joints with other deviations from the curve."""
-        return _Group(self.curves, deviation, self.members)
+        return _Group(self.curves, self.size, deviation, self.members)
+
+    def with_members(self, members: Mapping[int, _Turn]) -> _Group:
+        """The same with other joints."""
+        return _Group(self.curves, self.size, self.deviation, members)
 
     def but(self, joint: int) -> _Group:
         """The same without a joint."""
-        return _Group(self.curves, self.deviation, {j: t for j, t in self.members.items() if j != joint})
+        return self.with_members({j: t for j, t in self.members.items() if j != joint})
 
     def without(self, joint: int | None) -> _Part:
         """All but the curve and one joint's own coefficients integrated out: the curve's first, then the joint's."""
         c = self.curves
-        count, own = len(c.joints), len(c.own)
+        count, own = len(c.joints), self.low + self.width
         B = np.zeros((count, own, self.width))
         for j, turn in self.members.items():
             B[j, self.low :] = turned(turn.sense, turn.phase, self.harmonics)
         B = B.reshape(count * own, -1)
         L, h = c.information.reshape(count * own, -1), c.score.ravel()
         LB = L @ B
-        prior = [c.shared, *(self.apart if j in self.members else c.own for j in range(count))]
+        prior = [self.shared, *(self.own(self.deviation if j in self.members else self.size) for j in range(count))]
         whole = _Part(np.block([[B.T @ LB, LB.T], [LB, L]]), np.r_[B.T @ h, h], np.concatenate(prior))
         gone = np.ones(len(whole.prior), dtype=bool)
         gone[: self.width] = False
@@ -282,7 +284,7 @@ class _Group:
     def best(self, joint: int) -> tuple[float, _Turn]:
         """Log odds that a joint which is no member joins, and how."""
         part = self.without(joint)
-        prior = np.r_[self.curves.shared, self.apart]
+        prior = np.r_[self.shared, self.own(self.deviation)]
         high = slice(self.width + self.low, None)
 
         def joined(sense: float, phase: float) -> float:
@@ -324,12 +326,15 @@ def _peak(f: Callable[[float], float], span: tuple[float, float], prior: float) 
 def align(curves: Curves) -> Alignment:
     """The joints whose curves are one, each against a curve of its own.
 
-    The two joints with the largest odds begin. What parts of one make differ by has the value of the largest evidence.
+    The two joints with the largest odds begin. The curves' size, and what parts of one make differ by, have the values
+    of the largest evidence.
     """
-    count, size = len(curves.joints), float(np.sqrt(np.sum((curves.shared) ** 2) / 2))
-    deviation = START * size
+    count = len(curves.joints)
+    own, x, _ = _peak(lambda x: _Group(curves, float(np.exp(x)), 0.0, {}).without(None).total(), SIZES, 1.0)
+    size = float(np.exp(x))
+    first = _Group(curves, size, START * size, {})
     pairs = {
-        (i, j): _Group(curves, deviation, {i: _Turn()}).best(j) for i in range(count) for j in range(i + 1, count)
+        (i, j): first.with_members({i: _Turn()}).best(j) for i in range(count) for j in range(i + 1, count)
     }
     (i, j), (odds, turn) = max(pairs.items(), key=lambda p: p[1][0])
     if odds < STRONG:
@@ -337,18 +342,24 @@ def align(curves: Curves) -> Alignment:
         for (a, b), (value, _) in pairs.items():
             left |= {k: max(value, left.get(k, -np.inf)) for k in (a, b)}
         return _nothing(curves, left)
-    group, refused = _settled(_Group(curves, deviation, {i: _Turn(), j: turn}))
-    span = (float(np.log(LEAST * size)), float(np.log(size)))
+    group, refused = _settled(first.with_members({i: _Turn(), j: turn}))
+    span = (float(np.log(LEAST * size)), float(np.log(MOST * size)))
+    total = 0.0
     for _ in range(2):
-        _, best, cost = _peak(
-            lambda x, g=group: g.with_deviation(float(np.exp(x))).without(None).total(), span, span[1] - span[0]
-        )
-        group, refused = _settled(group.with_deviation(float(np.exp(best))))
         if len(group.members) < 2:
             return _nothing(curves, refused)
-    own = _Group(curves, deviation, {}).without(None).total()
-    total = group.without(None).total() + sum(t.cost for t in group.members.values()) + cost - own
-    return _alignment(group, refused, total) if total >= STRONG else _nothing(curves, dict.fromkeys(range(count), total))
+        evidence, x, cost = _peak(_by_deviation(group), span, span[1] - span[0])
+        group = group.with_deviation(float(np.exp(x)))
+        total = evidence - own + cost + sum(t.cost for t in group.members.values())
+        group, refused = _settled(group)
+    if len(group.members) < 2 or total < STRONG:
+        return _nothing(curves, refused | dict.fromkeys(group.members, total))
+    return _alignment(group, refused, total)
+
+
+def _by_deviation(group: _Group) -> Callable[[float], float]:
+    """The evidence as a function of the logarithm of the deviation."""
+    return lambda x: group.with_deviation(float(np.exp(x))).without(None).total()
 
 
 def _settled(group: _Group) -> tuple[_Group, dict[int, float]]:
@@ -358,14 +369,12 @@ def _settled(group: _Group) -> tuple[_Group, dict[int, float]]:
         group, refused = _grown(group)
         for joint in [*group.members][1:] if len(group.members) > 2 else []:
             odds, turn = group.but(joint).best(joint)
-            rest = group.but(joint).members
-            group = _Group(group.curves, group.deviation, rest | ({joint: turn} if odds >= STRONG else {}))
+            group = group.with_members(group.but(joint).members | ({joint: turn} if odds >= STRONG else {}))
         first = next(iter(group.members))
         if len(group.members) > 2:  # the one that it began with is tested as all others, in another's place
             other = group.but(first)
             odds, turn = other.best(first)
-            members = other.members | ({first: turn} if odds >= STRONG else {})
-            group = _Group(group.curves, group.deviation, members)
+            group = other.with_members(other.members | ({first: turn} if odds >= STRONG else {}))
         if set(group.members) == before:
             break
     return group, refused
@@ -378,13 +387,13 @@ def _grown(group: _Group) -> tuple[_Group, dict[int, float]]:
         joint = max(odds, key=lambda j: odds[j][0], default=-1)
         if joint < 0 or odds[joint][0] < STRONG:
             return group, {j: value for j, (value, _) in odds.items()}
-        group = _Group(group.curves, group.deviation, group.members | {joint: odds[joint][1]})
+        group = group.with_members(group.members | {joint: odds[joint][1]})
 
 
 def _nothing(curves: Curves, left: Mapping[int, float]) -> Alignment:
     empty = np.zeros(0)
     refused = {curves.joints[j]: odds for j, odds in left.items()}
-    return Alignment((), empty, empty, empty, np.zeros((0, len(curves.own))), 0.0, 0.0, refused)
+    return Alignment((), empty, empty, empty, np.zeros((0, len(curves.seat) + len(curves.share))), 0.0, 0.0, refused)
 
 
 def _alignment(group: _Group, refused: Mapping[int, float], total: float) -> Alignment:
