@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg, optimize
@@ -25,7 +26,7 @@ from clampid.fit import Estimate, inverse_of
 from clampid.slots import Slot
 from clampid.stages.rows import Array
 
-__all__ = ["STRONG", "Alignment", "Curves", "align", "alignment_of", "curves_of"]
+__all__ = ["STRONG", "Alignment", "Curves", "align", "alignment_of", "curves_of", "simpler"]
 
 STRONG = float(np.log(150.0))
 """Log odds from which evidence is very strong (Kass and Raftery): less does not make two joints' curves one."""
@@ -134,6 +135,49 @@ def alignment_of(estimate: Estimate, effect: Effect, places: Sequence[str] | Non
     """
     curves = curves_of(estimate, effect, places)
     return align(curves) if len(curves.joints) > 1 else None
+
+
+def simpler(estimate: Estimate) -> list[dict[str, Any]]:
+    """Effects that would say with one curve what the estimate says with several, as diagnosis lists them.
+
+    Each with its joints, their senses and phases (rad), the deviation (rad), the natural logarithm of the odds, and a
+    sentence.
+    """
+    effects, active = estimate.experiment.effects, {slot.effect for slot in estimate.slots}
+    out = []
+    for effect in effects.values():
+        if effect.aligns not in active or effect.name in active:
+            continue
+        found = alignment_of(estimate, effect)
+        if found is not None and found.joints:
+            out.append(
+                {
+                    "effect": effect.family,
+                    "name": effect.name,
+                    "instead_of": effect.aligns,
+                    "where": [f"joint{j + 1}" for j in found.joints],
+                    "sense": found.sense.tolist(),
+                    "phase": found.phase.tolist(),
+                    "deviation": found.deviation,
+                    "log_odds": found.log_odds,
+                    "summary": _summary(found),
+                }
+            )
+    return out
+
+
+def _summary(found: Alignment) -> str:
+    """Which joints have one curve, how each is turned, and how sure that is."""
+    names = [f"joint{j + 1}" for j in found.joints]
+    turns = [
+        f"{name} by {np.degrees(phase) % 360:.1f} degrees{' and mirrored' if sense < 0 else ''}"
+        for name, sense, phase in list(zip(names, found.sense, found.phase, strict=True))[1:]
+    ]
+    return (
+        f"the angle errors of {', '.join(names)} are one curve, that of {names[0]}, turned: {', '.join(turns)}; the "
+        f"odds of that against a curve each are e^{found.log_odds:.0f}, and they differ by "
+        f"{1e6 * found.deviation:.0f} µrad rms"
+    )
 
 
 def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None = None) -> Curves:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from clampid.alignment import simpler
 from clampid.diagnosis.stage import StageDiagnosis, diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.identify import TABLES_OF, FittedStage, fit_stage
@@ -21,13 +22,21 @@ __all__ = ["Diagnosis", "diagnose"]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, stage by stage."""
+    """What was found, stage by stage.
+
+    Attributes
+    ----------
+    simpler
+        Stage → effects that say with one curve what the model, with what was found missing, says with several.
+    """
 
     stages: Mapping[Stage, StageDiagnosis]
+    simpler: Mapping[Stage, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``diagnose``."""
-        return {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
+        simpler = {name: {"simpler": list(found)} for name, found in self.simpler.items() if found}
+        return {"stages": {name: {**stage.to_json(), **simpler.get(name, {})} for name, stage in self.stages.items()}}
 
 
 @single_threaded
@@ -54,7 +63,8 @@ def diagnose(
     for stage in opened.stages:
         if any(t in campaign.tables for t in TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
-    return Diagnosis(found)
+    mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
+    return Diagnosis(found, {stage: simpler(estimate) for stage, estimate in mended.items()})
 
 
 def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:
