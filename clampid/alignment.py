@@ -1,8 +1,8 @@
 """Whether the angle errors of several joints are one curve, turned and mirrored: found, tested, and as a start.
 
 A fit with a curve of each joint's own says all that its rows know of the curves: a Gaussian in their coefficients, the
-rest of the model integrated out. On it every hypothesis is linear in what it leaves free, so that its evidence
-is exact (``L`` the rows' information on the coefficients c, ``m`` their estimate, ``c = B z``, ``z`` with prior ``S``)::
+rest of the model integrated out. On it every hypothesis is linear in what it leaves free, so that its evidence is exact
+(``L`` the rows' information on the coefficients c, ``m`` their estimate, ``c = B z``, ``z`` with prior ``S``)::
 
     ln evidence = 1/2 h' (S^-1 + B'LB)^-1 h - 1/2 ln det(1 + S B'LB),   h = B'L m
 
@@ -117,7 +117,7 @@ class Alignment:
 
 
 def _names(effect: Effect) -> tuple[list[str], list[str], list[str]]:
-    """Coefficients of the curve; of the joints' own those that the curve lacks, and the others. Harmonic by harmonic."""
+    """Coefficients of the curve; of the joints' own, those that the curve lacks, and the others."""
     shared = [p.name for p in effect.parameters if p.per == "robot" and not p.shape]
     own = [p.name.removeprefix("own_") for p in effect.parameters if p.name.startswith("own_")]
     return shared, [a for a in own if a not in shared], [a for a in own if a in shared]
@@ -231,7 +231,7 @@ class _Part:
 
 
 def _evidence(information: Array, score: Array, prior: Array) -> tuple[float, Array]:
-    """ln evidence against zero, and the posterior mean."""
+    """Logarithm of the evidence against zero, and the posterior mean."""
     A = np.eye(len(prior)) + information * np.outer(prior, prior)
     factor = linalg.cho_factor(A)
     z = linalg.cho_solve(factor, prior * score)
@@ -282,14 +282,14 @@ class _Group:
 
     def __init__(self, curves: Curves, size: float, deviation: float, members: Mapping[int, _Turn]) -> None:
         self.curves, self.low, self.width = curves, curves.low, len(curves.share)
-        self.harmonics = 1.0 + self.low / 2 + np.arange(self.width // 2)
+        self.harmonics: Array = np.arange(self.width // 2) + 1.0 + self.low / 2
         self.members = dict(members)
         self.size, self.deviation = size, deviation
 
     @property
     def shared(self) -> Array:
         """``(2K - 2L,)``: what is assumed of the curve; with the deviations a joint's error is as large as any."""
-        return np.sqrt(self.size**2 - self.deviation**2) * self.curves.share
+        return np.asarray(np.sqrt(self.size**2 - self.deviation**2) * self.curves.share)
 
     def own(self, size: float) -> Array:
         """``(2K,)``: what is assumed of a joint's own, of a size."""
@@ -311,10 +311,10 @@ class _Group:
         """All but the curve and one joint's own coefficients integrated out: the curve's first, then the joint's."""
         c = self.curves
         count, own = len(c.joints), self.low + self.width
-        B = np.zeros((count, own, self.width))
+        by_joint = np.zeros((count, own, self.width))
         for j, turn in self.members.items():
-            B[j, self.low :] = turned(turn.sense, turn.phase, self.harmonics)
-        B = B.reshape(count * own, -1)
+            by_joint[j, self.low :] = turned(turn.sense, turn.phase, self.harmonics)
+        B = by_joint.reshape(count * own, -1)
         L, h = c.information.reshape(count * own, -1), c.score.ravel()
         LB = L @ B
         prior = [self.shared, *(self.own(self.deviation if j in self.members else self.size) for j in range(count))]
@@ -377,9 +377,7 @@ def align(curves: Curves) -> Alignment:
     own, x, _ = _peak(lambda x: _Group(curves, float(np.exp(x)), 0.0, {}).without(None).total(), SIZES, 1.0)
     size = float(np.exp(x))
     first = _Group(curves, size, START * size, {})
-    pairs = {
-        (i, j): first.with_members({i: _Turn()}).best(j) for i in range(count) for j in range(i + 1, count)
-    }
+    pairs = {(i, j): first.with_members({i: _Turn()}).best(j) for i in range(count) for j in range(i + 1, count)}
     (i, j), (odds, turn) = max(pairs.items(), key=lambda p: p[1][0])
     if odds < STRONG:
         left: dict[int, float] = {}

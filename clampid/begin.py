@@ -1,4 +1,4 @@
-"""Where effects begin that have no start from nothing: first another is fitted in their place, then its curves aligned."""
+"""How effects begin that have no start from nothing: another is fitted in their place, and its curves are aligned."""
 
 from __future__ import annotations
 

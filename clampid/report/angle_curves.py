@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from clampid.curves import AngleErrors, SharedCurve, angle_errors, shared_curve
 from clampid.effect import Effect
 from clampid.model import Model
-from clampid.report.display import scale_for, with_std
+from clampid.report.display import Scale, with_std
 from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout
@@ -24,6 +24,7 @@ __all__ = ["angle_curves_section"]
 STEPS = 720
 FEW = 3  # poses in a degree, of which a mean is drawn
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+DEGREES = Scale(1.0, "°")
 BAND = "rgba(0,114,178,0.25)"
 
 
@@ -80,10 +81,11 @@ def angle_curves_section(
 
 def _turns(one: SharedCurve) -> Table:
     """How each joint stands on the shared curve."""
-    rows = [
-        (f"joint {j + 1}", "mirrored" if s < 0 else "as it is", with_std(p, e, scale_for("rad", [np.pi])) if k else "0")
-        for k, (j, s, p, e) in enumerate(zip(one.joints, one.sense, np.mod(one.phase, 2 * np.pi), one.phase_std, strict=True))
-    ]
+    rows = []
+    for k, j in enumerate(one.joints):
+        phase, std = np.degrees(one.phase[k]) % 360, np.degrees(one.phase_std[k])
+        mounted = "mirrored" if one.sense[k] < 0 else "as it is"
+        rows.append((f"joint {j + 1}", mounted, with_std(phase, std, DEGREES) if k else "0 (the others count from it)"))
     caption = (
         "Joints whose angle errors are one curve g: an error is s g(s q - phase), s = -1 where mirrored, and what the "
         f"joint has of its own: once and twice per turn, and {1e6 * one.deviation:.0f} µrad rms beside."
@@ -114,7 +116,9 @@ def points_on(one: SharedCurve, poses: StageData | None) -> list[tuple[int, Arra
         seen = np.flatnonzero(np.bincount(degree[weight > 0], minlength=360) >= FEW)
         angle = np.radians(seen + 0.5)
         curve = np.interp(angle, one.angle, one.error)
-        out.append((j, angle, curve + one.sense[k] * (np.bincount(degree, left, 360) / np.maximum(total, 1e-300))[seen]))
+        out.append(
+            (j, angle, curve + one.sense[k] * (np.bincount(degree, left, 360) / np.maximum(total, 1e-300))[seen])
+        )
     return out
 
 
@@ -144,8 +148,8 @@ def _one_curve(one: SharedCurve, points: list[tuple[int, Array, Array]]) -> Figu
     plot.update_yaxes(axes(title="arm less controller, µrad"))
     plot.update_layout(layout(420, margin={"l": 64, "r": 16, "t": 40, "b": 52}))
     caption = (
-        "The one curve of all these joints, with a band of two standard errors, and what the fitted poses of each joint "
-        "say of it, means over a degree."
+        "The one curve of all these joints, with a band of two standard errors, and what the fitted poses say of it at "
+        "each joint, means over a degree."
     )
     return Figure("one_curve", plot, caption, 420)
 
