@@ -24,7 +24,7 @@ from scipy import linalg, optimize
 from clampid.effect import Effect
 from clampid.fit import Estimate, inverse_of
 from clampid.slots import Slot
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Bools
 
 __all__ = ["STRONG", "Alignment", "Curves", "align", "alignment_of", "curves_of", "simpler"]
 
@@ -238,7 +238,7 @@ def _evidence(information: Array, score: Array, prior: Array) -> tuple[float, Ar
     return 0.5 * float(prior * score @ z) - float(np.sum(np.log(np.diag(factor[0])))), prior * z
 
 
-def _without(part: _Part, gone: Array) -> _Part:
+def _without(part: _Part, gone: Bools) -> _Part:
     """Integrate out the coefficients with the mask ``gone`` under their prior."""
     keep = ~gone
     if not gone.any():
@@ -282,18 +282,18 @@ class _Group:
 
     def __init__(self, curves: Curves, size: float, deviation: float, members: Mapping[int, _Turn]) -> None:
         self.curves, self.low, self.width = curves, curves.low, len(curves.share)
-        self.harmonics: Array = np.arange(self.width // 2) + 1.0 + self.low / 2
+        self.harmonics = np.asarray(1.0 + self.low / 2 + np.arange(self.width // 2), dtype=np.float64)
         self.members = dict(members)
         self.size, self.deviation = size, deviation
 
     @property
     def shared(self) -> Array:
         """``(2K - 2L,)``: what is assumed of the curve; with the deviations a joint's error is as large as any."""
-        return np.asarray(np.sqrt(self.size**2 - self.deviation**2) * self.curves.share)
+        return np.asarray(float(np.sqrt(self.size**2 - self.deviation**2)) * self.curves.share)
 
     def own(self, size: float) -> Array:
         """``(2K,)``: what is assumed of a joint's own, of a size."""
-        return np.r_[self.curves.seat, size * self.curves.share]
+        return np.concatenate([self.curves.seat, size * self.curves.share])
 
     def with_deviation(self, deviation: float) -> _Group:
         """The same joints with other deviations from the curve."""
