@@ -6,7 +6,6 @@ other. How a disc sits on its joint adds what comes once and twice per revolutio
 
 from __future__ import annotations
 
-from math import pi
 from typing import Any, Literal
 
 from clampid.algebra import cos, sin
@@ -28,6 +27,10 @@ ERROR = 3e-4
 
 SEAT = 1.2e-4
 """rad: the middle of the same range; 4 micrometres of eccentricity on a disc of 30 mm radius."""
+
+
+ANYWHERE = 1.8
+"""rad: the standard deviation of an angle of which nothing is known."""
 
 
 def error(p: Any, x: Any) -> Any:
@@ -61,7 +64,7 @@ EFFECT = Effect(
             shape=True, grid=(0.0, 1.0, -1.0), held="everywhere",
         ),
         Parameter(
-            "phase", "rad", pi / 3**0.5, "joint", meaning="where the curve begins, counted from the first joint's",
+            "phase", "rad", ANYWHERE, "joint", meaning="where the curve begins, counted from the first joint's",
             shape=True, grid=(0.0,), held="first",
         ),
         *(p for k in LOW for p in _sines("own_", k, "rad", SEAT / len(LOW) ** 0.5, "joint")),
