@@ -16,7 +16,7 @@ from scipy import stats
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
 from clampid.moments import Moments, minimise
 from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, autocorrelation, lag_products, whitener
+from clampid.prewhitening import ORDER, Whitener, autocorrelation, lag_products
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -132,8 +132,7 @@ def summed(
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
             if noise.autocorrelations:
-                stretch = channel.stretch[used] if of is None or not apart else _apart(channel.stretch[used], of)
-                both = whitener(channel.row[used], stretch, noise.autocorrelations[c]) @ both
+                both = _whitener(channel, used, of if apart else None)(both, noise.autocorrelations[c])
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -212,6 +211,14 @@ def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) 
     sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(pairs[:, 0], 1)), 1e-12)
     autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(products, pairs, strict=True))
     return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
+
+
+def _whitener(channel: Channel, used: Integers | slice, part: Integers | None) -> Whitener:
+    """The filter of some of a channel's rows; across parts ``(k,)`` nothing is remembered, if they are given."""
+    if part is None and isinstance(used, slice):
+        return channel.whitener
+    stretch = channel.stretch[used]
+    return Whitener(channel.row[used], stretch if part is None else _apart(stretch, part))
 
 
 def _apart(stretch: Integers, part: Integers) -> Integers:

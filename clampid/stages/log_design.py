@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
 from clampid.chain import Chain
-from clampid.prewhitening import REACH
+from clampid.prewhitening import REACH, Whitener
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
 from clampid.stages.rows import Array, Integers
@@ -52,6 +53,11 @@ class Channel:
     fold: Integers
     columns: Integers
     both: Array
+
+    @cached_property
+    def whitener(self) -> Whitener:
+        """The filter of all of these rows."""
+        return Whitener(self.row, self.stretch)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
 from experiments.signals.clock import regular_time, typical_step
+from experiments.signals.definite import solve_definite
 from experiments.signals.typing_ import Array, Bools, Integers
 
 __all__ = ["DEGREE", "kernel", "local_polynomial", "smallest_half"]
@@ -168,8 +169,8 @@ def _weights(known: Array, wanted: Array, start: Integers, window: int, half: in
         moment[power] = product.sum(axis=1)
         product = product * u
     normal = moment[np.add.outer(np.arange(degree + 1), np.arange(degree + 1))]  # (degree + 1, degree + 1, B)
-    unit = np.broadcast_to(np.eye(degree + 1)[:, order, None], (len(u), degree + 1, 1))
-    chosen = np.linalg.solve(np.moveaxis(normal, -1, 0), unit)[..., 0]  # (B, degree + 1)
+    unit = np.broadcast_to(np.eye(degree + 1)[:, order, None], (degree + 1, len(u)))
+    chosen = solve_definite(normal, unit).T  # (B, degree + 1)
     polynomial = chosen[:, -1:]
     for power in range(degree - 1, -1, -1):
         polynomial = polynomial * u + chosen[:, power, None]
