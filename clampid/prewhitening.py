@@ -11,19 +11,24 @@ Source: Brockwell & Davis, Time Series: Theory and Methods (1991), sections 5.1 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
 from scipy.linalg.blas import daxpy
 
 from clampid.stages.rows import Array, Integers
 from experiments.signals import solve_definite
 
-__all__ = ["ORDER", "REACH", "Whitener", "autocorrelation", "lag_products"]
+__all__ = ["ORDER", "REACH", "Predictors", "Whitener", "autocorrelation", "lag_products"]
 
 ORDER = 12
 REACH = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
 CACHED = 1 << 14  # numbers that are filtered at once: they should stay in the processor's cache
 ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
+MOST_KINDS = 1 << 15  # of predictors that are kept
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
+
+Kinds = npt.NDArray[np.uint64]
+_PLAIN = np.array([(1 << ORDER) - 1], dtype=np.uint64)  # the twelve rows directly before
 
 
 def lag_products(x: Array, row: Integers, stretch: Integers, own: int = 0) -> tuple[Array, Array]:
@@ -94,6 +99,48 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
     return out
 
 
+class Predictors:
+    """The weights by which rows are predicted from those before, for noise of one autocorrelation ``(65,)``.
+
+    Those once found are kept: gaps of a log are alike.
+    """
+
+    def __init__(self, correlation: Array) -> None:
+        # Rows so far apart that nothing connects them have lags beyond 64.
+        self._correlation = np.zeros((ORDER + 2) * (REACH + 1))
+        self._correlation[: REACH + 1] = correlation
+        self._known = np.zeros(0, dtype=np.uint64)
+        self._weights = np.zeros((ORDER + 1, 0))
+
+    def of(self, kinds: Kinds, lags: Integers) -> Array:
+        """Weights ``(13, u)`` of the row and of those before it: the row less its prediction, over what that leaves.
+
+        Parameters
+        ----------
+        kinds
+            ``(u,)``: which of the 64 rows before are looked at, one bit each; in order.
+        lags
+            ``(12, u)``: how far back those rows are.
+        """
+        place = np.minimum(np.searchsorted(self._known, kinds), max(len(self._known) - 1, 0))
+        new = self._known[place] != kinds if len(self._known) else np.ones(len(kinds), dtype=bool)
+        if new.any():
+            if len(self._known) > MOST_KINDS:
+                self._known, self._weights, new = self._known[:0], self._weights[:, :0], np.ones(len(kinds), dtype=bool)
+            known = np.concatenate([self._known, kinds[new]])
+            order = np.argsort(known, kind="stable")
+            self._known = known[order]
+            self._weights = np.concatenate([self._weights, self._found(lags[:, new])], axis=1)[:, order]
+            place = np.searchsorted(self._known, kinds)
+        return self._weights[:, place]
+
+    def _found(self, lags: Integers) -> Array:
+        towards = self._correlation[lags]
+        weights = solve_definite(self._correlation[np.abs(lags[:, None] - lags)], towards)
+        left = np.maximum(1.0 - np.sum(weights * towards, axis=0), LEAST)
+        return np.concatenate([np.ones((1, lags.shape[1])), -weights]) / np.sqrt(left)
+
+
 class Whitener:
     """The filter that turns such noise in certain rows of a log into white noise of the same variance.
 
@@ -117,19 +164,18 @@ class Whitener:
         absent |= (lag > REACH) | (stretch[self._broken] != stretch[before])
         # Which of the 64 rows before are looked at, one bit each, says all of a predictor.
         bits = np.where(absent, np.uint64(0), np.uint64(1) << np.where(absent, 0, lag - 1).astype(np.uint64))
-        _, first, self._kind = np.unique(bits.sum(axis=0), return_index=True, return_inverse=True)
+        self._kinds, first, self._kind = np.unique(bits.sum(axis=0), return_index=True, return_inverse=True)
         # A row that is not there is so far away from any other that nothing connects them.
         far = (REACH + 1) * np.arange(2, ORDER + 2)[:, None]
-        kinds = np.where(absent, far, lag)[:, first]
-        self._lags = np.concatenate([np.arange(1, ORDER + 1)[:, None], kinds], axis=1)
+        self._lags = np.where(absent, far, lag)[:, first]
         self._columns = np.concatenate([self._broken[None], before]).T.astype(np.int32).ravel()
 
-    def __call__(self, columns: Array, correlation: Array) -> Array:
-        """Whitened columns ``(k, m)`` of those rows, for noise of an autocorrelation ``(65,)``."""
+    def __call__(self, columns: Array, predictors: Predictors) -> Array:
+        """Whitened columns ``(k, m)`` of those rows."""
         x = np.ascontiguousarray(columns, dtype=np.float64)
         width, filtered = x.shape[1], np.empty(x.shape)
-        weights = _predictors(self._lags, correlation)
-        plain, unusual = weights[:, 0], weights[:, 1:]
+        plain = predictors.of(_PLAIN, np.arange(1, ORDER + 1)[:, None])[:, 0]
+        broken = predictors.of(self._kinds, self._lags)
         # Rows are as far from each other in memory as in time, so that whole columns are shifted at once.
         flat, out = x.reshape(-1), filtered.reshape(-1)
         for at in range(0, flat.size, CACHED):
@@ -141,18 +187,6 @@ class Whitener:
                 if start < piece.stop:
                     daxpy(flat, out, n=piece.stop - start, a=plain[lag], offx=start - shift, offy=start)
         where = np.arange(0, self._columns.size + 1, ORDER + 1, dtype=np.int32)
-        broken = sparse.csr_matrix(
-            (unusual.T[self._kind].ravel(), self._columns, where), shape=(len(self._broken), len(x))
-        )
-        filtered[self._broken] = broken @ x
+        matrix = sparse.csr_matrix((broken.T[self._kind].ravel(), self._columns, where), (len(self._broken), len(x)))
+        filtered[self._broken] = matrix @ x
         return filtered
-
-
-def _predictors(lags: Integers, correlation: Array) -> Array:
-    """Weights ``(13, u)`` of a row and of those so far back ``(12, u)``: the row less its prediction, of variance 1."""
-    table = np.zeros((ORDER + 2) * (REACH + 1))
-    table[: REACH + 1] = correlation
-    towards = table[lags]
-    weights = solve_definite(table[np.abs(lags[:, None] - lags)], towards)
-    left = np.maximum(1.0 - np.sum(weights * towards, axis=0), LEAST)
-    return np.concatenate([np.ones((1, lags.shape[1])), -weights]) / np.sqrt(left)

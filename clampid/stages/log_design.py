@@ -182,7 +182,7 @@ class LogDesign:
             every |= temperatures(pd.DataFrame(dict(w.columns)), self.n)
         if any(name == "torque_rate" for name, _ in kernel.signals):
             every["torque_rate"] = np.gradient(measured, axis=0)
-        predicted, inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
+        inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
         counts = counts[chosen]
         if not self.accelerating:
             counts &= negligible(inertial, facts)
@@ -191,15 +191,15 @@ class LogDesign:
         row = before + w.first + np.arange(len(time))
         fold = folds_of(facts, run, row)
         own = before + w.first + w.start
-        torque = measured[chosen] - predicted
         channels = []
         for c in range(self.n):
             used = np.flatnonzero(counts[:, c])
             at_row = chosen[used]
             columns, extra = self._still(run[at_row], c)
-            width = design[c].shape[1]
-            both = np.empty((len(used), width + len(columns) + 1))
-            both[:, :width], both[:, width:-1], both[:, -1] = design[c][used], extra, torque[used, c]
+            both = design[c][used]
+            both[:, -1] = measured[at_row, c] - both[:, -1]
+            if len(columns):
+                both = np.concatenate([both[:, :-1], extra, both[:, -1:]], axis=1)
             channels.append(
                 Channel(
                     row=row[at_row],
