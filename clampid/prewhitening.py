@@ -110,10 +110,10 @@ class Predictors:
         self._correlation = np.zeros((ORDER + 2) * (REACH + 1))
         self._correlation[: REACH + 1] = correlation
         self._known = np.zeros(0, dtype=np.uint64)
-        self._weights = np.zeros((ORDER + 1, 0))
+        self._weights = np.zeros((0, ORDER + 1))
 
     def of(self, kinds: Kinds, lags: Integers) -> Array:
-        """Weights ``(13, u)`` of the row and of those before it: the row less its prediction, over what that leaves.
+        """Weights ``(u, 13)`` of the row and of those before it: the row less its prediction, over what that leaves.
 
         Parameters
         ----------
@@ -126,19 +126,19 @@ class Predictors:
         new = self._known[place] != kinds if len(self._known) else np.ones(len(kinds), dtype=bool)
         if new.any():
             if len(self._known) > MOST_KINDS:
-                self._known, self._weights, new = self._known[:0], self._weights[:, :0], np.ones(len(kinds), dtype=bool)
+                self._known, self._weights, new = self._known[:0], self._weights[:0], np.ones(len(kinds), dtype=bool)
             known = np.concatenate([self._known, kinds[new]])
             order = np.argsort(known, kind="stable")
             self._known = known[order]
-            self._weights = np.concatenate([self._weights, self._found(lags[:, new])], axis=1)[:, order]
+            self._weights = np.concatenate([self._weights, self._found(lags[:, new])])[order]
             place = np.searchsorted(self._known, kinds)
-        return self._weights[:, place]
+        return self._weights[place]
 
     def _found(self, lags: Integers) -> Array:
         towards = self._correlation[lags]
         weights = solve_definite(self._correlation[np.abs(lags[:, None] - lags)], towards)
         left = np.maximum(1.0 - np.sum(weights * towards, axis=0), LEAST)
-        return np.concatenate([np.ones((1, lags.shape[1])), -weights]) / np.sqrt(left)
+        return np.asarray((np.concatenate([np.ones((1, lags.shape[1])), -weights]) / np.sqrt(left)).T)
 
 
 class Whitener:
@@ -174,7 +174,7 @@ class Whitener:
         """Whitened columns ``(k, m)`` of those rows."""
         x = np.ascontiguousarray(columns, dtype=np.float64)
         width, filtered = x.shape[1], np.empty(x.shape)
-        plain = predictors.of(_PLAIN, np.arange(1, ORDER + 1)[:, None])[:, 0]
+        plain = predictors.of(_PLAIN, np.arange(1, ORDER + 1)[:, None])[0]
         broken = predictors.of(self._kinds, self._lags)
         # Rows are as far from each other in memory as in time, so that whole columns are shifted at once.
         flat, out = x.reshape(-1), filtered.reshape(-1)
@@ -187,6 +187,6 @@ class Whitener:
                 if start < piece.stop:
                     daxpy(flat, out, n=piece.stop - start, a=plain[lag], offx=start - shift, offy=start)
         where = np.arange(0, self._columns.size + 1, ORDER + 1, dtype=np.int32)
-        matrix = sparse.csr_matrix((broken.T[self._kind].ravel(), self._columns, where), (len(self._broken), len(x)))
+        matrix = sparse.csr_matrix((broken[self._kind].ravel(), self._columns, where), (len(self._broken), len(x)))
         filtered[self._broken] = matrix @ x
         return filtered
