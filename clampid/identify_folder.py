@@ -98,8 +98,8 @@ def identify_folder(
             f"effects {', '.join(t.label for t in terms)}: expected effects linear in their parameters, found some "
             "that are not; read the campaign whole to fit these"
         )
-    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed)
-    errors = fitted.errors
+    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed))
+    errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
     warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None
     session = Session(campaign.name, campaign.fingerprint, None, tuple(campaign.targets), campaign.tool.mass, warmth)
