@@ -36,6 +36,7 @@ __all__ = [
     "sliding",
     "tanh",
     "turning",
+    "winding",
 ]
 
 Terms = Mapping[str, Any]
@@ -123,7 +124,7 @@ def at_place(number: int, value: Any, x: Any) -> Any:
 
 
 def at_link(number: int, motion: Sequence[Any], x: Any) -> Any:
-    """Link twists ``(n, 6)``: a motion of the far end of link ``number``, from 1, and of no other; 0 is the last one."""
+    """Link twists ``(n, 6)``: a motion of the far end of link ``number``, from 1, and of no other; 0 is the last."""
     twists = ca.SX(x.transmission.shape[0], 6)
     twists[number - 1, :] = ca.horzcat(*motion)
     return twists
@@ -131,11 +132,16 @@ def at_link(number: int, motion: Sequence[Any], x: Any) -> Any:
 
 def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:
     """``sin_q4``, ``cos_q4``, ``sin_2q4``, … up to ``orders`` a turn."""
-    found = {}
+    found: dict[str, Any] = {}
     for k in range(1, orders + 1):
         label = name if k == 1 else f"{k}{name}"
         found |= {f"sin_{label}": sin(k * angle), f"cos_{label}": cos(k * angle)}
     return found
+
+
+def winding(name: str, angle: Any, orders: int) -> dict[str, Any]:
+    """``q4``, ``sin_q4``, ``cos_q4``, …: of a joint that turns more than once, at which a cable is not what it was."""
+    return {name: angle, **fourier(name, angle, orders)}
 
 
 def powers(name: str, value: Any, orders: int) -> dict[str, Any]:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
-from clampid.identify import TABLES_OF, FittedStage, fit_stage
+from clampid.identify import TABLES_OF, FittedStage, fit_stage, session_of
 from clampid.model import Model
+from clampid.omission import exported_shift, shift_in_words
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot, Term
 from clampid.threads import single_threaded
@@ -68,7 +69,18 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
         return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage))
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
-    return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+    found = diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+    if stage == "poses" and found.added and found.fitted is not None:
+        ends = [_alone(opened, end) for end in (fitted, found.fitted)]
+        found.exported_shift = exported_shift(ends[0], ends[1], opened.campaign.robot)
+        found.summary = f"{found.summary} {shift_in_words(found.exported_shift)}".rstrip()
+    return found
+
+
+def _alone(opened: Reopened, poses: FittedStage) -> Model:
+    """A model of the poses of this campaign alone."""
+    session = session_of(opened.campaign, poses.base_reference[0])
+    return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=(session,))
 
 
 def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:

@@ -21,8 +21,8 @@ from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import Refit, held_out, pruned
-from clampid.diagnosis.words import omission_of, outliers_of, summary_of
 from clampid.diagnosis.unknown_shape import shape_of
+from clampid.diagnosis.words import omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.fit import Estimate
 from clampid.identify import FittedStage
@@ -97,9 +97,7 @@ def diagnose_stage(
     result.considered = refused + considered_of(look.named, look.named_null)
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
-        _unknown(result, look)
-        if look.fires and look.probe is not None:
-            result.shape = shape_of(fitted.estimate, look.space, look.probe, result.depends_on, seed)
+        _unknown(result, look, fitted.estimate, seed)
     result.candidates = merged(result.candidates)
     result.omission = omission_of(first, fitted.estimate)
     result.fitted = fitted
@@ -118,10 +116,12 @@ def _undecided(
     result.next_measurement = separating_measurement(s.candidate.family for s in rivals)
 
 
-def _unknown(result: StageDiagnosis, look: Look) -> None:
-    """Set down that something is left which no name explains, and on what it depends."""
+def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:
+    """Set down that something is left which no name explains, on what it depends, and how."""
     result.verdict = "unknown"
     result.depends_on = variables_of(look)
+    if look.fires and look.probe is not None:
+        result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
     result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
 
 

@@ -109,6 +109,10 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
             values = _values(added["parameters"])
             rows += [(added["effect"], where_text(added["where"]), *named) for named in values]
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
+        if part.get("exported_shift"):
+            from clampid.omission import shift_in_words
+
+            out.say(shift_in_words(part["exported_shift"]))
 
 
 def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
