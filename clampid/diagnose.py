@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.compensation import Compensation, compensation_of
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.identify import TABLES_OF, FittedStage, fit_stage, session_of
@@ -26,10 +27,14 @@ class Diagnosis:
     """What was found, stage by stage."""
 
     stages: Mapping[Stage, StageDiagnosis]
+    compensation: Compensation | None = None
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``diagnose``."""
-        return {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
+        data: dict[str, Any] = {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
+        if self.compensation is not None:
+            data["compensation"] = self.compensation.to_json()
+        return data
 
 
 @single_threaded
@@ -56,7 +61,10 @@ def diagnose(
     for stage in opened.stages:
         if any(t in campaign.tables for t in TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
-    return Diagnosis(found)
+    compensation = compensation_of(opened)
+    if compensation is not None and "poses" in found:
+        found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()
+    return Diagnosis(found, compensation)
 
 
 def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:

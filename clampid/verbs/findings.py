@@ -49,6 +49,8 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
 
+    if (data.get("compensation") or {}).get("summary"):
+        out.say(f"poses: {data['compensation']['summary']}")
     if "drives" in data:
         _show_agreement(data["drives"], out)
 

@@ -1,0 +1,236 @@
+"""How much of a model's deflections stands in measured poses: whether, and how, a controller has compensated them.
+
+Poses are measured at joint values that somebody asked for. What the springs then give way, q_arm = q - C·tau, stands in
+the points in full if nobody compensates it, and not at all if the controller does so rightly. The model is held as it
+is; a factor on the deflection by the arm's own weight, one on that by the tool, and where base and targets stand, are
+fitted to the points by Gauss-Newton, with a covariance from the residuals' scatter from pose to pose (Liang and Zeger,
+Biometrika 73, 1986).
+
+The pair of factors says which mistake it is, such as 1 - 180/pi for a deflection that was multiplied by 180/pi, or
+(1, 0) where only the tool's weight is compensated. Where the base is the model's own, its shift is held against what a
+base takes up of the deflections when a model without springs is fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from clampid.noise import NORMAL
+from clampid.reopen import Reopened
+from clampid.stages import poses
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Array, Rows
+from experiments.campaign import Campaign, Tool
+
+__all__ = ["Compensation", "compensation_of"]
+
+SPRINGS = "joint_compliance"
+STEPS = 8
+LEVEL = 1e-3  # chance that a true explanation is not accepted
+ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
+KNOWN = 0.25  # standard error of a factor beyond which these poses cannot tell it
+FAR = 6.0  # robust standard deviations: wrong rows
+DEGREES = 180.0 / np.pi
+EXPLANATIONS: tuple[tuple[float, float, str], ...] = (
+    (1.0, 1.0, ""),
+    (0.0, 0.0, "the deflections are compensated in full"),
+    (1.0, 0.0, "only the tool's weight is compensated: the arm's own weight is left out"),
+    (0.0, 1.0, "only the arm's own weight is compensated: the tool's is left out"),
+    (1.0 - DEGREES, 1.0 - DEGREES, "the compensation is multiplied by 180/pi: a deflection in degrees went out as rad"),
+    (1.0, 1.0 - DEGREES,
+     "the compensation is multiplied by 180/pi, and the arm's own weight is left out of it"),
+    (2.0, 2.0, "the compensation has the wrong sign: it doubles the deflections"),
+)  # fmt: skip
+"""Factors of own weight and tool, and what they mean; the first is a campaign without any compensation."""
+FINE = ("", EXPLANATIONS[1][2])
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What part of the model's deflections stands in the poses.
+
+    Attributes
+    ----------
+    factors, covariance
+        ``(2,)`` and ``(2, 2)``: on the deflection by the arm's own weight, and by the tool; 1: in full, 0: none.
+    base, base_std
+        ``(6,)``: how far the base is from the model's, (w, v), rad and m; None where the campaign has its own.
+    mistake
+        What was done wrong, in words; empty where nothing was.
+    said
+        The finding in a sentence; empty where the deflections stand there in full, as the model says.
+    """
+
+    factors: Array
+    covariance: Array
+    base: Array | None
+    base_std: Array | None
+    mistake: str
+    said: str
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        std = np.sqrt(np.diag(self.covariance))
+        return {
+            "own_weight": {"factor": float(self.factors[0]), "std": float(std[0])},
+            "tool": {"factor": float(self.factors[1]), "std": float(std[1])},
+            "base": None if self.base is None else self.base.tolist(),
+            "base_std": None if self.base_std is None else self.base_std.tolist(),
+            "mistake": self.mistake or None,
+            "summary": self.said,
+        }
+
+
+def compensation_of(opened: Reopened) -> Compensation | None:
+    """Look for a compensation, and for mistakes in it, in a campaign's poses.
+
+    Returns
+    -------
+    Compensation or None
+        None where the model has no springs in its poses, the campaign has none, or nothing is deflected.
+    """
+    model = opened.stages.get("poses")
+    if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
+        return None
+    rows = opened.rows("poses")
+    known = opened.session is not None
+    parts = _deflections(opened, rows)
+    if parts is None:
+        return None
+    values, own, tool = parts
+    fitted = _fit(rows, values, own, tool)
+    if fitted is None:
+        return None
+    theta, covariance, columns = fitted
+    factors, spread = 1.0 + theta[:2], covariance[:2, :2] + _springs_error(opened, theta[:2])
+    mistake = _explained(factors, spread)
+    said = _in_words(factors, spread, mistake)
+    base = base_std = None
+    if known:
+        base, base_std = theta[2:8], np.sqrt(np.diag(covariance)[2:8])
+        biased = _like_deflection(base, covariance[2:8, 2:8], columns)
+        if biased and not mistake:
+            mistake = "the base frame is biased by deflection"
+            said = f"The base stands {biased}: {mistake}, as of a model that was fitted without springs."
+    return Compensation(factors, spread, base, base_std, "" if mistake in FINE else mistake, said)
+
+
+def _deflections(opened: Reopened, rows: Rows) -> tuple[Array, Array, Array] | None:
+    """Station values ``(N, S)`` of the model, and what own weight and tool deflect of the joints ``(N, n)``, rad."""
+    model = opened.stages["poses"]
+    trial = experiment(rows, opened.effects, model.slots).with_flanks(model.theta)
+    stiff = np.where([s.effect == SPRINGS for s in model.slots], 0.0, model.theta)
+    angle = trial.chain.offsets["joint_angle"]
+    held = {"flank": trial.rows.signals["flank"]} if "flank" in trial.rows.signals else {}
+
+    def deflection(campaign: Campaign) -> tuple[Array, Array]:
+        signals = {**replace(opened, campaign=campaign).rows("poses").signals, **held}
+        values = trial.chain.evaluate(model.theta, signals).values
+        return values, (values - trial.chain.evaluate(stiff, signals).values)[:, angle]
+
+    bare = replace(opened.campaign, tool=Tool(0.0, opened.campaign.tool.com))
+    values, whole = deflection(opened.campaign)
+    _, arm = deflection(bare)
+    _, rest = deflection(replace(bare, gravity=np.zeros(3)))  # what dry friction holds wound up
+    return (values, arm - rest, whole - arm) if np.any(whole) else None
+
+
+def _fit(rows: Rows, values: Array, own: Array, tool: Array) -> tuple[Array, Array, Array] | None:
+    """Factors less 1, shifts of base and targets ``(8 + 3m,)``, with covariance, and the columns ``(N, 3, P)``."""
+    n, targets = rows.robot.n, rows.signals["target_is"]
+    count = 8 + 3 * targets.shape[1]
+    theta, angle, base = np.zeros(count), slice(0, n), slice(n, n + 6)
+    used = rows.used[:, 0].copy()
+    for _ in range(STEPS):
+        moved = values.copy()
+        moved[:, angle] += theta[0] * own + theta[1] * tool
+        moved[:, base] += theta[2:8]
+        moved[:, 7 * n + 6 : 7 * n + 9] += targets @ theta[8:].reshape(-1, 3)
+        position, _, sensitivity = poses.predict(rows, _Stations(moved))
+        S = sensitivity[:, :3]
+        columns = np.concatenate(
+            [
+                np.stack([np.einsum("nij,nj->ni", S[:, :, angle], part) for part in (own, tool)], axis=2),
+                S[:, :, base],
+                (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(len(rows), 3, -1),
+            ],
+            axis=2,
+        )
+        residual = rows.measured[:, :3] - position
+        size = np.linalg.norm(residual, axis=1)
+        used = rows.used[:, 0] & (size <= FAR * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
+        J, r = columns[used].reshape(-1, count), residual[used].ravel()
+        scale = np.linalg.norm(J, axis=0)
+        scale[scale == 0.0] = 1.0
+        step = np.linalg.lstsq(J / scale, r, rcond=1e-10)[0] / scale
+        theta = theta + step
+    if not np.isfinite(theta).all():
+        return None
+    inverse = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-12, hermitian=True)
+    _, unit = np.unique(np.repeat(rows.fold[used], 3), return_inverse=True)
+    pulls = np.zeros((int(unit.max()) + 1, count))
+    np.add.at(pulls, unit, (J / scale) * (r - J @ step)[:, None])
+    covariance = inverse @ (pulls.T @ pulls) @ inverse / np.outer(scale, scale)
+    return theta, covariance * len(pulls) / max(len(pulls) - count, 1), columns[used]
+
+
+@dataclass(frozen=True)
+class _Stations:
+    """Station values as :func:`clampid.stages.poses.predict` reads them."""
+
+    values: Array
+
+
+def _springs_error(opened: Reopened, excess: Array) -> Array:
+    """What the springs' own standard errors make of the factors' covariance ``(2, 2)``: one common scale."""
+    model = opened.stages["poses"]
+    chosen = [k for k, s in enumerate(model.slots) if s.effect == SPRINGS and model.theta[k] > 0.0]
+    share = float(np.median(model.std[chosen] / model.theta[chosen])) if chosen else 0.0
+    return np.outer(excess, excess) * share**2
+
+
+def _explained(factors: Array, covariance: Array) -> str | None:
+    """The first explanation that the factors do not contradict, likeliest first; None where there is none."""
+    distance = []
+    for own, tool, _ in EXPLANATIONS:
+        off = factors - np.array([own, tool])
+        distance.append(float(off @ np.linalg.pinv(covariance, hermitian=True) @ off))
+    limit = float(stats.chi2.isf(LEVEL, 2))
+    if distance[0] <= limit:
+        return ""  # as the model says: nothing speaks for a compensation
+    best = int(np.argmin(distance))
+    return EXPLANATIONS[best][2] if distance[best] <= limit else None
+
+
+def _in_words(factors: Array, covariance: Array, mistake: str | None) -> str:
+    """A sentence on the factors; empty where the deflections stand in full, or cannot be told."""
+    std = np.sqrt(np.diag(covariance))
+    if mistake == "" or std[0] > KNOWN * max(1.0, abs(float(factors[0] - 1.0))):
+        return ""
+    what = mistake or "no mistake that is known explains this"
+    return (
+        f"Of the model's deflection, {factors[0]:.3g} ± {std[0]:.1g} of that by the arm's own weight stands in the poses, "
+        f"and {factors[1]:.3g} ± {std[1]:.1g} of that by the tool (1: none is compensated, 0: all is): {what}."
+    )
+
+
+def _like_deflection(base: Array, covariance: Array, columns: Array) -> str:
+    """How far a base is off, in words, if that is what a base takes up of the deflections; else empty."""
+    flat = columns.reshape(-1, columns.shape[2])
+    scale = np.linalg.norm(flat[:, 2:], axis=0)
+    scale[scale == 0.0] = 1.0
+    taken = (np.linalg.lstsq(flat[:, 2:] / scale, flat[:, 0] + flat[:, 1], rcond=1e-10)[0] / scale)[:6]
+    weight = np.linalg.pinv(covariance, rcond=1e-14, hermitian=True)
+    size, whole, along = base @ weight @ base, taken @ weight @ taken, base @ weight @ taken
+    if size <= stats.chi2.isf(LEVEL, 6) or along >= 0.0 or along**2 < ALIKE * size * whole:
+        return ""
+    turn, shift = 1e6 * np.linalg.norm(base[:3]), 1e6 * np.linalg.norm(base[3:])
+    std = 1e6 * np.sqrt(np.diag(covariance))
+    return (
+        f"{shift:.0f} ± {np.linalg.norm(std[3:]):.0f} µm and {turn:.0f} ± {np.linalg.norm(std[:3]):.0f} µrad from the "
+        "model's, which is what a base takes up of the deflections"
+    )
