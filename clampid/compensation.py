@@ -4,7 +4,7 @@ Poses are measured at joint values that somebody asked for. What the springs the
 the points in full if nobody compensates it, and not at all if the controller does so rightly. The model is held as it
 is; a factor on the deflection by the arm's own weight, one on that by the tool, and where base and targets stand, are
 fitted to the points by Gauss-Newton, with a covariance from the residuals' scatter from pose to pose (Liang and Zeger,
-Biometrika 73, 1986).
+Biometrika 73, 1986) and from that of the model's springs.
 
 The pair of factors says which mistake it is, such as 1 - 180/pi for a deflection that was multiplied by 180/pi, or
 (1, 0) where only the tool's weight is compensated. Where the base is the model's own, its shift is held against what a
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from clampid.chain import Deviations
 from clampid.noise import NORMAL
 from clampid.reopen import Reopened
 from clampid.stages import poses
@@ -29,7 +30,9 @@ from experiments.campaign import Campaign, Tool
 __all__ = ["Compensation", "compensation_of"]
 
 SPRINGS = "joint_compliance"
-STEPS = 8
+STEPS = 12
+SETTLED = 1e-7  # of a factor, m or rad
+_NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 LEVEL = 1e-3  # chance that a true explanation is not accepted
 ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
 KNOWN = 0.25  # standard error of a factor beyond which these poses cannot tell it
@@ -96,101 +99,129 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     model = opened.stages.get("poses")
     if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
         return None
-    rows = opened.rows("poses")
-    known = opened.session is not None
-    parts = _deflections(opened, rows)
-    if parts is None:
+    bent = _bending(opened)
+    if not np.any(bent.parts):
         return None
-    values, own, tool = parts
-    fitted = _fit(rows, values, own, tool)
-    if fitted is None:
+    fitted = _fit(opened, bent)
+    if not np.isfinite(fitted.theta).all():
         return None
-    theta, covariance, columns = fitted
-    factors, spread = 1.0 + theta[:2], covariance[:2, :2] + _springs_error(opened, theta[:2])
+    factors, spread = 1.0 + fitted.theta[:2], fitted.covariance[:2, :2]
     mistake = _explained(factors, spread)
     said = _in_words(factors, spread, mistake)
     base = base_std = None
-    if known:
-        base, base_std = theta[2:8], np.sqrt(np.diag(covariance)[2:8])
-        biased = _like_deflection(base, covariance[2:8, 2:8], columns)
-        if biased and not mistake:
+    if opened.session is not None:
+        base, base_std = fitted.theta[2:8], np.sqrt(np.diag(fitted.covariance)[2:8])
+        biased = "" if mistake else _like_deflection(base, fitted.covariance[2:8, 2:8], fitted.columns)
+        if biased:
             mistake = "the base frame is biased by deflection"
             said = f"The base stands {biased}: {mistake}, as of a model that was fitted without springs."
-    return Compensation(factors, spread, base, base_std, "" if mistake in FINE else mistake, said)
+    return Compensation(factors, spread, base, base_std, "" if mistake is None or mistake in FINE else mistake, said)
 
 
-def _deflections(opened: Reopened, rows: Rows) -> tuple[Array, Array, Array] | None:
-    """Station values ``(N, S)`` of the model, and what own weight and tool deflect of the joints ``(N, n)``, rad."""
+@dataclass(frozen=True)
+class _Bending:
+    """What the springs give way, spring by spring.
+
+    Attributes
+    ----------
+    parts
+        ``(2, K, N, n)``, rad: by the arm's own weight and by the tool, through each of K springs.
+    covariance
+        ``(K, K)``: of the springs' compliances, relative to each.
+    """
+
+    parts: Array
+    covariance: Array
+
+
+def _bending(opened: Reopened) -> _Bending:
+    """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
-    trial = experiment(rows, opened.effects, model.slots).with_flanks(model.theta)
-    stiff = np.where([s.effect == SPRINGS for s in model.slots], 0.0, model.theta)
+    springs = [k for k, s in enumerate(model.slots) if s.effect == SPRINGS]
+    trial = experiment(opened.rows("poses"), opened.effects, model.slots).with_flanks(model.theta)
     angle = trial.chain.offsets["joint_angle"]
     held = {"flank": trial.rows.signals["flank"]} if "flank" in trial.rows.signals else {}
+    stiff = model.theta.copy()
+    stiff[springs] = 0.0
 
-    def deflection(campaign: Campaign) -> tuple[Array, Array]:
+    def through_each(campaign: Campaign) -> Array:
         signals = {**replace(opened, campaign=campaign).rows("poses").signals, **held}
-        values = trial.chain.evaluate(model.theta, signals).values
-        return values, (values - trial.chain.evaluate(stiff, signals).values)[:, angle]
+        none = trial.chain.evaluate(stiff, signals).values[:, angle]
+        each = []
+        for k in springs:
+            alone = stiff.copy()
+            alone[k] = model.theta[k]
+            each.append(trial.chain.evaluate(alone, signals).values[:, angle] - none)
+        return np.array(each)
 
     bare = replace(opened.campaign, tool=Tool(0.0, opened.campaign.tool.com))
-    values, whole = deflection(opened.campaign)
-    _, arm = deflection(bare)
-    _, rest = deflection(replace(bare, gravity=np.zeros(3)))  # what dry friction holds wound up
-    return (values, arm - rest, whole - arm) if np.any(whole) else None
+    whole, arm = through_each(opened.campaign), through_each(bare)
+    rest = through_each(replace(bare, gravity=np.zeros(3)))  # what dry friction holds wound up
+    size = np.where(model.theta[springs] != 0.0, model.theta[springs], np.inf)
+    covariance = model.covariance[np.ix_(springs, springs)] / np.outer(size, size)
+    return _Bending(np.array([arm - rest, whole - arm]), covariance)
 
 
-def _fit(rows: Rows, values: Array, own: Array, tool: Array) -> tuple[Array, Array, Array] | None:
-    """Factors less 1, shifts of base and targets ``(8 + 3m,)``, with covariance, and the columns ``(N, 3, P)``."""
-    n, targets = rows.robot.n, rows.signals["target_is"]
-    count = 8 + 3 * targets.shape[1]
-    theta, angle, base = np.zeros(count), slice(0, n), slice(n, n + 6)
-    used = rows.used[:, 0].copy()
+@dataclass(frozen=True)
+class _Fit:
+    """Factors less 1, shifts of base and targets ``(8 + 3m,)``, their covariance, and the columns ``(N, 3, P)``."""
+
+    theta: Array
+    covariance: Array
+    columns: Array
+
+
+def _fit(opened: Reopened, bent: _Bending) -> _Fit:
+    """Gauss-Newton: a compensation sends the robot elsewhere, where it then gives way as the model says."""
+    by_weight = bent.parts.sum(axis=1)
+    theta = np.zeros(0)
     for _ in range(STEPS):
-        moved = values.copy()
-        moved[:, angle] += theta[0] * own + theta[1] * tool
-        moved[:, base] += theta[2:8]
-        moved[:, 7 * n + 6 : 7 * n + 9] += targets @ theta[8:].reshape(-1, 3)
-        position, _, sensitivity = poses.predict(rows, _Stations(moved))
+        rows, values = _sent(opened, np.einsum("p,pni->ni", theta[:2], by_weight) if len(theta) else None)
+        n, targets = rows.robot.n, rows.signals["target_is"]
+        if not len(theta):
+            theta = np.zeros(8 + 3 * targets.shape[1])
+        values[:, n : n + 6] += theta[2:8]
+        values[:, 7 * n + 6 : 7 * n + 9] += targets @ theta[8:].reshape(-1, 3)
+        position, _, sensitivity = poses.predict(rows, Deviations(values, _NONE, _NO, _NO))
         S = sensitivity[:, :3]
-        columns = np.concatenate(
-            [
-                np.stack([np.einsum("nij,nj->ni", S[:, :, angle], part) for part in (own, tool)], axis=2),
-                S[:, :, base],
-                (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(len(rows), 3, -1),
-            ],
-            axis=2,
-        )
+        factors = [np.einsum("nij,nj->ni", S[:, :, :n], part) for part in by_weight]
+        shifts = (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(len(rows), 3, -1)
+        columns = np.concatenate([np.stack(factors, axis=2), S[:, :, n : n + 6], shifts], axis=2)
         residual = rows.measured[:, :3] - position
         size = np.linalg.norm(residual, axis=1)
         used = rows.used[:, 0] & (size <= FAR * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
-        J, r = columns[used].reshape(-1, count), residual[used].ravel()
+        J, r = columns[used].reshape(-1, len(theta)), residual[used].ravel()
         scale = np.linalg.norm(J, axis=0)
         scale[scale == 0.0] = 1.0
         step = np.linalg.lstsq(J / scale, r, rcond=1e-10)[0] / scale
         theta = theta + step
-    if not np.isfinite(theta).all():
-        return None
+        if not np.isfinite(theta).all() or np.all(np.abs(step) < SETTLED):
+            break
     inverse = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-12, hermitian=True)
     _, unit = np.unique(np.repeat(rows.fold[used], 3), return_inverse=True)
-    pulls = np.zeros((int(unit.max()) + 1, count))
+    pulls = np.zeros((int(unit.max()) + 1, len(theta)))
     np.add.at(pulls, unit, (J / scale) * (r - J @ step)[:, None])
-    covariance = inverse @ (pulls.T @ pulls) @ inverse / np.outer(scale, scale)
-    return theta, covariance * len(pulls) / max(len(pulls) - count, 1), columns[used]
+    scatter = pulls.T @ pulls * len(pulls) / max(len(pulls) - len(theta), 1)
+    # Springs that are a little softer or stiffer than the model's, times how much more of them stands in the points.
+    wrong = np.einsum("p,pkni->kni", theta[:2], bent.parts)
+    by_spring = np.einsum("nij,knj->nik", S[:, :, :n], wrong)[used].reshape(len(r), -1)
+    pulled = (J / scale).T @ by_spring
+    covariance = inverse @ (scatter + pulled @ bent.covariance @ pulled.T) @ inverse / np.outer(scale, scale)
+    return _Fit(theta, covariance, columns[used])
 
 
-@dataclass(frozen=True)
-class _Stations:
-    """Station values as :func:`clampid.stages.poses.predict` reads them."""
-
-    values: Array
-
-
-def _springs_error(opened: Reopened, excess: Array) -> Array:
-    """What the springs' own standard errors make of the factors' covariance ``(2, 2)``: one common scale."""
-    model = opened.stages["poses"]
-    chosen = [k for k, s in enumerate(model.slots) if s.effect == SPRINGS and model.theta[k] > 0.0]
-    share = float(np.median(model.std[chosen] / model.theta[chosen])) if chosen else 0.0
-    return np.outer(excess, excess) * share**2
+def _sent(opened: Reopened, shift: Array | None) -> tuple[Rows, Array]:
+    """The rows at joint values shifted by ``(N, n)``, and the model's station values ``(N, S)`` there."""
+    model, campaign = opened.stages["poses"], opened.campaign
+    if shift is not None:
+        table = campaign.tables["poses"].copy()
+        names = [f"q{i + 1}_rad" for i in range(campaign.robot.n)]
+        table[names] = table[names].to_numpy(float) + shift
+        campaign = replace(campaign, tables={**campaign.tables, "poses": table})
+    base = opened.base if opened.base is not None else {0: opened.rows("poses").constants["base_reference"][0]}
+    rows = replace(opened, campaign=campaign, base=base).rows("poses")
+    trial = experiment(rows, opened.effects, model.slots).with_flanks(model.theta)
+    return rows, trial.chain.evaluate(model.theta, trial.rows.signals).values
 
 
 def _explained(factors: Array, covariance: Array) -> str | None:
@@ -213,8 +244,8 @@ def _in_words(factors: Array, covariance: Array, mistake: str | None) -> str:
         return ""
     what = mistake or "no mistake that is known explains this"
     return (
-        f"Of the model's deflection, {factors[0]:.3g} ± {std[0]:.1g} of that by the arm's own weight stands in the poses, "
-        f"and {factors[1]:.3g} ± {std[1]:.1g} of that by the tool (1: none is compensated, 0: all is): {what}."
+        f"Of the model's deflection, {factors[0]:.3g} ± {std[0]:.1g} of that by the arm's own weight stands in the "
+        f"poses, and {factors[1]:.3g} ± {std[1]:.1g} of that by the tool (1: none is compensated, 0: all is): {what}."
     )
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from clampid.diagnosis.result import StageDiagnosis
 from clampid.compensation import Compensation, compensation_of
+from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.identify import TABLES_OF, FittedStage, fit_stage, session_of

@@ -37,7 +37,7 @@ def _deflection(plant: Plant, q: np.ndarray, own: bool = True) -> np.ndarray:
 
 MISTAKES: dict[str, Command] = {
     "none": lambda plant, q: np.zeros_like(q),
-    "right": lambda plant, q: _deflection(plant, q),
+    "right": _deflection,
     "degrees": lambda plant, q: math.degrees(1.0) * _deflection(plant, q),
     "own weight": lambda plant, q: _deflection(plant, q, own=False),
     "sign": lambda plant, q: -_deflection(plant, q),
