@@ -124,7 +124,7 @@ def at_place(number: int, value: Any, x: Any) -> Any:
 
 
 def at_link(number: int, motion: Sequence[Any], x: Any) -> Any:
-    """Link twists ``(n, 6)``: a motion of the far end of link ``number``, from 1, and of no other; 0 is the last."""
+    """Link twists ``(n, 6)``: a motion of the far end of link ``number``, from 1, and no other; 0 is the last one."""
     twists = ca.SX(x.transmission.shape[0], 6)
     twists[number - 1, :] = ca.horzcat(*motion)
     return twists

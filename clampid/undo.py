@@ -9,7 +9,8 @@ from pathlib import Path
 from clampid.add import carried
 from clampid.catalogue import catalogue, with_user_effects
 from clampid.effect import Effect, Stage
-from clampid.identify import fit_stage, has_inertia, stage_rows
+from clampid.fitted_stage import fit_stage
+from clampid.identify import has_inertia, stage_rows
 from clampid.model import Model, ModelError, Round, StageModel
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
@@ -24,7 +25,7 @@ def undo(
     """Take back the last round that added something: the model as it was before, and the round that is gone.
 
     A model file keeps one state, so that the stage is fitted again, from the values that its parameters have now; so
-    are the poses, where the round was one of the torques that they take loads and flanks from.
+    are the poses, where the round was of another stage: they take loads, flanks and springs from those.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def undo(
     layout, stages, base = carried(model, several, chosen)
     mended: dict[Stage, StageModel] = dict(stages)
     again: list[Stage] = [last.stage]
-    if last.stage == "free_air" and "poses" in mended:
+    if last.stage != "poses" and "poses" in mended:
         again.append("poses")
     for stage in again:
         old = mended[stage]
@@ -57,7 +58,7 @@ def undo(
         terms = [t for t in old.terms if t.label not in gone]
         rows = stage_rows(several, layout, stage, base, accelerating=has_inertia(terms, effects))
         others = {s: m for s, m in mended.items() if s != stage}
-        mended[stage] = fit_stage(rows, effects, terms, others, old.values(), old.held_out).model
+        mended[stage] = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.told).model
     own = _still_used(mended, effects)
     return replace(
         model, layout=layout, stages=mended, ledger=model.ledger[:-1], user_effects=str(chosen) if own else None

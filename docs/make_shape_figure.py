@@ -29,7 +29,9 @@ def main() -> None:
     truth += np.average(value - truth, weights=1.0 / (high - low) ** 2)  # a constant is the joint's zero
     figure, axes = plt.subplots(figsize=(8, 3.6), layout="constrained")
     axes.fill_between(np.degrees(x), 1e6 * low, 1e6 * high, color=FOUND, alpha=0.25, linewidth=0)
-    axes.plot(np.degrees(x), 1e6 * value, color=FOUND, linewidth=2, label="as diagnosed, 95 % band over the whole curve")
+    axes.plot(
+        np.degrees(x), 1e6 * value, color=FOUND, linewidth=2, label="as diagnosed, 95 % band over the whole curve"
+    )
     axes.plot(np.degrees(x), 1e6 * truth, color=TRUE, linewidth=1.2, linestyle="--", label="as hidden")
     axes.set_xlabel("q3, degrees")
     axes.set_ylabel("angle of joint 3, µrad")

@@ -10,8 +10,9 @@ from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.effect import Effect
 from clampid.fit import Estimate
-from clampid.slots import find_parameter
+from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers
+from kinematics.description import RobotDescription
 
 __all__ = ["ABLE", "CONFUSABLE", "RATE", "SAME", "Look", "look_at", "rivals_of"]
 
@@ -66,7 +67,10 @@ def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: in
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
     named = score(space, named_candidates(estimate, effects, fired))
     named_null = flip_maxima(space, named, flips, seed)
-    named = [s if _plausible(s, effects, space.scale) else replace(s, state="implausible") for s in named]
+    named = [
+        s if _plausible(s, effects, estimate.experiment.rows.robot, space.scale) else replace(s, state="implausible")
+        for s in named
+    ]
     best = _best([s for s in named if s.candidate.label not in rejected])
     if best is not None and named_null.p_familywise(best.log_p) > RATE:
         best = None
@@ -79,12 +83,12 @@ def _best(scored: Sequence[Scored]) -> Scored | None:
     return max(able, key=lambda s: s.bic, default=None)
 
 
-def _plausible(s: Scored, effects: Mapping[str, Effect], scale: float) -> bool:
+def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
     """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
     value, spread = s.value, SURE * scale * s.spread
     alone = len(s.candidate.terms) < 2  # of several places, one step from zero may put a few on the wrong side
     for slot, v, sd in zip(s.candidate.slots, value, spread, strict=True):
-        parameter = find_parameter(slot, effects)
+        parameter = parameter_of(slot, effects, robot)
         lower, upper = parameter.bounds
         if abs(v) - sd > IMPOSSIBLE * parameter.size or (alone and (v + sd < lower or v - sd > upper)):
             return False

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from clampid.effect import Stage
-from clampid.identify import FittedStage
+from clampid.fitted_stage import FittedStage
 from clampid.slots import Term
 
 __all__ = ["StageDiagnosis", "Verdict"]

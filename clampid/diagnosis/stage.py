@@ -25,7 +25,7 @@ from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.fit import Estimate
-from clampid.identify import FittedStage
+from clampid.fitted_stage import FittedStage
 from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]
@@ -117,12 +117,12 @@ def _undecided(
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:
-    """Set down that something is left which no name explains, on what it depends, and how."""
+    """Set down that something is left which no name explains, and on what it depends and how, if a probe tells."""
     result.verdict = "unknown"
-    result.depends_on = variables_of(look)
+    result.depends_on = variables_of(look) if look.fires else []
+    result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
     if look.fires and look.probe is not None:
         result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
-    result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
 
 
 def _something_left(look: Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.fit import Estimate
-from clampid.identify import FittedStage
+from clampid.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Integers, Rows

@@ -81,6 +81,11 @@ def summary_of(result: StageDiagnosis) -> str:
             return start + f"These data cannot tell apart: {'; '.join(rest)}. To part them: {result.next_measurement}."
         case _:
             error = "" if confirmed else f" (held-out error {shown(result.after)}, {floor})"
+            if not result.depends_on:
+                return (
+                    f"{start}The error is far above the noise{error}, but no known effect explains it, and it depends "
+                    "on no recorded variable as far as these rows tell."
+                )
             next_step = f" To make it an effect: {result.shape['command']}" if result.shape else ""
             return (
                 f"{start}Structure is left that no known effect explains; it depends on "
