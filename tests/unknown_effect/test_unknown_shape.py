@@ -23,11 +23,11 @@ from clampid.diagnosis.score import score, space_of
 from clampid.diagnosis.unknown_shape import _width, shape_of
 from clampid.export import calibrated_chain
 from clampid.fit import fit
-from clampid.identify import active_slots, identify, stage_rows
+from clampid.fitted_stage import fit_stage
+from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
 from clampid.model import load_model, save_model
 from clampid.slots import Term
-from clampid.stages.experiment import experiment
 from experiments.simulate import hidden_file
 from offline_ik.arm import Conditions, arm_of
 
@@ -55,7 +55,7 @@ def clean(simulated):
     """Rows of poses with nothing hidden, fitted with geometry: a pattern to put errors upon."""
     campaign = simulated(poses=120, tables=("poses",))
     rows = stage_rows([campaign], layout_of([campaign]), "poses")
-    return fit(experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term("geometry")])))
+    return fit_stage(rows, catalogue(), [Term("geometry")], {}).estimate
 
 
 def lever_of(estimate, joint: int) -> np.ndarray:
