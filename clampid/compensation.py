@@ -13,6 +13,7 @@ base takes up of the deflections when a model without springs is fitted.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,15 +24,16 @@ from clampid.chain import Deviations
 from clampid.noise import NORMAL
 from clampid.reopen import Reopened
 from clampid.stages import poses
-from clampid.stages.experiment import experiment
+from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.rows import Array, Rows
-from experiments.campaign import Campaign, Tool
 
 __all__ = ["Compensation", "compensation_of"]
 
 SPRINGS = "joint_compliance"
 STEPS = 12
 SETTLED = 1e-7  # of a factor, m or rad
+ELSEWHERE = 1e-6  # rad: where a robot is sent closer than this, it gives way as it would here
+WEIGHT = ("gravity_torque", "regressor", "tool_regressor")
 _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 LEVEL = 1e-3  # chance that a true explanation is not accepted
 ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
@@ -99,10 +101,11 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     model = opened.stages.get("poses")
     if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
         return None
-    bent = _bending(opened)
+    trial = experiment(opened.rows("poses"), opened.effects, model.slots)
+    bent = _bending(opened, trial)
     if not np.any(bent.parts):
         return None
-    fitted = _fit(opened, bent)
+    fitted = _fit(opened, trial, bent)
     if not np.isfinite(fitted.theta).all():
         return None
     factors, spread = 1.0 + fitted.theta[:2], fitted.covariance[:2, :2]
@@ -134,18 +137,16 @@ class _Bending:
     covariance: Array
 
 
-def _bending(opened: Reopened) -> _Bending:
+def _bending(opened: Reopened, trial: Experiment) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
     springs = [k for k, s in enumerate(model.slots) if s.effect == SPRINGS]
-    trial = experiment(opened.rows("poses"), opened.effects, model.slots).with_flanks(model.theta)
+    held = trial.with_flanks(model.theta).rows.signals
     angle = trial.chain.offsets["joint_angle"]
-    held = {"flank": trial.rows.signals["flank"]} if "flank" in trial.rows.signals else {}
     stiff = model.theta.copy()
     stiff[springs] = 0.0
 
-    def through_each(campaign: Campaign) -> Array:
-        signals = {**replace(opened, campaign=campaign).rows("poses").signals, **held}
+    def through_each(signals: Mapping[str, Array]) -> Array:
         none = trial.chain.evaluate(stiff, signals).values[:, angle]
         each = []
         for k in springs:
@@ -154,9 +155,10 @@ def _bending(opened: Reopened) -> _Bending:
             each.append(trial.chain.evaluate(alone, signals).values[:, angle] - none)
         return np.array(each)
 
-    bare = replace(opened.campaign, tool=Tool(0.0, opened.campaign.tool.com))
-    whole, arm = through_each(opened.campaign), through_each(bare)
-    rest = through_each(replace(bare, gravity=np.zeros(3)))  # what dry friction holds wound up
+    declared = opened.campaign.tool.mass * np.r_[1.0, opened.campaign.tool.com]
+    bare = {**held, "gravity_torque": held["gravity_torque"] - held["tool_regressor"] @ declared}
+    weightless = {**held, **{name: np.zeros_like(held[name]) for name in WEIGHT}}  # dry friction still winds up springs
+    whole, arm, rest = (through_each(signals) for signals in (held, bare, weightless))
     size = np.where(model.theta[springs] != 0.0, model.theta[springs], np.inf)
     covariance = model.covariance[np.ix_(springs, springs)] / np.outer(size, size)
     return _Bending(np.array([arm - rest, whole - arm]), covariance)
@@ -171,21 +173,25 @@ class _Fit:
     columns: Array
 
 
-def _fit(opened: Reopened, bent: _Bending) -> _Fit:
+def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
     """Gauss-Newton: a compensation sends the robot elsewhere, where it then gives way as the model says."""
     by_weight = bent.parts.sum(axis=1)
-    theta = np.zeros(0)
+    n, targets = trial.rows.robot.n, trial.rows.signals["target_is"]
+    theta, sent = np.zeros(8 + 3 * targets.shape[1]), np.zeros_like(by_weight[0])
+    rows, at = trial.rows, _values(trial, opened)
     for _ in range(STEPS):
-        rows, values = _sent(opened, np.einsum("p,pni->ni", theta[:2], by_weight) if len(theta) else None)
-        n, targets = rows.robot.n, rows.signals["target_is"]
-        if not len(theta):
-            theta = np.zeros(8 + 3 * targets.shape[1])
+        shift = np.einsum("p,pni->ni", theta[:2], by_weight)
+        if np.abs(shift - sent).max() > ELSEWHERE:
+            moved = trial.with_rows(_sent(opened, trial.rows, shift))
+            rows, at, sent = moved.rows, _values(moved, opened), shift
+        values = at.copy()
+        values[:, :n] += shift - sent
         values[:, n : n + 6] += theta[2:8]
         values[:, 7 * n + 6 : 7 * n + 9] += targets @ theta[8:].reshape(-1, 3)
         position, _, sensitivity = poses.predict(rows, Deviations(values, _NONE, _NO, _NO))
         S = sensitivity[:, :3]
         factors = [np.einsum("nij,nj->ni", S[:, :, :n], part) for part in by_weight]
-        shifts = (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(len(rows), 3, -1)
+        shifts = (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(len(rows), 3, 3 * targets.shape[1])
         columns = np.concatenate([np.stack(factors, axis=2), S[:, :, n : n + 6], shifts], axis=2)
         residual = rows.measured[:, :3] - position
         size = np.linalg.norm(residual, axis=1)
@@ -210,18 +216,19 @@ def _fit(opened: Reopened, bent: _Bending) -> _Fit:
     return _Fit(theta, covariance, columns[used])
 
 
-def _sent(opened: Reopened, shift: Array | None) -> tuple[Rows, Array]:
-    """The rows at joint values shifted by ``(N, n)``, and the model's station values ``(N, S)`` there."""
-    model, campaign = opened.stages["poses"], opened.campaign
-    if shift is not None:
-        table = campaign.tables["poses"].copy()
-        names = [f"q{i + 1}_rad" for i in range(campaign.robot.n)]
-        table[names] = table[names].to_numpy(float) + shift
-        campaign = replace(campaign, tables={**campaign.tables, "poses": table})
-    base = opened.base if opened.base is not None else {0: opened.rows("poses").constants["base_reference"][0]}
-    rows = replace(opened, campaign=campaign, base=base).rows("poses")
-    trial = experiment(rows, opened.effects, model.slots).with_flanks(model.theta)
-    return rows, trial.chain.evaluate(model.theta, trial.rows.signals).values
+def _sent(opened: Reopened, rows: Rows, shift: Array) -> Rows:
+    """The rows at joint values shifted by ``(N, n)``, seen from the same base."""
+    table = opened.campaign.tables["poses"].copy()
+    names = [f"q{i + 1}_rad" for i in range(rows.robot.n)]
+    table[names] = table[names].to_numpy(float) + shift
+    campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
+    return replace(opened, campaign=campaign, base={0: rows.constants["base_reference"][0]}).rows("poses")
+
+
+def _values(trial: Experiment, opened: Reopened) -> Array:
+    """The model's station values ``(N, S)``."""
+    theta = opened.stages["poses"].theta
+    return trial.chain.evaluate(theta, trial.with_flanks(theta).rows.signals).values
 
 
 def _explained(factors: Array, covariance: Array) -> str | None:
