@@ -11,6 +11,7 @@ import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
 from clampid.agreement import Agreement, agreement_of, shared_drives
+from clampid.compensation import Compensation, compensation_of
 from clampid.curves import angle_errors, shared_curve
 from clampid.effect import Stage
 from clampid.fit import fit
@@ -38,6 +39,8 @@ class Comparison:
     drives, drives_p
         Whether clamped sweeps and poses agree on springs and clearances, joint by joint, and the p-value of all
         together; empty and None where the model or the campaign does not have both.
+    compensation
+        How much of the model's deflections stands in the poses, and what mistake in a compensation that is.
     """
 
     model: str
@@ -45,12 +48,15 @@ class Comparison:
     tables: dict[str, dict[str, Any]]
     drives: tuple[Agreement, ...] = ()
     drives_p: float | None = None
+    compensation: Compensation | None = None
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         data: dict[str, Any] = {"model": self.model, "campaign": self.campaign, "tables": self.tables}
         if self.drives:
             data["drives"] = {"p_value": self.drives_p, "parameters": [a.to_json() for a in self.drives]}
+        if self.compensation is not None:
+            data["compensation"] = self.compensation.to_json()
         return data
 
 
@@ -104,7 +110,7 @@ def compare(
     own = None if refit else _independent_drives(opened)
     if own is not None:
         drives, drives_p = agreement_of(*own)
-    return Comparison(model.robot, campaign.name, tables, drives, drives_p)
+    return Comparison(model.robot, campaign.name, tables, drives, drives_p, compensation_of(opened))
 
 
 def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | None:

@@ -51,6 +51,8 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
 
+    if (data.get("compensation") or {}).get("summary"):
+        out.say(f"poses: {data['compensation']['summary']}")
     if "drives" in data:
         _show_agreement(data["drives"], out)
 
@@ -114,6 +116,10 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
             values = _values(added["parameters"])
             rows += [(added["effect"], where_text(added["where"]), *named) for named in values]
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
+        if part.get("exported_shift"):
+            from clampid.omission import shift_in_words
+
+            out.say(shift_in_words(part["exported_shift"]))
 
 
 def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
