@@ -20,7 +20,9 @@ __all__ = [
     "dot",
     "exp",
     "fabs",
+    "fmax",
     "interleave",
+    "log",
     "norms",
     "rows",
     "shifted_down",
@@ -30,7 +32,7 @@ __all__ = [
     "turning",
 ]
 
-sin, cos, exp, fabs, tanh = ca.sin, ca.cos, ca.exp, ca.fabs, ca.tanh
+sin, cos, exp, log, fabs, fmax, tanh = ca.sin, ca.cos, ca.exp, ca.log, ca.fabs, ca.fmax, ca.tanh
 
 
 def rows(*parts: Any) -> Any:

@@ -13,8 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.chain import Chain
+from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
 from clampid.slots import Layout
 from clampid.stages.loads import gravity_signals, inertial_signals
+from clampid.stages.presliding import dry_states
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import Campaign
 from experiments.signals import acceleration, held_sign, rest_threshold, segments, speeds, typical_step
@@ -57,10 +59,13 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     return rows.measured - predicted, jacobian
 
 
-def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: bool = False) -> Rows:
+def torque_rows(
+    campaigns: Sequence[Campaign], layout: Layout, accelerating: bool = False, resting: bool = False
+) -> Rows:
     """Rows of the tables free_air and wrist of one or several sessions.
 
-    Rows in acceleration are used only where the model has the bodies' and rotors' inertia (``accelerating``).
+    Rows in acceleration are used only where the model has the bodies' and rotors' inertia (``accelerating``), rows of
+    motors at rest only where it has the state of their friction (``resting``).
     """
     import pandas as pd
 
@@ -82,7 +87,8 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
     time = joined["time_s"].to_numpy(float)
     q = joined[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
     names_qd = [f"qd{i + 1}_rad_s" for i in range(n)]
-    if all(c in joined.columns and not joined[c].isna().any() for c in names_qd):
+    logged = all(c in joined.columns and not joined[c].isna().any() for c in names_qd)
+    if logged:
         qd = joined[names_qd].to_numpy(float)
     else:
         qd = speeds(q, time, run, window_s=WINDOW_S)
@@ -118,6 +124,7 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
         for name, values in own.items():
             signals.setdefault(name, np.zeros((len(q), *values.shape[1:])))[chosen] = values
     signals["rest_direction"] = np.zeros_like(q)
+    signals["dry_state"] = _friction_states(signals, time, run, logged) if resting else _no_states(motion_m)
     measured = joined[[f"tau{i + 1}_Nm" for i in range(n)]].to_numpy(float)
     still, undecided = _standing(layout, T, run, qd, motion, rest, clear)
     # Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
@@ -125,7 +132,7 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
     inertial = np.abs(signals["inertia_torque"] @ T.T)
     noise = NORMAL * np.median(np.abs(np.diff(measured, axis=0)), axis=0) / np.sqrt(2.0)
     steady = np.abs(qdd) <= STEADY * np.abs(qdd).max(axis=0, initial=0.0)  # rotors and links have inertia of their own
-    used = moving & ~undecided
+    used = (moving | (motion_m != 0.0 if resting else False)) & ~undecided  # before its first motion nobody knows
     if not accelerating:
         used &= (inertial <= INERTIA_SHARE * noise) & steady
     signals["torque_rate"] = np.gradient(measured, axis=0)
@@ -153,6 +160,26 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
         },
         per_row=("time", "run"),
     )
+
+
+def _friction_states(signals: dict[str, Array], time: Array, run: Integers, logged: bool) -> Array:
+    """States of dry friction ``(N, n, S x K)``.
+
+    Speeds taken over a window do not have the jitter of an encoder's counts, which would wear the state down; a log
+    that has speeds of its own may be too sparse to integrate them.
+    """
+    if logged:
+        turned = np.diff(signals["motor"], axis=0, prepend=signals["motor"][:1])
+    else:
+        wm = signals["motor_speed"]
+        steps = np.diff(time, prepend=time[:1])[:, None]
+        turned = 0.5 * (wm + np.vstack([wm[:1], wm[:-1]])) * steps
+    return dry_states(turned, time, run)
+
+
+def _no_states(motion: Array) -> Array:
+    """The signs of the last motion, as states of any length and time: friction at rest plays no part."""
+    return np.broadcast_to(motion[:, :, None], (*motion.shape, len(PRESLIDING_LENGTHS) * len(RELAXATION_TIMES)))
 
 
 def _block_seconds(time: Array, run: Integers) -> float:
