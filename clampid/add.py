@@ -14,7 +14,16 @@ from clampid.catalogue import with_user_effects
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.identify import FittedStage, fit_stage, has_friction_state, has_inertia, session_of, stage_rows, stages_of, verification_rows
+from clampid.identify import (
+    FittedStage,
+    fit_stage,
+    has_friction_state,
+    has_inertia,
+    session_of,
+    stage_rows,
+    stages_of,
+    verification_rows,
+)
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, Round, StageModel
 from clampid.reopen import reopen

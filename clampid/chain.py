@@ -20,7 +20,16 @@ from clampid.compiled import Blocks
 from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
 from clampid.slots import Layout, Slot
 
-__all__ = ["OUTPUTS", "Chain", "Deviations", "RowSymbols", "build_chain", "offer_friction_state", "offer_torque", "parameter_columns"]
+__all__ = [
+    "OUTPUTS",
+    "Chain",
+    "Deviations",
+    "RowSymbols",
+    "build_chain",
+    "offer_friction_state",
+    "offer_torque",
+    "parameter_columns",
+]
 
 Array = npt.NDArray[np.float64]
 

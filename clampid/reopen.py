@@ -48,7 +48,12 @@ class Reopened:
         terms = self.stages[stage].terms
         moves = has_inertia(terms, self.effects)
         return stage_rows(
-            [self.campaign], self.layout, stage, self.base, accelerating=moves, resting=has_friction_state(terms, self.effects)
+            [self.campaign],
+            self.layout,
+            stage,
+            self.base,
+            accelerating=moves,
+            resting=has_friction_state(terms, self.effects),
         )
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:

@@ -28,7 +28,7 @@ def hats(value: Any, nodes: tuple[float, ...]) -> list[Any]:
 
 
 def state(p: Any, x: Any) -> Any:
-    """c (z(s, t) - sign(w_motor)): the share c of the dry friction has z in the place of the sign."""
+    """C (z(s, t) - sign(w_motor)): the share c of the dry friction has z in the place of the sign."""
     weights = product(hats(p.s, PRESLIDING_LENGTHS), hats(p.t, RELAXATION_TIMES))
     z = sum(a * b * x.dry_state[:, k] for k, (a, b) in enumerate(weights))
     return p.c * (z - x.motor_motion)

@@ -88,10 +88,7 @@ def torque_rows(
     q = joined[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
     names_qd = [f"qd{i + 1}_rad_s" for i in range(n)]
     logged = all(c in joined.columns and not joined[c].isna().any() for c in names_qd)
-    if logged:
-        qd = joined[names_qd].to_numpy(float)
-    else:
-        qd = speeds(q, time, run, window_s=WINDOW_S)
+    qd = joined[names_qd].to_numpy(float) if logged else speeds(q, time, run, window_s=WINDOW_S)
     qdd = acceleration(qd, time, run, window_s=WINDOW_S)
     to_motor = np.linalg.inv(T)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
     wm = qd @ to_motor

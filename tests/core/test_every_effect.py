@@ -28,7 +28,7 @@ VISIBLE: dict[Stage, tuple[str, ...]] = {
     "free_air": (*OUTPUTS["free_air"], "friction_state"),
     "poses": (*OUTPUTS["poses"], "joint_torque"),
 }
-"""Where a stage sees deviations; in poses torques at the joints are loads on springs, and states of friction scale it."""
+"""Where a stage sees deviations; in poses torques at the joints are loads on springs; friction has a state."""
 REVEALS: dict[Stage, tuple[str, ...]] = {
     "free_air": ("coulomb_friction",),
     "clamped": ("joint_compliance",),
@@ -52,7 +52,7 @@ def _trial(effect: Effect, rows: Rows) -> tuple[Experiment, int]:
 
 
 def _values(trial: Experiment, near: float, seed: int) -> np.ndarray:
-    """Parameters at random within ``near`` times their sizes, shapes and what the effect shows through at usual values."""
+    """Parameters at random within ``near`` times their sizes; shapes, and what it shows through, at usual values."""
     rng = np.random.default_rng(seed)
     theta, (lower, upper) = trial.start(), trial.bounds()
     theta = theta + near * trial.sizes() * rng.uniform(-1.0, 1.0, len(theta)) * ~trial.shapes()
