@@ -51,7 +51,7 @@ UNITS: frozenset[str] = frozenset(
 
 PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""
-RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.5, 2.5, 12.5)
+RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Times in which these states relax at rest, s; every length goes with every time, times running faster."""
 
 

@@ -59,7 +59,7 @@ EFFECT = Effect(
             (RELAXATION_TIMES[0], RELAXATION_TIMES[-1]),
             "time in which the state relaxes at rest",
             True,
-            (1.0, 1.0, 1.0),
+            (1.5, 1.5, 1.5),
         ),
     ),
     needs=("dry_state", "motor_motion"),
