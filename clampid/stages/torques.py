@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.chain import Chain
-from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
 from clampid.slots import Layout
 from clampid.stages.loads import gravity_signals, inertial_signals
 from clampid.stages.presliding import dry_states
@@ -121,7 +120,8 @@ def torque_rows(
         for name, values in own.items():
             signals.setdefault(name, np.zeros((len(q), *values.shape[1:])))[chosen] = values
     signals["rest_direction"] = np.zeros_like(q)
-    signals["dry_state"] = _friction_states(signals, time, run, logged) if resting else _no_states(motion_m)
+    if resting:
+        signals["dry_state"] = _friction_states(signals, time, run, logged)
     measured = joined[[f"tau{i + 1}_Nm" for i in range(n)]].to_numpy(float)
     still, undecided = _standing(layout, T, run, qd, motion, rest, clear)
     # Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
@@ -172,11 +172,6 @@ def _friction_states(signals: dict[str, Array], time: Array, run: Integers, logg
         steps = np.diff(time, prepend=time[:1])[:, None]
         turned = 0.5 * (wm + np.vstack([wm[:1], wm[:-1]])) * steps
     return dry_states(turned, time, run)
-
-
-def _no_states(motion: Array) -> Array:
-    """The signs of the last motion, as states of any length and time: friction at rest plays no part."""
-    return np.broadcast_to(motion[:, :, None], (*motion.shape, len(PRESLIDING_LENGTHS) * len(RELAXATION_TIMES)))
 
 
 def _block_seconds(time: Array, run: Integers) -> float:
