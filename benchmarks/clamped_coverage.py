@@ -24,7 +24,8 @@ import numpy as np
 
 from clampid.catalogue import catalogue
 from clampid.drives import DETECTION, Drives, drives_of
-from clampid.identify import fit_stage, stage_rows
+from clampid.fitted_stage import fit_stage
+from clampid.identify import stage_rows
 from clampid.layout import layout_of
 from clampid.slots import Term
 from experiments.simulate import measured_campaign

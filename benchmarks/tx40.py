@@ -20,9 +20,9 @@ from scipy.signal import butter, filtfilt
 
 from clampid.catalogue import catalogue
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
-from clampid.identify import active_slots, stage_rows
+from clampid.identify import stage_rows
 from clampid.layout import layout_of
-from clampid.slots import Term
+from clampid.slots import Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Rows
 from experiments.campaign import Campaign, read_campaign
@@ -73,7 +73,8 @@ def read(folder: Path) -> Log:
 def _design(campaign: Campaign) -> tuple[Rows, Array]:
     effects, layout = catalogue(), layout_of([campaign])
     rows = stage_rows([campaign], layout, "free_air", accelerating=True, resting=True)
-    slots = active_slots(rows, effects, [Term(name) for name in ("gravity", "inertia", "link_inertia")])
+    terms = [Term(name) for name in ("gravity", "inertia", "link_inertia")]
+    slots = slots_of_terms(terms, effects, layout, rows.stage)
     _, jacobian = experiment(rows, effects, slots).residual(np.zeros(len(slots)))
     return rows, jacobian[:, :, : len(slots)]
 

@@ -14,9 +14,8 @@ from clampid.catalogue import with_user_effects
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
+from clampid.fitted_stage import FittedStage, fit_stage
 from clampid.identify import (
-    FittedStage,
-    fit_stage,
     has_friction_state,
     has_inertia,
     session_of,
@@ -99,26 +98,29 @@ def add(
     layout, stages, base = _carried(model, several, chosen)
     here = [s for s in stages_of(several) if s in stages]
     wanted = _parse(terms, effects, layout, here)
-    mended, ledger, found = dict(stages), list(model.ledger), {}
+    mended, ledger = dict(stages), list(model.ledger)
+    found: dict[Stage, StageAddition] = {}
     references: dict[int, Array] = dict(base or {})
     for stage in here:
         asked = wanted.get(stage, [])
-        if not asked and not (stage == "poses" and "free_air" in found):
+        if not asked and not (stage == "poses" and found):
             continue
         # Both models are judged by the same rows: with inertia those in acceleration, too.
         every = (*stages[stage].terms, *asked)
         moves, rests = has_inertia(every, effects), has_friction_state(every, effects)
         rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
         before_stages = {s: m for s, m in mended.items() if s != stage}
-        held = stages[stage].held_out
-        old = fit_stage(rows, effects, stages[stage].terms, before_stages, stages[stage].values(), held)
+        held, told = stages[stage].held_out, stages[stage].told
+        old = fit_stage(rows, effects, stages[stage].terms, before_stages, stages[stage].values(), held, told)
         new_terms, shapes = _resolved(asked, old, effects)
         if not new_terms and asked:
             names = ", ".join(t.label for t in asked)
             raise EffectError(f"{stage}: nothing can be told about {names} from these rows, or it is active already")
         every = (*stages[stage].terms, *new_terms)
         new = (
-            fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held) if new_terms else old
+            fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held, told)
+            if new_terms
+            else old
         )
         verification = verification_rows(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
-from clampid.agreement import Agreement, agreement_of, pose_drives
+from clampid.agreement import Agreement, agreement_of, shared_drives
 from clampid.curves import angle_errors
 from clampid.effect import Stage
-from clampid.fit import Prior, fit
+from clampid.fit import fit
+from clampid.fitted_stage import fit_stage
 from clampid.identify import TABLES_OF, held_out_folds
-from clampid.model import Model, ModelError
+from clampid.model import Model, ModelError, StageModel
 from clampid.reopen import Reopened, reopen
-from clampid.slots import Slot
+from clampid.slots import Prior, Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.threads import single_threaded
@@ -100,10 +101,29 @@ def compare(
             tables |= _as_fitted(opened, stage, seed)
     drives: tuple[Agreement, ...] = ()
     drives_p = None
-    own = None if refit else pose_drives(opened)
+    own = None if refit else _independent_drives(opened)
     if own is not None:
-        drives, drives_p = agreement_of(opened.stages["clamped"], own)
+        drives, drives_p = agreement_of(*own)
     return Comparison(model.robot, campaign.name, tables, drives, drives_p)
+
+
+def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | None:
+    """The clamped stage and the poses, fitted so that neither knows of the other; None where one of them is missing."""
+    here = {"clamped", "poses"} <= set(opened.campaign.tables) & set(opened.stages)
+    if not here or opened.session is None:
+        return None
+    clamped, poses = opened.stages["clamped"], opened.stages["poses"]
+    if not shared_drives(clamped.slots, poses.slots):
+        return None
+    before = {name: stage for name, stage in opened.stages.items() if name not in ("clamped", "poses")}
+    alone = []
+    for stage in (clamped, poses):
+        if stage is clamped and stage.told is None:  # stage by stage it knows nothing of the poses anyway
+            alone.append(stage)
+            continue
+        rows, held = opened.rows(stage.stage), opened.held(stage.stage)
+        alone.append(fit_stage(rows, opened.effects, stage.terms, before, stage.values(), held).model)
+    return alone[0], alone[1]
 
 
 def _as_fitted(opened: Reopened, stage: Stage, seed: int) -> dict[str, dict[str, Any]]:

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clampid.diagnosis.stage import StageDiagnosis, diagnose_stage
+from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
-from clampid.identify import TABLES_OF, FittedStage, fit_stage
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify import TABLES_OF
 from clampid.model import Model
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot, Term
@@ -32,7 +34,13 @@ class Diagnosis:
 
 @single_threaded
 def diagnose(
-    model: Model, campaign: Campaign, *, seed: int = 0, flips: int = 199, user_effects: Path | None = None
+    model: Model,
+    campaign: Campaign,
+    *,
+    seed: int = 0,
+    flips: int = 199,
+    user_effects: Path | None = None,
+    stages: Sequence[Stage] | None = None,
 ) -> Diagnosis:
     """Find out where a model fails on a campaign and which effect is missing.
 
@@ -43,6 +51,8 @@ def diagnose(
     ----------
     flips
         Sign flips that decide: p_familywise is at least 1/(flips + 1).
+    stages
+        Those to diagnose; by default all that the campaign has tables for.
 
     Raises
     ------
@@ -52,7 +62,8 @@ def diagnose(
     opened = reopen(model, campaign, user_effects)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in opened.stages:
-        if any(t in campaign.tables for t in TABLES_OF[stage]):
+        wanted = stages is None or stage in stages
+        if wanted and any(t in campaign.tables for t in TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
     return Diagnosis(found)
 
@@ -64,7 +75,7 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
         known = {**start, **last.model.values()}
-        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage))
+        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
     return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)

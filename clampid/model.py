@@ -17,7 +17,7 @@ import numpy as np
 
 from clampid.base_names import BaseParameter, base_json, read_base
 from clampid.effect import STAGES, Stage
-from clampid.slots import Layout, Slot, Term
+from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
 
 __all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model", "write_text"]
@@ -66,6 +66,9 @@ class StageModel:
         What these data cannot tell, in words.
     base
         The combinations of masses, first moments and inertias that torques can tell; of ``free_air`` only.
+    told
+        Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
+        counting any row twice; else None.
     """
 
     stage: Stage
@@ -78,6 +81,7 @@ class StageModel:
     outliers: tuple[tuple[int, str, int], ...] = ()
     null_directions: tuple[str, ...] = ()
     base: tuple[BaseParameter, ...] = ()
+    told: Prior | None = None
 
     @property
     def std(self) -> Array:
@@ -107,7 +111,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Model:
-    """What is known of one particular robot."""
+    """What is known of one particular robot; ``joint``: from all tables in one fit, see :mod:`clampid.joint`."""
 
     robot: str
     layout: Layout
@@ -117,6 +121,7 @@ class Model:
     seed: int = 0
     holdout: float = 0.0
     user_effects: str | None = None
+    joint: bool = False
 
     def with_stage(self, stage: StageModel) -> Model:
         """The same model with one stage replaced."""
@@ -187,6 +192,7 @@ def _to_json(model: Model) -> dict[str, Any]:
         "seed": model.seed,
         "holdout": model.holdout,
         "user_effects": model.user_effects,
+        "joint": model.joint,
         "sessions": [
             {
                 "name": s.name,
@@ -227,7 +233,21 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
         "not_identifiable": list(stage.null_directions),
         "base_parameters": [base_json(parameter) for parameter in stage.base],
+        "told": None if stage.told is None else _told_json(stage.told),
     }
+
+
+def _told_json(told: Prior) -> dict[str, Any]:
+    places = [{"effect": s.effect, "parameter": s.parameter, "at": s.place} for s in told.slots]
+    return {"parameters": places, "mean": told.mean.tolist(), "covariance": told.covariance.tolist()}
+
+
+def _read_told(data: Mapping[str, Any] | None) -> Prior | None:
+    if data is None:
+        return None
+    slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in data["parameters"])
+    covariance = np.array(data["covariance"], dtype=float).reshape(len(slots), len(slots))
+    return Prior(slots, np.array(data["mean"], dtype=float), covariance)
 
 
 def _from_json(data: Mapping[str, Any]) -> Model:
@@ -252,6 +272,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             outliers=tuple((int(o["session"]), str(o["table"]), int(o["row"])) for o in part["outliers"]),
             null_directions=tuple(part["not_identifiable"]),
             base=tuple(read_base(p) for p in part.get("base_parameters", ())),
+            told=_read_told(part.get("told")),
         )
     sessions = tuple(
         Session(
@@ -290,4 +311,5 @@ def _from_json(data: Mapping[str, Any]) -> Model:
         seed=int(data["seed"]),
         holdout=float(data["holdout"]),
         user_effects=data["user_effects"],
+        joint=bool(data.get("joint", False)),
     )

@@ -10,7 +10,8 @@ import numpy as np
 
 from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
-from clampid.identify import FittedStage, fit_stage, has_friction_state, has_inertia, stage_rows, stages_of
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify import has_friction_state, has_inertia, stage_rows, stages_of
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
@@ -73,7 +74,8 @@ class Reopened:
         """Fit the stage's active effects to this campaign, from the model's values."""
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
-        return fit_stage(self.rows(stage), self.effects, model.terms, before, model.values(), self.held(stage))
+        start, held = model.values(), self.held(stage)
+        return fit_stage(self.rows(stage), self.effects, model.terms, before, start, held, model.told)
 
 
 def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -> Reopened:
@@ -147,4 +149,5 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         outliers=tuple(o for o in stage.outliers if o[0] == session),
         null_directions=stage.null_directions,
         base=stage.base,
+        told=stage.told,
     )

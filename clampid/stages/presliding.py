@@ -8,12 +8,35 @@ the relaxation is the creep of the contacts at rest.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
 from clampid.stages.rows import Array, Bools, Integers
 
-__all__ = ["dry_states", "recurrence"]
+__all__ = ["dry_states", "friction_states", "recurrence"]
+
+
+def friction_states(signals: Mapping[str, Array], time: Array, run: Integers, logged: bool) -> Array:
+    """Return the states of dry friction ``(N, n, S x K)`` of a log.
+
+    Parameters
+    ----------
+    signals
+        ``motor`` ``(N, n)``, rad, and ``motor_speed``, rad/s.
+    time, run
+        ``(N,)``, s and number of the run.
+    logged
+        Whether the log has speeds of its own. Such a log may be too sparse to integrate them; speeds taken over a
+        window do not have the jitter of an encoder's counts, which would wear the state down.
+    """
+    if logged:
+        turned = np.diff(signals["motor"], axis=0, prepend=signals["motor"][:1])
+    else:
+        speed, steps = signals["motor_speed"], np.diff(time, prepend=time[:1])[:, None]
+        turned = 0.5 * (speed + np.vstack([speed[:1], speed[:-1]])) * steps
+    return dry_states(turned, time, run)
 
 
 def dry_states(turned: Array, time: Array, run: Integers) -> Array:

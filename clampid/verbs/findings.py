@@ -56,6 +56,7 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
     """Springs and clearances as the clamped sweeps have them and as the poses want them."""
     units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
+    units |= {"nonlinear_stiffness.h": "rad/Nm^3", "cross_coupled_stiffness.x": "rad/Nm"}
     rows = []
     for p in data["parameters"]:
         unit = units[p["parameter"]]

@@ -14,7 +14,8 @@ from clampid.add import add
 from clampid.catalogue import catalogue
 from clampid.compare import compare
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
-from clampid.identify import fit_stage, identify, stage_rows, standard_effects
+from clampid.fitted_stage import fit_stage
+from clampid.identify import identify, stage_rows, standard_effects
 from clampid.layout import layout_of
 from clampid.slots import Term
 from clampid.stages.experiment import experiment
