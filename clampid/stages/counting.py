@@ -1,8 +1,9 @@
 """Which rows of a torque log count, the signals of its motion, and its folds: for logs held whole and by windows alike.
 
-Static friction is indeterminate, so that a motor at rest says nothing, unless the model has friction's state. Dry friction takes a distance to build up:
-between rest and clear motion its torque is not known either. Where a motor turns while a joint that it is coupled with
-has not moved in the whole run, the dry friction of that joint's arm side is an unknown constant of the run.
+Static friction is indeterminate, so that a motor at rest says nothing, unless the model has friction's state. Dry
+friction takes a distance to build up: between rest and clear motion its torque is not known either. Where a motor turns
+while a joint that it is coupled with has not moved in the whole run, the dry friction of that joint's arm side is an
+unknown constant of the run.
 """
 
 from __future__ import annotations
