@@ -11,7 +11,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-__all__ = ["FAMILIES", "SIGNALS", "STATIONS", "UNITS", "Effect", "EffectError", "Parameter", "Signal", "Stage"]
+__all__ = [
+    "FAMILIES",
+    "PRESLIDING_LENGTHS",
+    "RELAXATION_TIMES",
+    "SIGNALS",
+    "STATIONS",
+    "UNITS",
+    "Effect",
+    "EffectError",
+    "Parameter",
+    "Signal",
+    "Stage",
+]
 
 Stage = Literal["free_air", "clamped", "poses"]
 Per = Literal["robot", "joint", "link", "target", "session"]
@@ -37,6 +49,11 @@ UNITS: frozenset[str] = frozenset(
     }
 )  # fmt: skip
 
+PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""
+RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Times in which these states relax at rest, s; every length goes with every time, times running faster."""
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -60,6 +77,11 @@ SIGNALS: Mapping[str, Signal] = {
     "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),
     "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion"),
     "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion"),
+    "dry_state": Signal(
+        ("n", len(PRESLIDING_LENGTHS) * len(RELAXATION_TIMES)),
+        "",
+        "state of each motor's dry friction, -1 to +1, for every presliding length and relaxation time",
+    ),
     "own_speed": Signal(("n",), "rad/s", "speed that each motor would have if its own joint alone turned it"),
     "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion"),
     "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
@@ -84,6 +106,7 @@ SIGNALS: Mapping[str, Signal] = {
 """What an effect may depend on, name by name."""
 
 STATIONS: Mapping[str, tuple[tuple[str | int, ...], str]] = {
+    "friction_state": (("n",), "state of the motors' dry friction beyond the sign of their last motion"),
     "joint_torque": (("n",), "torque at the joint, Nm; reaches the motors through T"),
     "motor_torque": (("n",), "torque at the motor, Nm"),
     "joint_angle": (("n",), "angle of the arm beyond what the controller reports, rad"),

@@ -88,6 +88,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
         coulomb=coulomb,
         viscous=coulomb * rng.uniform(0.5, 1.2, n) / (0.5 * speed),
         presliding=rng.uniform(2e-3, 5e-3, n),
+        creep=zeros,
         arm=np.where(wrist, drive.rated * rng.uniform(0.015, 0.035, n), 0.0),
         stribeck=zeros,
         stribeck_speed=0.03 / np.abs(np.diag(drive.nominal)),

@@ -36,7 +36,13 @@ from experiments.virtual_robot.hidden_elsewhere import (
     hide_payload,
     hide_scale,
 )
-from experiments.virtual_robot.hidden_friction import hide_friction, hide_lag, hide_ripple, hide_stribeck
+from experiments.virtual_robot.hidden_friction import (
+    hide_creep,
+    hide_friction,
+    hide_lag,
+    hide_ripple,
+    hide_stribeck,
+)
 from experiments.virtual_robot.outside import OUTSIDE_KINDS
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.puts import Put
@@ -151,6 +157,7 @@ KINDS: dict[str, Kind] = {
     "thermal_expansion": Kind(hide_expansion, "link", POSES, _long),
     "payload": Kind(hide_payload, "tool", EVERYWHERE),
     "stribeck_friction": Kind(hide_stribeck, "joint", TORQUES),
+    "presliding_friction": Kind(hide_creep, "joint", ("free_air", "wrist")),
     "fixture_compliance": Kind(hide_fixture, "fixture", ("clamped",)),
     "base_tilt": Kind(hide_base_tilt, "base", POSES),
     "instrument_scale": Kind(hide_scale, "instrument", POSES),

@@ -77,6 +77,7 @@ class Friction:
     coulomb: Array  # (n,) Nm at the motor
     viscous: Array  # (n,) Nm s/rad at the motor
     presliding: Array  # (n,) rad at the motor
+    creep: Array  # (n,) 1/s, rate at which the contacts of the gear creep at rest; 0: one contact that does not
     arm: Array  # (n,) Nm at the joint, Coulomb
     stribeck: Array  # (n,) Nm at the motor
     stribeck_speed: Array  # (n,) rad/s at the motor
