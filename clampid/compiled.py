@@ -28,7 +28,8 @@ __all__ = ["Blocks", "compile_function", "compiler"]
 Array = npt.NDArray[np.float64]
 
 BLOCK = 256  # rows evaluated at once
-OPTIONS = ("-O2", "-fPIC", "-shared", "-std=c99")
+# Neither option changes a result: casadi's code asks for no errno, and traps no exception of the processor.
+OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-std=c99")
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
 _log = logging.getLogger(__name__)

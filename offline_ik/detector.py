@@ -139,6 +139,7 @@ class Detector:
         near: Sequence[float] | Array | None = None,
         branch: Choice | str = "nearest",
         direction: Direction = None,
+        nearest: bool = True,
     ) -> Answer:
         """Joint and motor angles for a detector position.
 
@@ -155,6 +156,8 @@ class Detector:
         direction
             ``(n,)``: the intended direction of approach of each joint, ±1 or 0 where unknown; ``moved``: as the joints
             move straight from ``near``.
+        nearest
+            Whether to look for the nearest position that can be reached, where the asked one cannot.
 
         Raises
         ------
@@ -179,10 +182,10 @@ class Detector:
                 break
         target = poses[order[0]] if not found else detector_pose(
             self.cell.convention, gamma, delta, r, found[0].roll)  # fmt: skip
-        nearest = None
-        if not found:
-            nearest = nearest_reachable(self, poses[order[0]], 0.0 if roll is None else roll)
-        return self._answer((gamma, delta, r, roll), target, tuple(found), tuple(reasons) if not found else (), nearest)
+        if found:
+            return self._answer((gamma, delta, r, roll), target, tuple(found))
+        closest = nearest_reachable(self, target, roll or 0.0) if nearest else None
+        return self._answer((gamma, delta, r, roll), target, (), tuple(reasons), closest)
 
     def _answer(
         self,
@@ -192,7 +195,8 @@ class Detector:
         reasons: tuple[str, ...] = (),
         nearest: dict[str, float] | None = None,
     ) -> Answer:
-        names = dict(zip(("gamma_rad", "delta_rad", "r_m", "roll_rad"), asked, strict=True))
+        gamma, delta, r, roll = asked
+        names = {"gamma_rad": gamma, "delta_rad": delta, "r_m": r, "roll_rad": roll}
         return Answer(names, target, solutions, reasons, nearest, self._said[0], self._said[1])
 
     @cached_property

@@ -184,7 +184,7 @@ def test_an_error_of_the_program_is_one_answer(detector: Detector, monkeypatch: 
     async def talk(server: Server, host: str, port: int) -> None:
         async with connected(host, port) as (reader, writer):
             with monkeypatch.context() as patched:
-                patched.setattr(server.speaker, "answer", broken)
+                patched.setattr(server.speaker, "begin", broken)
                 assert "internal error" in (await ask(reader, writer, GOOD))["error"]
             assert (await ask(reader, writer, GOOD))["ok"]
             assert server.failures == 1
