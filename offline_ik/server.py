@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import ipaddress
 import signal
 from collections import deque
@@ -13,7 +14,7 @@ from typing import cast
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Session, Speaker, Steps
 
-__all__ = ["Limits", "Server", "parse_address", "serve"]
+__all__ = ["Limits", "Server", "parse_address", "serve", "settle"]
 
 LINE_BYTES = 4096  # of a request
 PENDING = 64  # requests that a client may have waiting; beyond, it is not read
@@ -268,6 +269,12 @@ def is_loopback(host: str) -> bool:
     return False
 
 
+def settle() -> None:
+    """Take what there is now out of the garbage collector's rounds: it stays, and looking at it again costs answers."""
+    gc.collect()
+    gc.freeze()
+
+
 def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) -> None:
     """Serve until interrupted; ``say`` is told the address.
 
@@ -279,6 +286,7 @@ def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) ->
 
     async def run() -> None:
         server = Server(speaker)
+        settle()
         try:
             at = await server.start(host, port)
         except OSError as error:
