@@ -23,7 +23,7 @@ from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm
 from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
-from offline_ik.errors import TargetError
+from offline_ik.errors import DetectorError, TargetError
 from offline_ik.kernels import Kernel, locate_kernel
 from offline_ik.mount import identified_mount
 from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
@@ -48,11 +48,14 @@ class Detector:
     ------
     CellError
         The sample lies in an obstacle or in the robot's base, or the cell's targets are not the model's.
+    DetectorError
+        The arm has a joint that is not revolute, or fewer than six.
     """
 
     def __init__(self, arm: IdentifiedArm, cell: Cell) -> None:
         self.arm, self.cell = arm, cell
         self.robot: RobotDescription = arm.robot
+        _check_arm(self.robot)
         self.solver = Solver(arm, identified_mount(cell, arm))
         self.lower = self.robot.lower + cell.limit_margin
         self.upper = self.robot.upper - cell.limit_margin
@@ -306,6 +309,15 @@ class Detector:
         return np.column_stack([-s * x - c * y, s * y - c * x, -z])
 
 
+def _check_arm(robot: RobotDescription) -> None:
+    """Refuse an arm that cannot hold a detector at any orientation, or whose joints have no turns."""
+    if robot.n < 6:
+        raise DetectorError(f"{robot.name}: expected an arm of at least six joints, found {robot.n}")
+    for joint in robot.joints:
+        if joint.kind != "revolute":
+            raise DetectorError(f"{robot.name}: expected revolute joints only, found {joint.name}, {joint.kind}")
+
+
 def open_detector(
     model: Model | str | Path,
     cell: Cell | str | Path | None = None,
@@ -328,6 +340,8 @@ def open_detector(
     ------
     ModelError, DescriptionError, CellError
         One of them cannot be read, or they do not fit each other.
+    DetectorError
+        The arm is none that can carry a detector: see :class:`Detector`.
     """
     loaded = model if isinstance(model, Model) else load_model(model)
     described = robot if isinstance(robot, RobotDescription) else load_robot(robot or loaded.robot)
