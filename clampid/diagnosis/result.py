@@ -33,6 +33,7 @@ class StageDiagnosis:
     next_measurement: str | None = None
     next_poses: NextPoses | None = None
     omission: list[dict[str, Any]] = field(default_factory=list)
+    exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
     added: list[Term] = field(default_factory=list)
@@ -62,6 +63,7 @@ class StageDiagnosis:
             "next_measurement": self.next_measurement,
             "next_poses": None if self.next_poses is None else self.next_poses.to_json(),
             "omission": self.omission,
+            "exported_shift": self.exported_shift,
             "testability": self.testability,
             "summary": self.summary,
         }
