@@ -32,7 +32,8 @@ __all__ = ["Blocks", "compile_function", "compile_rows", "compiler"]
 Array = npt.NDArray[np.float64]
 
 BLOCK = 256  # rows evaluated at once
-OPTIONS = ("-O2", "-fPIC", "-shared")
+# Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
+OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 SCALAR_OPTIONS = ("-std=c99",)
 LANES_OPTIONS = ("-std=gnu99", "-march=native", "-Wno-psabi")
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
