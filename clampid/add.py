@@ -25,22 +25,24 @@ from clampid.identify import (
 )
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, Round, StageModel
+from clampid.omission import exported_shift
 from clampid.reopen import reopen
 from clampid.slots import Layout, Term, find_parameter, parse_term
 from clampid.stages.rows import Array
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
-__all__ = ["Addition", "add"]
+__all__ = ["Addition", "add", "carried"]
 
 
 @dataclass(frozen=True)
 class StageAddition:
-    """What was added in one stage, and the errors before and after."""
+    """What was added in one stage, the errors before and after, and what its lack had done to the exported table."""
 
     added: tuple[dict[str, Any], ...]
     before: StageErrors
     after: StageErrors
+    shift: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ class Addition:
                     "heldout_rms_after": s.after.heldout_rms,
                     "rms_before": s.before.rms,
                     "rms_after": s.after.rms,
+                    "exported_shift": list(s.shift),
                 }
                 for name, s in self.stages.items()
             }
@@ -95,12 +98,13 @@ def add(
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)
-    layout, stages, base = _carried(model, several, chosen)
+    layout, stages, base = carried(model, several, chosen)
     here = [s for s in stages_of(several) if s in stages]
     wanted = _parse(terms, effects, layout, here)
     mended, ledger = dict(stages), list(model.ledger)
     found: dict[Stage, StageAddition] = {}
     references: dict[int, Array] = dict(base or {})
+    unmended: StageModel | None = None
     for stage in here:
         asked = wanted.get(stage, [])
         if not asked and not (stage == "poses" and found):
@@ -122,10 +126,14 @@ def add(
             if new_terms
             else old
         )
+        # An effect that takes another's place finds its own places.
+        every, new_terms = new.model.terms, [t for t in new.model.terms if t not in stages[stage].terms]
         verification = verification_rows(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
         references |= new.base_reference
         mended[stage] = new.model
+        if stage == "poses":
+            unmended = old.model
         labels = tuple(t.label for t in new_terms)
         if new_terms:
             found[stage] = StageAddition(_listed(new, new_terms, effects), errors[0], errors[1])
@@ -150,10 +158,14 @@ def add(
         ledger=tuple(ledger),
         user_effects=None if chosen is None else str(chosen),
     )
+    if "poses" in found and unmended is not None:
+        without = replace(result, stages={**mended, "poses": unmended})
+        shift = exported_shift(without, result, several[0].robot)
+        found["poses"] = replace(found["poses"], shift=tuple(shift))
     return result, Addition(found)
 
 
-def _carried(
+def carried(
     model: Model, campaigns: Sequence[Campaign], user_effects: Path | None
 ) -> tuple[Layout, Mapping[Stage, StageModel], Mapping[int, Array] | None]:
     """The model's stages in the campaigns' layout, and where the instruments see the base."""
@@ -197,8 +209,10 @@ def _resolved(
     if not asked:
         return [], {}
     estimate = fitted.estimate
+    active = {slot.effect for slot in estimate.slots}
+    out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
+    asked = [t for t in asked if effects[t.effect].aligns is None]
     scored = score(space_of(estimate), named_candidates(estimate, {t.effect: effects[t.effect] for t in asked}))
-    out: dict[Term, None] = {}
     shapes: dict[Any, float] = {}
     for term in asked:
         effect = effects[term.effect]

@@ -38,6 +38,7 @@ __all__ = [
     "sliding",
     "tanh",
     "turning",
+    "winding",
 ]
 
 Terms = Mapping[str, Any]
@@ -138,6 +139,11 @@ def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:
         label = name if k == 1 else f"{k}{name}"
         found |= {f"sin_{label}": sin(k * angle), f"cos_{label}": cos(k * angle)}
     return found
+
+
+def winding(name: str, angle: Any, orders: int) -> dict[str, Any]:
+    """``q4``, ``sin_q4``, ``cos_q4``, …: of a joint that turns more than once, at which a cable is not what it was."""
+    return {name: angle, **fourier(name, angle, orders)}
 
 
 def powers(name: str, value: Any, orders: int) -> dict[str, Any]:

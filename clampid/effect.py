@@ -150,6 +150,9 @@ class Parameter:
         Not an amplitude: it has a start value and a grid, and means nothing while the amplitudes are zero.
     grid
         The values of a shape parameter that a search visits; the first is its start.
+    held
+        Where a fit keeps it at its start: ``everywhere``, because it is chosen and not measured, or at the ``first`` of
+        its places, because the others count from there.
     """
 
     name: str
@@ -161,6 +164,7 @@ class Parameter:
     shape: bool = False
     grid: tuple[float, ...] = ()
     spread: float = WEAK
+    held: Literal["nowhere", "first", "everywhere"] = "nowhere"
     gearing: int = 0
 
     def __post_init__(self) -> None:
@@ -223,6 +227,10 @@ class Effect:
     tried
         How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
         ``jointly``: at all places at once, after which each place must pay for itself.
+    aligns
+        An effect with a curve of each joint's own, of which this one says that they are one curve, turned and mirrored.
+        From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.alignment`), and takes
+        its place where they are one. Diagnosis tests for it there, and does not look for it among the candidates.
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
@@ -241,6 +249,7 @@ class Effect:
     beyond: str | None = None
     tried: Literal["places", "together", "both", "jointly"] = "both"
     revealed_by: str | None = None
+    aligns: str | None = None
     meaning: str = field(default="")
 
     def __post_init__(self) -> None:

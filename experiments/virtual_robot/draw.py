@@ -164,7 +164,7 @@ def _draw_drive(robot: RobotDescription, rng: np.random.Generator) -> Drive:
         slip=np.zeros((n, 3)),
         slip_torque=np.ones((n, 3)),
         eccentricity=np.zeros((n, 4)),
-        disc=np.zeros(DISC_MARKS),
+        disc=np.zeros((n, DISC_MARKS)),
         disc_turn=np.zeros(n),
         disc_sense=np.ones(n),
         rotor=3e-4 * (rated * ratio / rated[0] / ratio[0]) ** 0.5 * rng.uniform(0.7, 1.3, n),

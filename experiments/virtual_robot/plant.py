@@ -65,7 +65,7 @@ class Drive:
     slip_torque: Array  # (n, k) Nm, where they slip
     eccentricity: Array  # (n, 4) rad: sin q, cos q, sin 2q, cos 2q
     rotor: Array  # (n,) kg m² at the motor
-    disc: Array  # (marks,) rad by which the encoders' disc is off at equal angles all round; all drives have its like
+    disc: Array  # (n, marks) rad by which each encoder's disc is off at equal angles all round
     disc_turn: Array  # (n,) rad by which each drive's disc is turned
     disc_sense: Array  # (n,) ±1, on which of its sides it is read
 
