@@ -191,7 +191,9 @@ def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
         position, _, sensitivity = poses.predict(rows, Deviations(values, _NONE, _NO, _NO))
         S = sensitivity[:, :3]
         factors = [np.einsum("nij,nj->ni", S[:, :, :n], part) for part in by_weight]
-        shifts = (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(len(rows), 3, 3 * targets.shape[1])
+        shifts = (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(
+            len(rows), 3, 3 * targets.shape[1]
+        )
         columns = np.concatenate([np.stack(factors, axis=2), S[:, :, n : n + 6], shifts], axis=2)
         residual = rows.measured[:, :3] - position
         size = np.linalg.norm(residual, axis=1)
