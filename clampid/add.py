@@ -15,7 +15,14 @@ from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
-from clampid.identify import has_inertia, session_of, stage_rows, stages_of, verification_rows
+from clampid.identify import (
+    has_friction_state,
+    has_inertia,
+    session_of,
+    stage_rows,
+    stages_of,
+    verification_rows,
+)
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, Round, StageModel
 from clampid.omission import exported_shift
@@ -103,8 +110,9 @@ def add(
         if not asked and not (stage == "poses" and found):
             continue
         # Both models are judged by the same rows: with inertia those in acceleration, too.
-        moves = has_inertia((*stages[stage].terms, *asked), effects)
-        rows = stage_rows(several, layout, stage, base, accelerating=moves)
+        every = (*stages[stage].terms, *asked)
+        moves, rests = has_inertia(every, effects), has_friction_state(every, effects)
+        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
         before_stages = {s: m for s, m in mended.items() if s != stage}
         held, told = stages[stage].held_out, stages[stage].told
         old = fit_stage(rows, effects, stages[stage].terms, before_stages, stages[stage].values(), held, told)
@@ -118,6 +126,8 @@ def add(
             if new_terms
             else old
         )
+        # An effect that takes another's place finds its own places.
+        every, new_terms = new.model.terms, [t for t in new.model.terms if t not in stages[stage].terms]
         verification = verification_rows(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
         references |= new.base_reference
@@ -199,8 +209,10 @@ def _resolved(
     if not asked:
         return [], {}
     estimate = fitted.estimate
+    active = {slot.effect for slot in estimate.slots}
+    out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
+    asked = [t for t in asked if effects[t.effect].aligns is None]
     scored = score(space_of(estimate), named_candidates(estimate, {t.effect: effects[t.effect] for t in asked}))
-    out: dict[Term, None] = {}
     shapes: dict[Any, float] = {}
     for term in asked:
         effect = effects[term.effect]

@@ -24,8 +24,10 @@ __all__ = [
     "dot",
     "exp",
     "fabs",
+    "fmax",
     "fourier",
     "interleave",
+    "log",
     "norms",
     "powers",
     "products",
@@ -42,7 +44,7 @@ __all__ = [
 Terms = Mapping[str, Any]
 """Terms of a shape by name, none of them constant: what a free factor each makes any smooth function of."""
 
-sin, cos, exp, fabs, tanh = ca.sin, ca.cos, ca.exp, ca.fabs, ca.tanh
+sin, cos, exp, log, fabs, fmax, tanh = ca.sin, ca.cos, ca.exp, ca.log, ca.fabs, ca.fmax, ca.tanh
 
 
 def rows(*parts: Any) -> Any:

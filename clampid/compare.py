@@ -12,7 +12,7 @@ import numpy as np
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
 from clampid.agreement import Agreement, agreement_of, shared_drives
 from clampid.compensation import Compensation, compensation_of
-from clampid.curves import angle_errors
+from clampid.curves import angle_errors, shared_curve
 from clampid.effect import Stage
 from clampid.fit import fit
 from clampid.fitted_stage import fit_stage
@@ -253,6 +253,8 @@ def _refitted(opened: Reopened, refit: Sequence[str], share: float, seed: int) -
 def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
     """Which share of the held-out rows, joint by joint, stands at angles that no pose of the fit came near.
 
+    Of joints on one curve a pose of any counts for all.
+
     None where the model has no angle errors that depend on where a joint stands.
     """
     q = rows.signals["q"][chosen]
@@ -261,7 +263,9 @@ def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]
         return None
     far = found.extrapolated
     joints = {f"joint{j + 1}": float(far[:, j].mean()) for j in np.flatnonzero(far.any(axis=0))}
-    return {"share": float(far.any(axis=1).mean()), "joints": joints}
+    one = shared_curve(opened.stages["poses"], opened.effects, np.zeros(1))
+    together = {} if one is None else {"one_curve": [f"joint{j + 1}" for j in one.joints]}
+    return {"share": float(far.any(axis=1).mean()), "joints": joints, **together}
 
 
 def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:

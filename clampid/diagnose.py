@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from clampid.alignment import simpler
 from clampid.compensation import Compensation, compensation_of
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.stage import diagnose_stage
@@ -25,14 +26,25 @@ __all__ = ["Diagnosis", "diagnose"]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, stage by stage."""
+    """What was found, stage by stage.
+
+    Attributes
+    ----------
+    compensation
+        Mistakes of the controller's own compensation that were measured along, by name; None where none shows.
+    simpler
+        Stage → effects that say with one curve what the model, with what was found missing, says with several.
+    """
 
     stages: Mapping[Stage, StageDiagnosis]
     compensation: Compensation | None = None
+    simpler: Mapping[Stage, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``diagnose``."""
-        data: dict[str, Any] = {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
+        simpler = {name: {"simpler": list(found)} for name, found in self.simpler.items() if found}
+        stages = {name: {**stage.to_json(), **simpler.get(name, {})} for name, stage in self.stages.items()}
+        data: dict[str, Any] = {"stages": stages}
         if self.compensation is not None:
             data["compensation"] = self.compensation.to_json()
         return data
@@ -71,10 +83,11 @@ def diagnose(
         wanted = stages is None or stage in stages
         if wanted and any(t in campaign.tables for t in TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
+    mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
     compensation = compensation_of(opened)
     if compensation is not None and "poses" in found:
         found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()
-    return Diagnosis(found, compensation)
+    return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
 
 
 def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:

@@ -59,7 +59,7 @@ def page(
         robot_section(campaign.robot, poses, before) if poses is not None else None,
         budget_section(stages),
         torque_section(stages),
-        angle_curves_section(model, effects, campaign.robot),
+        angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
         parameters_section(model, effects),
         dh_section(model),
         origin_section(model, campaign, effects),

@@ -42,8 +42,10 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         if far and far["share"]:
             joints = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in far["joints"].items())
             share = f"{100 * far['share']:.0f} %"
+            one = f"; {where_text(far['one_curve'])} are on one curve and count together" if "one_curve" in far else ""
             out.say(
-                f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near: {joints}"
+                f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near, where their "
+                f"curve is extrapolated: {joints}{one}"
             )
     if motors:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
@@ -79,6 +81,8 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
             out.table("", ("parameter", "value"), _values(parameters))
+        for found in part.get("simpler", ()):
+            out.say(f"  {found['summary']}; to fit it: clampid add {stage}={found['name']} MODEL CAMPAIGN -o MENDED")
         if part.get("depends_on"):
             out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
         if part.get("next_measurement"):
