@@ -18,6 +18,7 @@ from clampid.identify_log import LogStage, log_parts
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.nulls import null_directions
+from clampid.observability import observability, projected
 from clampid.priors import description_priors
 from clampid.slots import Layout, Slot, Term, parse_term, slots_of_terms
 from clampid.stages.clamped import clamped_rows
@@ -235,8 +236,15 @@ def fit_stage(
         outliers=tuple(listed),
         null_directions=null_directions(estimate),
         base=base_parameters(estimate),
+        observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
     return FittedStage(stage, estimate, reference)
+
+
+def _information(estimate: Estimate) -> Array:
+    """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
+    scaled = estimate.whitened.jacobian * estimate.experiment.sizes()
+    return projected(scaled.T @ scaled, len(estimate.slots))
 
 
 @single_threaded

@@ -18,6 +18,7 @@ from clampid.log_sample import sampled_columns
 from clampid.model import StageModel
 from clampid.moments import covariance_of
 from clampid.nulls import assumed_of, named_directions
+from clampid.observability import observability, projected
 from clampid.priors import description_priors
 from clampid.slots import Layout, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
@@ -119,6 +120,7 @@ class LogStage:
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
             null_directions=named_directions(information, size, slots, precision[inside], assumed_of(self.experiment)),
             base=self._base(fit, covariance, precision[:count, :count]),
+            observability=observability(projected(information, count), fit.moments.count),
         )
         out = bool(held) and any(held)
         return FittedLog(model, log_errors(self.design, fit, prior, self.folds, kept, out, seed))

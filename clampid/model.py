@@ -66,6 +66,8 @@ class StageModel:
         What these data cannot tell, in words.
     base
         The combinations of masses, first moments and inertias that torques can tell; of ``free_air`` only.
+    observability
+        Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.observability`.
     """
 
     stage: Stage
@@ -78,6 +80,7 @@ class StageModel:
     outliers: tuple[tuple[int, str, int], ...] = ()
     null_directions: tuple[str, ...] = ()
     base: tuple[BaseParameter, ...] = ()
+    observability: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def std(self) -> Array:
@@ -227,6 +230,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
         "not_identifiable": list(stage.null_directions),
         "base_parameters": [base_json(parameter) for parameter in stage.base],
+        "observability": dict(stage.observability),
     }
 
 
@@ -252,6 +256,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             outliers=tuple((int(o["session"]), str(o["table"]), int(o["row"])) for o in part["outliers"]),
             null_directions=tuple(part["not_identifiable"]),
             base=tuple(read_base(p) for p in part.get("base_parameters", ())),
+            observability={name: float(v) for name, v in part.get("observability", {}).items()},
         )
     sessions = tuple(
         Session(

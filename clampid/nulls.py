@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.fit import Estimate
+from clampid.observability import projected
 from clampid.slots import Slot
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools
@@ -56,9 +57,7 @@ def named_directions(
     """
     count = len(slots)
     size = sizes[:count]
-    if len(sizes) > count:  # what the offsets could take up is not information on the slots
-        A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
-        information = A - B @ np.linalg.pinv(C, rcond=1e-10) @ B.T
+    information = projected(information, count)  # what the offsets could take up is not information on the slots
     prior = precision[:count, :count] * np.outer(size, size)
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)

@@ -139,4 +139,5 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         outliers=tuple(o for o in stage.outliers if o[0] == session),
         null_directions=stage.null_directions,
         base=stage.base,
+        observability=stage.observability,
     )

@@ -11,9 +11,10 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.grouped import grouped
+from clampid.verbs.inputs import numbers_of
 from clampid.verbs.options import Json, Quiet, Seed
 from clampid.verbs.output import Output, output_file
-from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of, numbers_of
+from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of
 
 if TYPE_CHECKING:
     from clampid.planning.sight import Sight
@@ -290,8 +291,9 @@ def _finish(made: Plan, output: Path, out: Output, what: str, **more: Any) -> No
 
 def _tell(expected: Expected, out: Output) -> None:
     """What a plan will tell, for people."""
-    named = ", ".join(f"{name} {value:.3g}" for name, value in expected.indices.items() if name != "parameters")
-    out.say(f"observability of {expected.indices['parameters']:.0f} combinations of parameters: {named}")
+    from clampid.observability import index_words
+
+    out.say(index_words(expected.indices))
     out.table(
         "", ("parameter", "unit", "expected error", "usual size", ""),
         [(p.name, p.unit, f"{p.std:.2g}", f"{p.size:.2g}", "" if p.identified else "not identified")

@@ -50,6 +50,8 @@ def base_rows(base: Iterable[BaseParameter]) -> list[tuple[str, ...]]:
 
 def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None:
     """Every stage's parameters with standard errors, and what the data leave open."""
+    from clampid.observability import index_words
+
     columns = ("parameter", "at", "value", "± std", "unit", "")
     for name, stage in model.stages.items():
         out.table(name, columns, parameter_rows(stage, effects), left=2)
@@ -57,6 +59,8 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
             rows = ", ".join(f"{table} row {row}" for _, table, row in stage.outliers[:10])
             more = f" and {len(stage.outliers) - 10} more" if len(stage.outliers) > 10 else ""
             out.say(f"{name}: rejected as outliers: {rows}{more}")
+        if stage.observability:
+            out.say(f"{name}: {index_words(stage.observability)}")
         for sentence in stage.null_directions:
             out.say(f"{name}: {NOT_KNOWN}: {sentence}")
         if stage.base:
@@ -128,6 +132,7 @@ def model_json(model: Model) -> dict[str, Any]:
             "parameters": len(stage.slots),
             "not_identifiable": [s.label for s, known in zip(stage.slots, stage.identified, strict=True) if not known],
             "open": list(stage.null_directions),
+            "observability": dict(stage.observability),
             "base_parameters": [base_json(p) for p in stage.base],
             "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
             "held_out": [list(folds) for folds in stage.held_out],
