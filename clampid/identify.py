@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from clampid.accuracy import stage_errors
 from clampid.base_parameters import base_parameters
+from clampid.bootstrap import bootstrap as by_poses
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fit import Estimate, Prior, fit
@@ -255,6 +256,7 @@ def identify(
     holdout: float = 0.0,
     seed: int = 0,
     user_effects: Path | None = None,
+    bootstrap: int = 0,
 ) -> Model:
     """Fit a model to one or several campaigns of one robot.
 
@@ -265,6 +267,8 @@ def identify(
         the standard set.
     holdout
         Share of whole poses, runs and sweeps that no fit sees.
+    bootstrap
+        How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
 
     Raises
     ------
@@ -292,6 +296,9 @@ def identify(
             held = held_out_folds(rows, holdout, seed)
             fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
             stages[stage] = fitted.model
+            if bootstrap and stage == "poses":
+                drawn = by_poses(fitted.estimate, bootstrap, seed)
+                stages[stage] = replace(fitted.model, bootstrap=drawn)
             reference |= fitted.base_reference
             verification = verification_rows(several, layout, stage, fitted.base_reference)
             errors = stage_errors(fitted.estimate, rows, held, verification, seed)

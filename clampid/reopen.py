@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from clampid.bootstrap import Bootstrap
 from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
 from clampid.identify import FittedStage, fit_stage, has_inertia, stage_rows, stages_of
@@ -15,7 +16,7 @@ from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_rows import pose_rows
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 
 __all__ = ["Reopened", "reopen"]
@@ -140,4 +141,9 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         null_directions=stage.null_directions,
         base=stage.base,
         observability=stage.observability,
+        bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
     )
+
+
+def _taken(found: Bootstrap, chosen: Integers) -> Bootstrap:
+    return replace(found, std=found.std[chosen], low=found.low[chosen], high=found.high[chosen])

@@ -204,7 +204,7 @@ def import_tables(mapping: TableMapping, files: Sequence[Path], n: int) -> Impor
         return Imported(frame, len(frame), None)
     if not mapping.repeats:
         first = int(np.flatnonzero(repeated)[0])
-        said = ", ".join(f"{key} {frame.loc[first, key]}" for key in keys)
+        said = ", ".join(f"{key} {frame[key].iloc[first]}" for key in keys)
         raise fault(
             files[0], expected=f'one row of {said} (repeats = "median" in {mapping.path.name} takes medians)',
             found=f"{int((frame[keys] == frame.loc[first, keys]).all(axis=1).sum())}", row=first + 1,
@@ -224,7 +224,8 @@ def _one(mapping: TableMapping, file: Path) -> pd.DataFrame:
         raise fault(file, expected="a table", found="no such file") from None
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         raise fault(file, expected="a table of columns", found=str(error)) from error
-    raw.columns = [str(name).strip() for name in raw.columns]
+    names = [str(name).strip() for name in raw.columns]
+    raw.columns = pd.Index(names)
     if raw.empty:
         raise fault(file, expected="at least one row", found="a line of names and no rows")
     out: dict[str, Any] = {}
@@ -232,9 +233,9 @@ def _one(mapping: TableMapping, file: Path) -> pd.DataFrame:
         if source.column is None:
             out[_campaign_name(name)] = [source.value] * len(raw)
             continue
-        if source.column not in raw.columns:
+        if source.column not in names:
             raise fault(file, expected=f"a column {source.column!r}, as {mapping.path.name} says",
-                        found=f"the columns {', '.join(map(str, raw.columns))}")  # fmt: skip
+                        found=f"the columns {', '.join(names)}")  # fmt: skip
         cells = raw[source.column]
         if name in ("target", *NUMBERS):
             out[name] = cells.str.strip() if name == "target" else _counted(cells)
