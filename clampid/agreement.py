@@ -1,27 +1,27 @@
 """Holds springs and clearances of clamped sweeps against those that the poses want, joint by joint.
 
-The poses are fitted once more without anything from the clamped stage, so that the two are independent; then for each
-joint z = (c_poses − c_clamped)/√(σ²_poses + σ²_clamped), two-sided, and for all of them together the quadratic form of
-the differences, χ² with as many degrees of freedom. Source: Rice, Mathematical Statistics and Data Analysis, 3rd ed.,
+The two have to be independent: poses fitted without anything from the clamped stage. Then for each joint
+z = (c_poses − c_clamped)/√(σ²_poses + σ²_clamped), two-sided, and for all of them together the quadratic form of the
+differences, χ² with as many degrees of freedom. Source: Rice, Mathematical Statistics and Data Analysis, 3rd ed.,
 section 11.2; Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 1979.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy import linalg, stats
 
-from clampid.identify import fit_stage
 from clampid.model import StageModel
-from clampid.reopen import Reopened
 from clampid.slots import Slot
 
-__all__ = ["Agreement", "agreement_of", "pose_drives"]
+__all__ = ["Agreement", "agreement_of", "shared_drives"]
 
-SHARED = (("joint_compliance", "c"), ("backlash", "gap"))
+SHARED = ("joint_compliance", "backlash", "nonlinear_stiffness", "cross_coupled_stiffness")
+"""Effects of the drives, which act with the same parameters in clamped sweeps and in poses."""
 LEVEL = 0.05  # chance that any joint of drives that do agree is called different
 
 
@@ -64,19 +64,6 @@ class Agreement:
         }
 
 
-def pose_drives(opened: Reopened) -> StageModel | None:
-    """The pose stage fitted anew without the clamped one; None where one of the two or the poses are missing."""
-    here = "poses" in opened.campaign.tables
-    if not here or opened.session is None or not {"clamped", "poses"} <= set(opened.stages):
-        return None
-    before = {name: stage for name, stage in opened.stages.items() if name not in ("clamped", "poses")}
-    model = opened.stages["poses"]
-    if not _shared(opened.stages["clamped"], model):
-        return None
-    held = opened.held("poses")
-    return fit_stage(opened.rows("poses"), opened.effects, model.terms, before, model.values(), held).model
-
-
 def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreement, ...], float | None]:
     """Hold two independent stages against each other.
 
@@ -91,7 +78,7 @@ def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreemen
         One entry for each shared parameter, in the order of the clamped stage, and the p-value of them all together
         (those not testable left out; None where none is left).
     """
-    slots = _shared(clamped, poses)
+    slots = shared_drives(clamped.slots, poses.slots)
     a = np.array([clamped.slots.index(s) for s in slots], dtype=int)
     b = np.array([poses.slots.index(s) for s in slots], dtype=int)
     difference = poses.theta[b] - clamped.theta[a]
@@ -127,5 +114,6 @@ def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreemen
     return found, float(stats.chi2.sf(float(white @ (difference[tested] / scale)), len(tested)))
 
 
-def _shared(clamped: StageModel, poses: StageModel) -> tuple[Slot, ...]:
-    return tuple(s for s in clamped.slots if (s.effect, s.parameter) in SHARED and s in poses.slots)
+def shared_drives(clamped: Sequence[Slot], poses: Sequence[Slot]) -> tuple[Slot, ...]:
+    """The drives' parameters that both stages have, in the order of the clamped stage."""
+    return tuple(s for s in clamped if s.effect in SHARED and s in poses)

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
-from clampid.agreement import Agreement, agreement_of, pose_drives
-from clampid.curves import angle_errors
+from clampid.agreement import Agreement, agreement_of, shared_drives
+from clampid.compensation import Compensation, compensation_of
+from clampid.curves import angle_errors, shared_curve
 from clampid.effect import Stage
-from clampid.fit import Prior, fit
+from clampid.fit import fit
+from clampid.fitted_stage import fit_stage
 from clampid.identify import TABLES_OF, held_out_folds
-from clampid.model import Model, ModelError
+from clampid.model import Model, ModelError, StageModel
 from clampid.placing import placing
 from clampid.reopen import Reopened, reopen
-from clampid.slots import Slot
+from clampid.slots import Prior, Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.threads import single_threaded
@@ -38,6 +40,8 @@ class Comparison:
     drives, drives_p
         Whether clamped sweeps and poses agree on springs and clearances, joint by joint, and the p-value of all
         together; empty and None where the model or the campaign does not have both.
+    compensation
+        How much of the model's deflections stands in the poses, and what mistake in a compensation that is.
     """
 
     model: str
@@ -45,12 +49,15 @@ class Comparison:
     tables: dict[str, dict[str, Any]]
     drives: tuple[Agreement, ...] = ()
     drives_p: float | None = None
+    compensation: Compensation | None = None
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         data: dict[str, Any] = {"model": self.model, "campaign": self.campaign, "tables": self.tables}
         if self.drives:
             data["drives"] = {"p_value": self.drives_p, "parameters": [a.to_json() for a in self.drives]}
+        if self.compensation is not None:
+            data["compensation"] = self.compensation.to_json()
         return data
 
 
@@ -107,10 +114,29 @@ def compare(
         raise ValueError(f"sample: expected a campaign with poses, {campaign.name} has none that the model predicts")
     drives: tuple[Agreement, ...] = ()
     drives_p = None
-    own = None if refit else pose_drives(opened)
+    own = None if refit else _independent_drives(opened)
     if own is not None:
-        drives, drives_p = agreement_of(opened.stages["clamped"], own)
-    return Comparison(model.robot, campaign.name, tables, drives, drives_p)
+        drives, drives_p = agreement_of(*own)
+    return Comparison(model.robot, campaign.name, tables, drives, drives_p, compensation_of(opened))
+
+
+def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | None:
+    """The clamped stage and the poses, fitted so that neither knows of the other; None where one of them is missing."""
+    here = {"clamped", "poses"} <= set(opened.campaign.tables) & set(opened.stages)
+    if not here or opened.session is None:
+        return None
+    clamped, poses = opened.stages["clamped"], opened.stages["poses"]
+    if not shared_drives(clamped.slots, poses.slots):
+        return None
+    before = {name: stage for name, stage in opened.stages.items() if name not in ("clamped", "poses")}
+    alone = []
+    for stage in (clamped, poses):
+        if stage is clamped and stage.told is None:  # stage by stage it knows nothing of the poses anyway
+            alone.append(stage)
+            continue
+        rows, held = opened.rows(stage.stage), opened.held(stage.stage)
+        alone.append(fit_stage(rows, opened.effects, stage.terms, before, stage.values(), held).model)
+    return alone[0], alone[1]
 
 
 def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float] | None) -> dict[str, dict[str, Any]]:
@@ -241,6 +267,8 @@ def _refitted(
 def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
     """Which share of the held-out rows, joint by joint, stands at angles that no pose of the fit came near.
 
+    Of joints on one curve a pose of any counts for all.
+
     None where the model has no angle errors that depend on where a joint stands.
     """
     q = rows.signals["q"][chosen]
@@ -249,7 +277,9 @@ def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]
         return None
     far = found.extrapolated
     joints = {f"joint{j + 1}": float(far[:, j].mean()) for j in np.flatnonzero(far.any(axis=0))}
-    return {"share": float(far.any(axis=1).mean()), "joints": joints}
+    one = shared_curve(opened.stages["poses"], opened.effects, np.zeros(1))
+    together = {} if one is None else {"one_curve": [f"joint{j + 1}" for j in one.joints]}
+    return {"share": float(far.any(axis=1).mean()), "joints": joints, **together}
 
 
 def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:

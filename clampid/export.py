@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "COLUMNS",
+    "FRAME_COLUMNS",
+    "ROW_COLUMNS",
     "CalibratedChain",
     "angle_table",
     "calibrated_chain",

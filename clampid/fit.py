@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 from scipy import linalg, stats
 
 from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
-from clampid.slots import Slot
+from clampid.repeatability import Scatter, clustered_covariance, visit_scatter
+from clampid.slots import Prior, Slot
 from clampid.stages.clamped import loop_compliance
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Rows
 
 __all__ = [
+    "FLANK_ROUNDS",
     "ITERATIONS",
     "NEGLIGIBLE",
     "Estimate",
     "FitError",
-    "Prior",
+    "Limits",
+    "Point",
+    "StagePoint",
     "clamping_offsets",
+    "descend",
     "fit",
     "inverse_of",
+    "limits_of",
     "newton_step",
     "prior_of",
     "solve",
+    "stage_point",
     "start_of",
 ]
 
@@ -41,15 +49,6 @@ NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square
 
 class FitError(ValueError):
     """The rows cannot carry the fit; the message says why."""
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What earlier stages know: slots, their values ``(k,)`` and covariance ``(k, k)``, SI."""
-
-    slots: tuple[Slot, ...]
-    mean: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -72,6 +71,8 @@ class Estimate:
         ``(N,)``: rows rejected.
     prior_precision, prior_mean
         The prior that was used.
+    scatter
+        In poses, how the noise is shared between the measurement and the robot's own repeatability, where told.
     """
 
     experiment: Experiment
@@ -84,6 +85,7 @@ class Estimate:
     prior_precision: Array
     prior_mean: Array
     iterations: int
+    scatter: Scatter | None = None
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -127,6 +129,7 @@ def fit(
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
     precision, mean = prior_of(experiment, priors)
     theta = start_of(experiment, start, priors)
+    mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
     estimate = solve(experiment, theta, model, precision, mean)
@@ -141,7 +144,27 @@ def fit(
         for _ in range(1 if experiment.stage == "poses" else 2):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
             estimate = solve(experiment, estimate.theta, model, precision, mean)
+    if experiment.stage == "poses":
+        estimate = _with_repeatability(estimate)
     return replace(estimate, outliers=rejected)
+
+
+def _with_repeatability(estimate: Estimate) -> Estimate:
+    """The same fit, its covariance that of visits whose numbers share where the robot has stopped."""
+    white = estimate.whitened
+    rows = estimate.experiment.rows
+    visit = rows.unit[white.entry]
+    by_joint = estimate.experiment.by_joint(estimate.theta)[white.entry, white.channel]
+    by_joint = by_joint / estimate.noise.sigma[white.entry, white.channel, None]
+    inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
+    scatter = visit_scatter(white, by_joint, visit, inverse)
+    if scatter is None:
+        return estimate
+    return replace(
+        estimate,
+        covariance=clustered_covariance(white, by_joint, visit, estimate.prior_precision, scatter, inverse),
+        scatter=scatter,
+    )
 
 
 def _absorbed(estimate: Estimate) -> Array | None:
@@ -158,19 +181,80 @@ def _absorbed(estimate: Estimate) -> Array | None:
     return np.asarray(jacobian @ root)
 
 
+class Point(Protocol):
+    """The cost and its local quadratic model at one parameter vector, prior left out."""
+
+    @property
+    def theta(self) -> Array:
+        """Where ``(P,)``."""
+
+    @property
+    def cost(self) -> float:
+        """Sum of the whitened squares."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+
+    def normal(self) -> tuple[Array, Array]:
+        """Normal matrix ``(P, P)`` and downhill gradient ``(P,)`` of half the cost."""
+
+
+PointT = TypeVar("PointT", bound=Point)
+
+
 @dataclass(frozen=True)
-class _Point:
-    """The cost and its local quadratic model at one parameter vector."""
+class StagePoint:
+    """One stage at one parameter vector."""
 
     theta: Array
     residual: Array
     white: Whitened
-    cost: float
 
-    def normal(self, precision: Array, mean: Array) -> tuple[Array, Array]:
-        """Normal matrix and downhill gradient, prior included."""
+    @property
+    def cost(self) -> float:
+        """Sum of the whitened squares."""
+        return float(self.white.residual @ self.white.residual)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.white.residual)
+
+    def normal(self) -> tuple[Array, Array]:
+        """Normal matrix and downhill gradient."""
         J = self.white.jacobian
-        return J.T @ J + precision, J.T @ self.white.residual - precision @ (self.theta - mean)
+        return J.T @ J, J.T @ self.white.residual
+
+
+def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint:
+    """One stage at ``theta`` ``(P + K,)``, flanks as they are held.
+
+    Raises
+    ------
+    FitError
+        The model gives no finite prediction.
+    """
+    residual, jacobian = experiment.residual(theta)
+    if not np.all(np.isfinite(residual)):
+        raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
+    return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a search keeps to: sizes that scale it, bounds, and which parameters ``(P,)`` they hold."""
+
+    size: Array
+    lower: Array
+    upper: Array
+    bounded: Bools
+
+
+def limits_of(experiment: Experiment) -> Limits:
+    """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
+    lower, upper = experiment.bounds()
+    return Limits(experiment.sizes(), lower, upper, experiment.shapes() | (experiment.stage == "clamped"))
 
 
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
@@ -197,43 +281,12 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
 
 def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
     """Damped Gauss-Newton with flanks held."""
-    size = experiment.sizes()
-    lower, upper = experiment.bounds()
-    bounded = experiment.shapes() | (experiment.stage == "clamped")
-
-    def at(theta: Array) -> _Point:
-        residual, jacobian = experiment.residual(theta)
-        if not np.all(np.isfinite(residual)):
-            raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
-        white = noise.whiten(experiment.rows, residual, jacobian)
-        off = theta - mean
-        return _Point(theta, residual, white, float(white.residual @ white.residual + off @ precision @ off))
-
-    best = at(theta)
-    A, g = best.normal(precision, mean)
-    damping, idle, iteration = 0.0, 0, 0
-    while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
-        iteration += 1
-        # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
-        on_bound = ((best.theta <= lower) & (g < 0)) | ((best.theta >= upper) & (g > 0))
-        free = ~(bounded & on_bound)
-        step = newton_step(A, g, size, damping, free)
-        if float(g @ step) < NEGLIGIBLE * max(1.0, best.cost / max(len(best.white.residual), 1)):
-            break
-        moved = best.theta + step
-        trial = at(np.where(bounded, np.clip(moved, lower, upper), moved))
-        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
-        idle = idle + 1 if trial.cost > best.cost * (1 - IDLE_GAIN) else 0
-        if trial.cost > best.cost:
-            damping = max(10 * damping, DAMPING_START)
-            continue
-        best = trial
-        A, g = best.normal(precision, mean)
-        damping = 0.0 if damping < DAMPING_START else damping / 10
-    covariance = inverse_of(A)
+    best, iterations = descend(
+        lambda at: stage_point(experiment, noise, at), theta, precision, mean, limits_of(experiment)
+    )
+    covariance = inverse_of(best.normal()[0] + precision)
     told = len(theta) - float(np.sum(covariance * precision))  # parameters that the rows tell, not the prior
-    freedom = max(len(best.white.residual) - told, 1.0)
-    scale = float(best.white.residual @ best.white.residual) / freedom
+    scale = best.cost / max(best.count - told, 1.0)
     return Estimate(
         experiment=experiment,
         theta=best.theta,
@@ -244,8 +297,53 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         outliers=np.zeros(len(experiment.rows), dtype=bool),
         prior_precision=precision,
         prior_mean=mean,
-        iterations=iteration,
+        iterations=iterations,
     )
+
+
+def descend(
+    at: Callable[[Array], PointT], theta: Array, precision: Array, mean: Array, limits: Limits
+) -> tuple[PointT, int]:
+    """The lowest point from ``theta`` downhill, prior included, by damped Gauss-Newton; and the iterations it took.
+
+    Parameters
+    ----------
+    at
+        The cost at a parameter vector.
+    precision, mean
+        The prior: ``(P, P)`` and ``(P,)``.
+    """
+
+    def whole(point: PointT) -> float:
+        off = point.theta - mean
+        return point.cost + float(off @ precision @ off)
+
+    def normal(point: PointT) -> tuple[Array, Array]:
+        A, g = point.normal()
+        return A + precision, g - precision @ (point.theta - mean)
+
+    best = at(theta)
+    cost, (A, g) = whole(best), normal(best)
+    damping, idle, iteration = 0.0, 0, 0
+    while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
+        iteration += 1
+        # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
+        on_bound = ((best.theta <= limits.lower) & (g < 0)) | ((best.theta >= limits.upper) & (g > 0))
+        step = newton_step(A, g, limits.size, damping, ~(limits.bounded & on_bound))
+        if float(g @ step) < NEGLIGIBLE * max(1.0, cost / max(best.count, 1)):
+            break
+        moved = best.theta + step
+        trial = at(np.where(limits.bounded, np.clip(moved, limits.lower, limits.upper), moved))
+        reached = whole(trial)
+        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
+        idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
+        if reached > cost:
+            damping = max(10 * damping, DAMPING_START)
+            continue
+        best, cost = trial, reached
+        A, g = normal(best)
+        damping = 0.0 if damping < DAMPING_START else damping / 10
+    return best, iteration
 
 
 def inverse_of(A: Array) -> Array:
@@ -287,7 +385,7 @@ def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Ar
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]
         where = [index[prior.slots[k]] for k in shared]
         if where:
-            precision[np.ix_(where, where)] = linalg.pinvh(prior.covariance[np.ix_(shared, shared)])
+            precision[np.ix_(where, where)] = inverse_of(prior.covariance[np.ix_(shared, shared)])
             mean[where] = prior.mean[shared]
     return precision, mean
 

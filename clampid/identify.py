@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from clampid.accuracy import stage_errors
-from clampid.base_parameters import base_parameters
 from clampid.bootstrap import bootstrap as by_poses
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.fit import Estimate, Prior, fit
-from clampid.gauge import independent_geometry
-from clampid.identify_log import LogStage, log_parts
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify_log import LogStage
+from clampid.joint import JointPart, fit_jointly
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
-from clampid.nulls import null_directions
-from clampid.observability import observability, projected
-from clampid.priors import description_priors
-from clampid.slots import Layout, Slot, Term, parse_term, slots_of_terms
+from clampid.slots import Layout, Term, parse_term
 from clampid.stages.clamped import clamped_rows
-from clampid.stages.experiment import experiment
+from clampid.stages.log_facts import log_parts, steady_share
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
-from clampid.stages.torques import steady_share, torque_rows
+from clampid.stages.torques import torque_rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
@@ -34,6 +29,7 @@ __all__ = [
     "TABLES_OF",
     "FittedStage",
     "fit_stage",
+    "has_friction_state",
     "has_inertia",
     "identify",
     "session_of",
@@ -48,20 +44,7 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "clamped": ("clamped",),
     "poses": ("poses",),
 }
-SHARED = ("gravity", "payload", "wrist_coupling_friction", "joint_compliance", "backlash")
-"""Effects whose values a later stage takes over as its start, or as its prior where the stage knew them for certain."""
 MOSTLY = 0.5  # of a log's motion
-AS_PRIOR = ("gravity", "wrist_coupling_friction")
-"""Effects that enter the pose stage with their covariance from the torque stage: loads and flanks."""
-
-
-@dataclass(frozen=True)
-class FittedStage:
-    """A stage's model with the estimate it came from."""
-
-    model: StageModel
-    estimate: Estimate
-    base_reference: Mapping[int, Array]
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
@@ -88,7 +71,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
         springs = ("joint_compliance",) if campaigns[0].robot.has_masses else ()
         names["poses"] = ("geometry", *springs, "backlash") if directed else ("geometry", *springs)
-    if "free_air" in found and min(steady_share(c) for c in campaigns) < MOSTLY:
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
         names["free_air"] += ("inertia",)
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
@@ -100,11 +83,15 @@ def stage_rows(
     base: Mapping[int, Array] | None = None,
     table: str = "poses",
     accelerating: bool = False,
+    resting: bool = False,
 ) -> Rows:
-    """The rows of a stage, or of the table ``verification``; ``accelerating``: logs with their accelerations."""
+    """The rows of a stage, or of the table ``verification``.
+
+    ``accelerating``: logs with their accelerations; ``resting``: with the motors that stand still.
+    """
     match stage:
         case "free_air":
-            return torque_rows(campaigns, layout, accelerating)
+            return torque_rows(campaigns, layout, accelerating, resting)
         case "clamped":
             return clamped_rows(campaigns, layout)
         case _:
@@ -114,6 +101,11 @@ def stage_rows(
 def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
     """Whether some terms explain torques of acceleration, so that such rows can be used."""
     return any(t.effect in effects and effects[t.effect].family == "inertia" for t in terms)
+
+
+def has_friction_state(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
+    """Whether some terms say what friction is at rest, so that such rows can be used."""
+    return any(t.effect in effects and "friction_state" in effects[t.effect].acts for t in terms)
 
 
 def resolve_terms(
@@ -156,31 +148,6 @@ def resolve_terms(
     return terms
 
 
-def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
-    """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
-    geometry = independent_geometry(rows, effects) if any(t.effect == "geometry" for t in terms) else ()
-    rest = slots_of_terms([t for t in terms if t.effect != "geometry"], effects, rows.layout, rows.stage)
-    return (*geometry, *rest)
-
-
-def carried_over(rows: Rows, stages: Mapping[Stage, StageModel]) -> tuple[tuple[Prior, ...], dict[Slot, float]]:
-    """What a stage knows before it sees its rows: priors with covariance, and start values.
-
-    Gravity has the description's tolerances; the pose stage takes what the torque stage found instead.
-    """
-    start: dict[Slot, float] = {}
-    if rows.stage != "poses":
-        return description_priors(rows), start
-    for stage in stages.values():
-        start |= {slot: v for slot, v in stage.values().items() if slot.effect in SHARED}
-    torque = stages.get("free_air")
-    if torque is None:
-        return description_priors(rows), start
-    keep = [k for k, slot in enumerate(torque.slots) if slot.effect in AS_PRIOR]
-    slots = tuple(torque.slots[k] for k in keep)
-    return (Prior(slots, torque.theta[keep], torque.covariance[np.ix_(keep, keep)]),), start
-
-
 def held_out_folds(rows: Rows, share: float, seed: int) -> tuple[tuple[int, ...], ...]:
     """Whole poses, runs or sweeps to keep out of a fit: per session their fold numbers."""
     if share <= 0:
@@ -198,56 +165,6 @@ def held_out_folds(rows: Rows, share: float, seed: int) -> tuple[tuple[int, ...]
     return tuple(out)
 
 
-def fit_stage(
-    rows: Rows,
-    effects: Mapping[str, Effect],
-    terms: Sequence[Term],
-    before: Mapping[Stage, StageModel],
-    start: Mapping[Slot, float] | None = None,
-    held: Sequence[Sequence[int]] = (),
-) -> FittedStage:
-    """Fit one stage on all rows but those held out.
-
-    Parameters
-    ----------
-    before
-        The stages already fitted, whose values this one takes over.
-    """
-    fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
-    slots = active_slots(rows, effects, terms)
-    priors, carried = carried_over(rows, before)
-    estimate = fit(experiment(fitted_rows, effects, slots), priors, {**carried, **(start or {})})
-    count = len(slots)
-    listed = [
-        (int(fitted_rows.session[i]), str(fitted_rows.table[i]), int(fitted_rows.row[i]))
-        for i in np.flatnonzero(estimate.outliers)
-    ]
-    reference = {}
-    if rows.stage == "poses":
-        for s in np.unique(rows.session):
-            reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
-    stage = StageModel(
-        stage=rows.stage,
-        terms=tuple(terms),
-        slots=slots,
-        theta=estimate.theta[:count],
-        covariance=estimate.covariance[:count, :count],
-        identified=tuple(bool(b) for b in estimate.identified[:count]),
-        held_out=tuple(tuple(f) for f in held),
-        outliers=tuple(listed),
-        null_directions=null_directions(estimate),
-        base=base_parameters(estimate),
-        observability=observability(_information(estimate), len(estimate.whitened.residual)),
-    )
-    return FittedStage(stage, estimate, reference)
-
-
-def _information(estimate: Estimate) -> Array:
-    """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
-    scaled = estimate.whitened.jacobian * estimate.experiment.sizes()
-    return projected(scaled.T @ scaled, len(estimate.slots))
-
-
 @single_threaded
 def identify(
     campaigns: Sequence[Campaign] | Campaign,
@@ -255,6 +172,7 @@ def identify(
     *,
     holdout: float = 0.0,
     seed: int = 0,
+    joint: bool = False,
     user_effects: Path | None = None,
     bootstrap: int = 0,
 ) -> Model:
@@ -269,6 +187,9 @@ def identify(
         Share of whole poses, runs and sweeps that no fit sees.
     bootstrap
         How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
+    joint
+        Fit all tables at once, with the parameters that they share; else stage by stage, where a stage takes over what
+        those before it found.
 
     Raises
     ------
@@ -282,31 +203,40 @@ def identify(
     catalogue = with_user_effects(user_effects)
     layout = layout_of(several)
     terms = resolve_terms(effects, several, catalogue, layout)
-    stages: dict[Stage, StageModel] = {}
-    ledger: list[Round] = []
-    reference: dict[int, Array] = {}
+    parts: list[JointPart] = []
+    before: dict[Stage, StageModel] = {}
     for stage, wanted in terms.items():
-        accelerating = has_inertia(wanted, catalogue)
-        log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating) if stage == "free_air" else None
+        accelerating, resting = has_inertia(wanted, catalogue), has_friction_state(wanted, catalogue)
+        log = None
+        if stage == "free_air" and not resting:
+            log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
         if log is not None and log.linear:
-            by_windows = log.fit(held_out_folds(log.folds, holdout, seed), seed)
-            stages[stage], errors = by_windows.model, by_windows.errors
+            parts.append(log.fit(held_out_folds(log.folds, holdout, seed)))
         else:
-            rows = stage_rows(several, layout, stage, accelerating=accelerating)
-            held = held_out_folds(rows, holdout, seed)
-            fitted = fit_stage(rows, catalogue, wanted, stages, held=held)
-            stages[stage] = fitted.model
-            if bootstrap and stage == "poses":
-                drawn = by_poses(fitted.estimate, bootstrap, seed)
-                stages[stage] = replace(fitted.model, bootstrap=drawn)
-            reference |= fitted.base_reference
-            verification = verification_rows(several, layout, stage, fitted.base_reference)
-            errors = stage_errors(fitted.estimate, rows, held, verification, seed)
-        labels = tuple(t.label for t in wanted)
-        ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor))
+            rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
+            parts.append(fit_stage(rows, catalogue, wanted, before, held=held_out_folds(rows, holdout, seed)))
+        before[stage] = parts[-1].model
+    if joint:
+        parts = fit_jointly(parts)
+    ledger = []
+    reference: dict[int, Array] = {}
+    for part in parts:
+        verification = None
+        if isinstance(part, FittedStage):
+            reference |= part.base_reference
+            verification = verification_rows(several, layout, part.model.stage, part.base_reference)
+        errors = part.errors(verification, seed)
+        labels = tuple(t.label for t in part.model.terms)
+        evidence = part.evidence | ({"joint": True} if joint else {})
+        stage = part.model.stage
+        ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor, evidence))
+    stages = {part.model.stage: part.model for part in parts}
+    for part in parts:
+        if bootstrap and isinstance(part, FittedStage) and part.model.stage == "poses":
+            stages["poses"] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
     sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)
-    return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path)
+    return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path, joint)
 
 
 def verification_rows(

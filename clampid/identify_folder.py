@@ -15,7 +15,7 @@ from clampid.identify_log import LogStage
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session
 from clampid.slots import Term, parse_term
-from clampid.stages.log_facts import LogPart, steady_share_of
+from clampid.stages.log_facts import LogPart, steady_share
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 from experiments.columns import table_format
@@ -90,7 +90,7 @@ def identify_folder(
             if "free_air" not in catalogue[term.effect].stages:
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
-    elif steady_share_of(parts) < MOSTLY:
+    elif steady_share(parts) < MOSTLY:
         terms = (*terms, Term("inertia"))
     stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
     if not stage.linear:
@@ -98,8 +98,8 @@ def identify_folder(
             f"effects {', '.join(t.label for t in terms)}: expected effects linear in their parameters, found some "
             "that are not; read the campaign whole to fit these"
         )
-    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed)
-    errors = fitted.errors
+    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed))
+    errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
     warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None
     session = Session(campaign.name, campaign.fingerprint, None, tuple(campaign.targets), campaign.tool.mass, warmth)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,33 +21,50 @@ from clampid.moments import covariance_of
 from clampid.nulls import assumed_of, named_directions
 from clampid.observability import observability, projected
 from clampid.priors import description_priors
-from clampid.slots import Layout, Slot, Term, slots_of_terms
+from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
-from clampid.stages.rows import Array, Integers, Rows
-from experiments.campaign import Campaign
-from experiments.log_windows import LogTable
+from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["FittedLog", "LogStage", "log_parts"]
+__all__ = ["FittedLog", "LogStage"]
 
 
 @dataclass(frozen=True)
 class FittedLog:
-    """A fitted stage and its errors."""
+    """A fitted stage.
 
+    Attributes
+    ----------
+    covariance
+        ``(P + K, P + K)``, SI.
+    kept
+        Which folds were fitted ``(F,)``.
+    """
+
+    stage: LogStage
     model: StageModel
-    errors: StageErrors
+    fit: LogFit
+    prior: LogPrior
+    covariance: Array
+    kept: Bools
 
+    def errors(self, verification: Rows | None, seed: int) -> StageErrors:
+        """Errors on fitted and held-out rows; no log has a table of its own to be verified by."""
+        held = any(self.model.held_out)
+        return log_errors(self.stage.design, self.fit, self.prior, self.stage.folds, self.kept, held, seed)
 
-def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
-    """The tables free_air and wrist of campaigns, in order."""
-    return [
-        LogPart(campaign, s, name, LogTable.of(campaign.tables[name]))
-        for s, campaign in enumerate(campaigns)
-        for name in ("free_air", "wrist")
-        if name in campaign.tables
-    ]
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """What the ledger keeps beside the errors."""
+        return {}
+
+    def with_solution(self, theta: Array, covariance: Array, told: Prior) -> FittedLog:
+        """The same stage at the solution ``(P + K,)`` of a joint fit; ``told`` is what the other stages say."""
+        fit = replace(self.fit, moments=self.fit.moments.moved(theta))
+        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.size)
+        model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, told)
+        return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
 
 
 class LogStage:
@@ -90,7 +108,7 @@ class LogStage:
         """Whether the effects are linear in their parameters; if not, the log has to be held to be fitted."""
         return self.design.linear
 
-    def fit(self, held: Sequence[Sequence[int]], seed: int, start: Mapping[Slot, float] | None = None) -> FittedLog:
+    def fit(self, held: Sequence[Sequence[int]], start: Mapping[Slot, float] | None = None) -> FittedLog:
         """Fit all folds but those held out (per session their local numbers): what `clampid.identify` does with rows.
 
         Raises
@@ -100,30 +118,44 @@ class LogStage:
         """
         kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)
         priors = description_priors(self.folds)
-        precision, mean = prior_of(self.experiment, priors)
-        prior = LogPrior(precision, mean, self.experiment.sizes())
-        fit = fit_log(self.design, kept, precision, mean, prior.size, start_of(self.experiment, start, priors))
+        prior = LogPrior(*prior_of(self.experiment, priors), self.experiment.sizes())
+        at = start_of(self.experiment, start, priors)
+        fit = fit_log(self.design, kept, prior.precision, prior.mean, prior.size, at)
+        covariance = covariance_of(fit.moments, prior.precision)
+        model = self.model_of(fit, prior, covariance, kept, tuple(tuple(f) for f in held))
+        return FittedLog(self, model, fit, prior, covariance, kept)
+
+    def model_of(
+        self,
+        fit: LogFit,
+        prior: LogPrior,
+        covariance: Array,
+        kept: Bools,
+        held: tuple[tuple[int, ...], ...],
+        told: Prior | None = None,
+    ) -> StageModel:
+        """The stage's model of a fit with ``covariance`` ``(P + K, P + K)`` of the folds ``kept`` ``(F,)``."""
         slots, count = self.experiment.slots, len(self.experiment.slots)
         here = np.flatnonzero(np.r_[np.ones(count, dtype=bool), kept[self.design.offset_keys[:, 0]]])
         inside = np.ix_(here, here)
-        covariance = covariance_of(fit.moments, precision)[:count, :count]
-        std, size = np.sqrt(np.maximum(np.diag(covariance), 0.0)), prior.size[here]
+        own = covariance[:count, :count]
+        std, size = np.sqrt(np.maximum(np.diag(own), 0.0)), prior.size[here]
         information = fit.moments.normal[inside] * np.outer(size, size)
-        model = StageModel(
+        assumed = assumed_of(self.experiment)
+        return StageModel(
             stage="free_air",
             terms=self.terms,
             slots=slots,
             theta=fit.moments.at[:count],
-            covariance=covariance,
+            covariance=own,
             identified=tuple(bool(b) for b in std < self.experiment.clear()[:count]),
-            held_out=tuple(tuple(f) for f in held),
+            held_out=held,
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
-            null_directions=named_directions(information, size, slots, precision[inside], assumed_of(self.experiment)),
-            base=self._base(fit, covariance, precision[:count, :count]),
+            null_directions=named_directions(information, size, slots, prior.precision[inside], assumed),
+            base=self._base(fit, own, prior.precision[:count, :count]),
+            told=told,
             observability=observability(projected(information, count), fit.moments.count),
         )
-        out = bool(held) and any(held)
-        return FittedLog(model, log_errors(self.design, fit, prior, self.folds, kept, out, seed))
 
     def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:
         """The base parameters of gravity and inertia."""

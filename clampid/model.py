@@ -18,7 +18,7 @@ import numpy as np
 from clampid.base_names import BaseParameter, base_json, read_base
 from clampid.bootstrap import Bootstrap
 from clampid.effect import STAGES, Stage
-from clampid.slots import Layout, Slot, Term
+from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
 
 __all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model", "write_text"]
@@ -71,6 +71,9 @@ class StageModel:
         Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.observability`.
     bootstrap
         Standard errors and intervals by drawing whole poses anew, where that was asked for.
+    told
+        Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
+        counting any row twice; else None.
     """
 
     stage: Stage
@@ -85,6 +88,7 @@ class StageModel:
     base: tuple[BaseParameter, ...] = ()
     observability: Mapping[str, float] = field(default_factory=dict)
     bootstrap: Bootstrap | None = None
+    told: Prior | None = None
 
     @property
     def std(self) -> Array:
@@ -114,7 +118,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Model:
-    """What is known of one particular robot."""
+    """What is known of one particular robot; ``joint``: from all tables in one fit, see :mod:`clampid.joint`."""
 
     robot: str
     layout: Layout
@@ -124,6 +128,7 @@ class Model:
     seed: int = 0
     holdout: float = 0.0
     user_effects: str | None = None
+    joint: bool = False
 
     def with_stage(self, stage: StageModel) -> Model:
         """The same model with one stage replaced."""
@@ -176,9 +181,17 @@ def load_model(path: str | Path) -> Model:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         raise ModelError(f"{path}: expected format = {FORMAT!r}, found {found!r}")
     try:
-        return _from_json(data)
+        return _with_effects_beside(_from_json(data), Path(path))
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
         raise ModelError(f"{path}: a model with a part missing or spoiled: {type(error).__name__}: {error}") from error
+
+
+def _with_effects_beside(model: Model, path: Path) -> Model:
+    """The same model; a user's effects that are not where it says are looked for beside the model's own file."""
+    if model.user_effects is None or Path(model.user_effects).is_file():
+        return model
+    beside = path.parent / Path(model.user_effects).name
+    return replace(model, user_effects=str(beside)) if beside.is_file() else model
 
 
 def _to_json(model: Model) -> dict[str, Any]:
@@ -194,6 +207,7 @@ def _to_json(model: Model) -> dict[str, Any]:
         "seed": model.seed,
         "holdout": model.holdout,
         "user_effects": model.user_effects,
+        "joint": model.joint,
         "sessions": [
             {
                 "name": s.name,
@@ -236,6 +250,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "base_parameters": [base_json(parameter) for parameter in stage.base],
         "observability": dict(stage.observability),
         "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
+        "told": None if stage.told is None else _told_json(stage.told),
     }
 
 
@@ -249,6 +264,19 @@ def _read_bootstrap(data: Mapping[str, Any] | None) -> Bootstrap | None:
         return None
     std, low, high = (np.array(data[name], dtype=float) for name in ("std", "low", "high"))
     return Bootstrap(int(data["count"]), std, low, high)
+
+
+def _told_json(told: Prior) -> dict[str, Any]:
+    places = [{"effect": s.effect, "parameter": s.parameter, "at": s.place} for s in told.slots]
+    return {"parameters": places, "mean": told.mean.tolist(), "covariance": told.covariance.tolist()}
+
+
+def _read_told(data: Mapping[str, Any] | None) -> Prior | None:
+    if data is None:
+        return None
+    slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in data["parameters"])
+    covariance = np.array(data["covariance"], dtype=float).reshape(len(slots), len(slots))
+    return Prior(slots, np.array(data["mean"], dtype=float), covariance)
 
 
 def _from_json(data: Mapping[str, Any]) -> Model:
@@ -275,6 +303,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             base=tuple(read_base(p) for p in part.get("base_parameters", ())),
             observability={name: float(v) for name, v in part.get("observability", {}).items()},
             bootstrap=_read_bootstrap(part.get("bootstrap")),
+            told=_read_told(part.get("told")),
         )
     sessions = tuple(
         Session(
@@ -313,4 +342,5 @@ def _from_json(data: Mapping[str, Any]) -> Model:
         seed=int(data["seed"]),
         holdout=float(data["holdout"]),
         user_effects=data["user_effects"],
+        joint=bool(data.get("joint", False)),
     )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clampid.fit import Prior
-from clampid.slots import Slot
+from clampid.slots import Prior, Slot
 from clampid.stages.rows import Rows
 
 __all__ = ["description_priors"]

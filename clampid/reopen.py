@@ -11,7 +11,8 @@ import numpy as np
 from clampid.bootstrap import Bootstrap
 from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
-from clampid.identify import FittedStage, fit_stage, has_inertia, stage_rows, stages_of
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify import has_friction_state, has_inertia, stage_rows, stages_of
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
@@ -46,8 +47,16 @@ class Reopened:
 
     def rows(self, stage: Stage) -> Rows:
         """The rows of a stage."""
-        moves = has_inertia(self.stages[stage].terms, self.effects)
-        return stage_rows([self.campaign], self.layout, stage, self.base, accelerating=moves)
+        terms = self.stages[stage].terms
+        moves = has_inertia(terms, self.effects)
+        return stage_rows(
+            [self.campaign],
+            self.layout,
+            stage,
+            self.base,
+            accelerating=moves,
+            resting=has_friction_state(terms, self.effects),
+        )
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
         """The rows of the table verification, if there is one."""
@@ -66,7 +75,8 @@ class Reopened:
         """Fit the stage's active effects to this campaign, from the model's values."""
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
-        return fit_stage(self.rows(stage), self.effects, model.terms, before, model.values(), self.held(stage))
+        start, held = model.values(), self.held(stage)
+        return fit_stage(self.rows(stage), self.effects, model.terms, before, start, held, model.told)
 
 
 def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -> Reopened:
@@ -142,6 +152,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         base=stage.base,
         observability=stage.observability,
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
+        told=stage.told,
     )
 
 

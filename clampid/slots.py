@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from clampid.effect import Effect, EffectError, Parameter, Stage
 
-__all__ = ["Layout", "Slot", "Term", "find_parameter", "parse_term", "slots_of", "slots_of_terms"]
+__all__ = ["Layout", "Prior", "Slot", "Term", "find_parameter", "parse_term", "slots_of", "slots_of_terms"]
 
 
 @dataclass(frozen=True, order=True)
@@ -22,6 +25,15 @@ class Slot:
     def label(self) -> str:
         """``effect.parameter@place``."""
         return f"{self.effect}.{self.parameter}@{self.place}"
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of some slots before rows are seen: values ``(k,)`` and covariance ``(k, k)``, SI."""
+
+    slots: tuple[Slot, ...]
+    mean: npt.NDArray[np.float64]
+    covariance: npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,11 @@ from clampid.effect import Effect
 from clampid.layout import layout_of
 from clampid.planning.bench import imagined
 from clampid.slots import Slot, parse_term, slots_of_terms
+from clampid.stages.counting import INERTIA_SHARE
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.log_facts import CLEAR_MOTION
 from clampid.stages.rows import Array, Bools, Integers
-from clampid.stages.torques import CLEAR_MOTION, INERTIA_SHARE, torque_rows
+from clampid.stages.torques import torque_rows
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell
 from experiments.plans.motion import Course

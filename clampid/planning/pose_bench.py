@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from clampid.catalogue import catalogue
-from clampid.identify import active_slots, resolve_terms
+from clampid.fitted_stage import active_slots
+from clampid.identify import resolve_terms
 from clampid.layout import layout_of
 from clampid.planning.bench import imagined
 from clampid.planning.expected import prior_precision

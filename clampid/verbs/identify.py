@@ -26,11 +26,14 @@ def identify(
         int, typer.Option(metavar="N", help="Draw whole poses anew N times, for standard errors of poses.")
     ] = 0,
     seed: Seed = 0,
+    joint: Annotated[
+        bool, typer.Option("--joint", help="All tables in one fit, with the parameters that they share.")
+    ] = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a model, stage by stage: free air, clamped, filtered poses."""
+    """Fit a model, stage by stage: free air, clamped, filtered poses; or all at once."""
     out = Output(quiet, json)
     output_file(output)
     if not 0.0 <= holdout < 1.0:
@@ -48,7 +51,9 @@ def identify(
     with out.working("reading"):
         read = read_checked(campaigns, out)
     with out.working("identifying"):
-        model = fit_model(read, chosen, holdout=holdout, seed=seed, user_effects=effects_from, bootstrap=bootstrap)
+        model = fit_model(
+            read, chosen, holdout=holdout, seed=seed, joint=joint, user_effects=effects_from, bootstrap=bootstrap
+        )
     save_model(model, output)
     show_model(model, with_user_effects(effects_from), out)
     data = {"model": str(output), **model_json(model)}

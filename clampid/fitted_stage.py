@@ -1,0 +1,144 @@
+"""One stage fitted to its rows, with what it takes over from other stages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clampid.accuracy import StageErrors, stage_errors
+from clampid.agreement import Agreement
+from clampid.base_parameters import base_parameters
+from clampid.begin import begun
+from clampid.carried import carried_drives, carried_over
+from clampid.effect import Effect, Stage
+from clampid.fit import Estimate, fit
+from clampid.gauge import independent_geometry
+from clampid.model import StageModel
+from clampid.nulls import null_directions
+from clampid.observability import observability, projected
+from clampid.slots import Prior, Slot, Term, slots_of_terms
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Array, Rows
+
+__all__ = ["FittedStage", "active_slots", "fit_stage"]
+
+
+@dataclass(frozen=True)
+class FittedStage:
+    """A stage's model with the estimate it came from.
+
+    Attributes
+    ----------
+    rows
+        All rows, those held out too.
+    contradicted
+        Springs and clearances of the clamped stage that the poses contradict, so that none were taken over.
+    """
+
+    model: StageModel
+    estimate: Estimate
+    base_reference: Mapping[int, Array]
+    rows: Rows
+    contradicted: tuple[Agreement, ...] = ()
+
+    def errors(self, verification: Rows | None, seed: int) -> StageErrors:
+        """Errors on fitted and held-out rows."""
+        return stage_errors(self.estimate, self.rows, self.model.held_out, verification, seed)
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """What the ledger keeps beside the errors."""
+        return {"contradicted": [a.to_json() for a in self.contradicted]} if self.contradicted else {}
+
+    def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
+        """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""
+        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, told)
+        return replace(self, model=model, estimate=estimate)
+
+
+def fit_stage(
+    rows: Rows,
+    effects: Mapping[str, Effect],
+    terms: Sequence[Term],
+    before: Mapping[Stage, StageModel],
+    start: Mapping[Slot, float] | None = None,
+    held: Sequence[Sequence[int]] = (),
+    told: Prior | None = None,
+) -> FittedStage:
+    """Fit one stage on all rows but those held out.
+
+    Parameters
+    ----------
+    before
+        The stages already fitted, whose values this one takes over.
+    told
+        What all other rows say, where a joint fit knows: taken instead.
+
+    Raises
+    ------
+    clampid.effect.EffectError
+        An effect needs something of these rows to begin with that they do not have.
+    """
+    fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
+
+    def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
+        first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
+        if told is not None:
+            return fit(first, (told,), values)
+        priors, carried = carried_over(rows, before)
+        return fit(first, priors, {**carried, **values})
+
+    terms, start = begun(terms, effects, rows.layout, start or {}, begin)
+    trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
+    contradicted: tuple[Agreement, ...] = ()
+    if told is not None:
+        estimate = fit(trial, (told,), start)
+    else:
+        priors, carried = carried_over(rows, before)
+        estimate = fit(trial, priors, {**carried, **start})
+        drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, estimate)
+        contradicted = drives.contradicted
+        if drives.prior is not None:
+            estimate = fit(trial, (*priors, drives.prior), estimate.values())
+    reference = {}
+    if rows.stage == "poses":
+        for s in np.unique(rows.session):
+            reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
+    return FittedStage(_model_of(estimate, rows, terms, held, told), estimate, reference, rows, contradicted)
+
+
+def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
+    """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
+    geometry = independent_geometry(rows, effects) if any(t.effect == "geometry" for t in terms) else ()
+    rest = slots_of_terms([t for t in terms if t.effect != "geometry"], effects, rows.layout, rows.stage)
+    return (*geometry, *rest)
+
+
+def _model_of(
+    estimate: Estimate, rows: Rows, terms: Sequence[Term], held: Sequence[Sequence[int]], told: Prior | None
+) -> StageModel:
+    count, fitted = len(estimate.slots), estimate.experiment.rows
+    bad = np.flatnonzero(estimate.outliers)
+    return StageModel(
+        stage=rows.stage,
+        terms=tuple(terms),
+        slots=estimate.slots,
+        theta=estimate.theta[:count],
+        covariance=estimate.covariance[:count, :count],
+        identified=tuple(bool(b) for b in estimate.identified[:count]),
+        held_out=tuple(tuple(f) for f in held),
+        outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
+        null_directions=null_directions(estimate),
+        base=base_parameters(estimate),
+        told=told,
+        observability=observability(_information(estimate), len(estimate.whitened.residual)),
+    )
+
+
+def _information(estimate: Estimate) -> Array:
+    """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
+    scaled = estimate.whitened.jacobian * estimate.experiment.sizes()
+    return projected(scaled.T @ scaled, len(estimate.slots))

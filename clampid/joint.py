@@ -1,0 +1,243 @@
+"""All tables of a campaign in one fit, with the parameters that the stages share.
+
+The stages' whitened residuals are stacked, and one parameter vector holds every stage's own parameters and, once, those
+that several share: masses, arm-side friction, springs, clearances. The normal equations of the whole are the sums of
+the stages' own, each in its columns, so that what a step costs is what the stages cost one by one; a torque log whose
+effects are linear enters by its sums alone, which are sufficient. Source: Golub & Van Loan, Matrix Computations (2013),
+section 5.3 (normal equations of stacked rows); the weights are those that each stage's residual gave when it was fitted
+alone.
+
+What acts at a motor's shaft is not shared: friction of a motor that creeps in a clamp is not that of one in motion.
+Neither are springs and clearances where the poses contradict the clamped sweeps (`clampid.carried`): one of the two is
+not understood, and would spoil the other.
+
+For each stage the result also says what all *other* rows tell of its parameters: the information matrix of the rest,
+the rest's own parameters eliminated. With it a stage can be fitted again alone (other effects, other folds), without
+counting any row twice; to first order the result is that of the joint fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clampid.agreement import SHARED as OF_DRIVES
+from clampid.effect import Effect, Stage
+from clampid.fit import FLANK_ROUNDS, Estimate, Limits, Point, descend, inverse_of, limits_of, prior_of, stage_point
+from clampid.fitted_stage import FittedStage
+from clampid.identify_log import FittedLog
+from clampid.moments import Moments
+from clampid.priors import description_priors
+from clampid.slots import Prior, Slot
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Integers
+
+__all__ = ["JointPart", "fit_jointly", "is_shared"]
+
+JointPart = FittedStage | FittedLog
+"""A stage as it was fitted alone."""
+
+Key = tuple[Stage | None, Slot | int]
+"""A parameter of the joint fit: its stage (None where shared), and its slot or the number of its offset."""
+
+
+def is_shared(effect: Effect) -> bool:
+    """Whether an effect is the arm's, the same in every experiment; friction at a motor's shaft is not."""
+    return set(effect.acts) != {"motor_torque"}
+
+
+@dataclass(frozen=True)
+class _Union:
+    """The joint parameter vector ``(U,)``: where each stage's own stand in it, its prior, its limits."""
+
+    columns: tuple[Integers, ...]
+    theta: Array
+    precision: Array
+    mean: Array
+    limits: Limits
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The stages at one joint parameter vector."""
+
+    theta: Array
+    points: tuple[Point, ...]
+    columns: tuple[Integers, ...]
+
+    @property
+    def cost(self) -> float:
+        return sum(p.cost for p in self.points)
+
+    @property
+    def count(self) -> int:
+        return sum(p.count for p in self.points)
+
+    def normal(self) -> tuple[Array, Array]:
+        return self.weighted(np.ones(len(self.points)))
+
+    def weighted(self, weights: Array) -> tuple[Array, Array]:
+        """The sum of the stages' normal matrices and gradients, each times its weight."""
+        A, g = np.zeros((len(self.theta), len(self.theta))), np.zeros(len(self.theta))
+        for point, columns, weight in zip(self.points, self.columns, weights, strict=True):
+            own, slope = point.normal()
+            A[np.ix_(columns, columns)] += weight * own
+            g[columns] += weight * slope
+        return A, g
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """A log at one parameter vector, from its sums."""
+
+    moments: Moments
+
+    @property
+    def theta(self) -> Array:
+        return self.moments.at
+
+    @property
+    def cost(self) -> float:
+        return self.moments.squares
+
+    @property
+    def count(self) -> int:
+        return self.moments.count
+
+    def normal(self) -> tuple[Array, Array]:
+        return self.moments.normal, self.moments.slope
+
+
+def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
+    """Fit stages at once that were fitted one by one, from where they are.
+
+    Parameters
+    ----------
+    parts
+        The stages, each fitted to rows that no other has.
+
+    Returns
+    -------
+    list
+        The stages at the joint solution, with ``told`` in their models.
+
+    Raises
+    ------
+    clampid.fit.FitError
+        A stage gives no finite prediction.
+    """
+    union = _union(parts)
+    held = [_experiment(p) for p in parts]
+    best = _search(parts, held, union)
+    for _ in range(FLANK_ROUNDS):
+        moved = [e.with_flanks(best.theta[c]) for e, c in zip(held, union.columns, strict=True)]
+        if all(_same_flanks(a, b) for a, b in zip(held, moved, strict=True)):
+            break
+        held = moved
+        best = _search(parts, held, replace(union, theta=best.theta))
+    weights = _weights(best, union)
+    A, _ = best.weighted(weights)
+    covariance = inverse_of(A + union.precision)
+    out: list[JointPart] = []
+    for k, (part, columns) in enumerate(zip(parts, union.columns, strict=True)):
+        told = _told_by_the_others(best, union, weights, k, _experiment(part))
+        own, spread = best.theta[columns], covariance[np.ix_(columns, columns)]
+        if isinstance(part, FittedLog):
+            out.append(part.with_solution(own, spread, told))
+        else:
+            out.append(part.with_estimate(_estimate(part, own, spread, told), told))
+    return out
+
+
+def _union(parts: Sequence[JointPart]) -> _Union:
+    """Number the parameters; those that stages share have one number."""
+    contradicted = any(isinstance(p, FittedStage) and p.contradicted for p in parts)
+    number: dict[Key, int] = {}
+    columns = []
+    for part in parts:
+        trial = _experiment(part)
+        own: list[int] = []
+        for slot in trial.slots:
+            shared = is_shared(trial.effects[slot.effect]) and not (contradicted and slot.effect in OF_DRIVES)
+            own.append(number.setdefault((None if shared else trial.stage, slot), len(number)))
+        own += [number.setdefault((trial.stage, j), len(number)) for j in range(trial.offsets)]
+        columns.append(np.array(own, dtype=np.int64))
+    size = len(number)
+    theta, mean, precision = np.zeros(size), np.zeros(size), np.zeros((size, size))
+    scale, lower, upper, bounded = np.ones(size), np.full(size, -np.inf), np.full(size, np.inf), np.zeros(size, bool)
+    for part, here in zip(parts, columns, strict=True):
+        trial = _experiment(part)
+        own_precision, own_mean = prior_of(trial, description_priors(trial.rows))
+        precision[np.ix_(here, here)] = own_precision
+        limits = limits_of(trial)
+        scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
+        bounded[here] |= limits.bounded
+        theta[here] = part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta  # the last knows most
+        mean[here] = np.where(trial.held(), theta[here], own_mean)
+    theta = np.where(bounded, np.clip(theta, lower, upper), theta)
+    return _Union(tuple(columns), theta, precision, mean, Limits(scale, lower, upper, bounded))
+
+
+def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union) -> _Joint:
+    """The lowest point with flanks held."""
+
+    def one(part: JointPart, trial: Experiment, theta: Array) -> Point:
+        if isinstance(part, FittedLog):
+            return _Sums(part.fit.moments.moved(theta))
+        return stage_point(trial, part.estimate.noise, theta)
+
+    def at(theta: Array) -> _Joint:
+        found = (one(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
+        return _Joint(theta, tuple(found), union.columns)
+
+    return descend(at, union.theta, union.precision, union.mean, union.limits)[0]
+
+
+def _experiment(part: JointPart) -> Experiment:
+    return part.stage.experiment if isinstance(part, FittedLog) else part.estimate.experiment
+
+
+def _same_flanks(a: Experiment, b: Experiment) -> bool:
+    return a is b or ("flank" in a.rows.signals and np.array_equal(a.rows.signals["flank"], b.rows.signals["flank"]))
+
+
+def _weights(best: _Joint, union: _Union) -> Array:
+    """One over the variance ``(stages,)`` that each stage's whitened residual is left with."""
+    A, _ = best.normal()
+    covariance = inverse_of(A + union.precision)
+    out = []
+    for point, columns in zip(best.points, best.columns, strict=True):
+        told = float(np.sum(point.normal()[0] * covariance[np.ix_(columns, columns)]))  # parameters that it tells
+        out.append(max(point.count - told, 1.0) / max(point.cost, 1e-12))
+    return np.array(out)
+
+
+def _told_by_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: Experiment) -> Prior:
+    """What all rows but those of stage ``k`` say of its slots, and the description."""
+    others = weights.copy()
+    others[k] = 0.0
+    A, g = best.weighted(others)
+    covariance = inverse_of(A + union.precision)
+    mean = best.theta + covariance @ (g - union.precision @ (best.theta - union.mean))
+    chosen = [i for i, slot in enumerate(trial.slots) if is_shared(trial.effects[slot.effect])]
+    here = best.columns[k][chosen]
+    return Prior(tuple(trial.slots[i] for i in chosen), mean[here], covariance[np.ix_(here, here)])
+
+
+def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -> Estimate:
+    """A stage's estimate at the joint solution."""
+    alone = part.estimate
+    point = stage_point(alone.experiment, alone.noise, theta)
+    precision, mean = prior_of(alone.experiment, (told,))
+    mean = np.where(alone.experiment.held(), theta, mean)
+    return replace(
+        alone,
+        theta=theta,
+        covariance=covariance,
+        whitened=point.white,
+        residual=point.residual,
+        prior_precision=precision,
+        prior_mean=mean,
+    )
