@@ -75,7 +75,7 @@ SIGNALS: Mapping[str, Signal] = {
     "link_temperature": Signal(("n",), "K", "temperature of each link less 20 degC"),
     "motor_temperature": Signal(("n",), "K", "temperature of each motor less 20 degC"),
     "elapsed": Signal((), "s", "time since the first row"),
-    "travel": Signal(("n",), "rad", "how far each motor has turned since it last reversed"),
+    "slip": Signal(("n", 3), "", "states, -1 to +1, of elements that slip after 10, 30, 80 % of a sweep's amplitude"),
     "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),

@@ -135,4 +135,9 @@ def model_json(model: Model) -> dict[str, Any]:
             "heldout_rms": last and last.heldout_rms,
             "noise_floor": last and last.noise_floor,
         }
-    return {"robot": model.robot, "sessions": [s.name for s in model.sessions], "stages": stages}
+    return {
+        "robot": model.robot,
+        "sessions": [s.name for s in model.sessions],
+        "joint": model.joint,
+        "stages": stages,
+    }
