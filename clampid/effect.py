@@ -75,6 +75,7 @@ SIGNALS: Mapping[str, Signal] = {
     "link_temperature": Signal(("n",), "K", "temperature of each link less 20 degC"),
     "motor_temperature": Signal(("n",), "K", "temperature of each motor less 20 degC"),
     "elapsed": Signal((), "s", "time since the first row"),
+    "fixture_motion": Signal((6,), "rad, m", "motion (w, v) of the clamped flange by a sensor, base frame; else zero"),
     "slip": Signal(("n", 3), "", "states, -1 to +1, of elements that slip after 10, 30, 80 % of a sweep's amplitude"),
     "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),

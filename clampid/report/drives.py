@@ -69,20 +69,17 @@ def _matrix(d: Drives) -> Figure:
     value, std = 1e6 * d.compliance, 1e6 * d.compliance_std
     text = [[_pair(value[a, b], std[a, b]) if value[a, b] else "0" for b in range(n)] for a in range(n)]
     names = [f"joint {j + 1}" for j in range(n)]
-    plot = go.Figure(
-        go.Heatmap(
-            z=coupling.tolist(), x=names, y=names, text=text, texttemplate="%{text}", zmin=-1, zmax=1, colorscale=SCALE,
-            xgap=2, ygap=2, colorbar={"title": "coupling", "thickness": 12},
-            hovertemplate="%{y} by torque at %{x}: %{text} µrad/Nm<extra></extra>",
-        )
-    )  # fmt: skip
+    cells = {"z": coupling.tolist(), "x": names, "y": names, "text": text, "texttemplate": "%{text}"}
+    colours = {"zmin": -1, "zmax": 1, "colorscale": SCALE, "colorbar": {"title": "coupling", "thickness": 12}}
+    hover = "%{y} by torque at %{x}: %{text} µrad/Nm<extra></extra>"
+    plot = go.Figure(go.Heatmap(**cells, **colours, xgap=2, ygap=2, hovertemplate=hover))
     plot.update_xaxes(axes(title="torque at", showgrid=False))
     plot.update_yaxes(axes(title="deflection of", showgrid=False, autorange="reversed"))
     plot.update_layout(layout(430))
     caption = (
-        "Compliance at the joints, Tᵀ·diag(1/k)·T and cross springs where the model has them, µrad/Nm ± one standard "
-        "error. Colours are couplings: ±1 where two joints yield as one. In a coupled wrist a torque at one joint turns "
-        "the others too."
+        "Compliance at the joints, Tᵀ·diag(1/k)·T and cross springs where the model has them, µrad/Nm ± one standard"
+        " error. Colours are couplings: ±1 where two joints yield as one. In a coupled wrist a torque at one joint "
+        "turns the others too."
     )
     return Figure("compliance", plot, caption, 430)
 

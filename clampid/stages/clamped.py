@@ -193,6 +193,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "rest_direction": np.tile(GAP_SOFTNESS * noise / np.abs(np.diag(T)), (count, 1)),
         "wrench_map": wrench[sweep],
         "elapsed": time - time.min(),
+        "fixture_motion": _watched(joined, sweep),
         "slip": slip_states(q, _widths(q, driven, sweep), sweep),
         "sweep_fraction": fraction,
         **temperatures(joined, n),
@@ -246,6 +247,17 @@ def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
             out[j] = np.median(moved)
     known = out[np.isfinite(out)]
     return np.where(np.isfinite(out), out, known.min() if len(known) else 1.0)
+
+
+def _watched(table: object, sweep: Integers) -> Array:
+    """Motion ``(N, 6)`` of the flange since its sweep began by the fixture's sensor, (w, v), rad and m; else zeros."""
+    out = np.zeros((len(sweep), 6))
+    axes = [f"fixture_r{a}_rad" for a in "xyz"] + [f"fixture_{a}_m" for a in "xyz"]
+    for k, name in enumerate(axes):
+        if name in table.columns:  # type: ignore[attr-defined]
+            out[:, k] = table[name].to_numpy(float)  # type: ignore[index]
+    _, first = np.unique(sweep, return_index=True)
+    return np.nan_to_num(out - out[first][sweep])
 
 
 def _widths(q: Array, driven: Integers, sweep: Integers) -> Array:

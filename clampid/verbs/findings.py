@@ -53,6 +53,16 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         _show_agreement(data["drives"], out)
 
 
+def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
+    """What a missing effect had put wrong: by how much, and in standard errors of the mended value."""
+    rows = []
+    for p in shifted:
+        off = with_error(p["shift"], p["std"], p["unit"])
+        rows.append((p["name"], off, f"{abs(p['shift']) / p['std']:.1f}"))
+    if rows:
+        out.table("spoiled by what was missing", ("parameter", "too large by", "in standard errors"), rows)
+
+
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
     """Springs and clearances as the clamped sweeps have them and as the poses want them."""
     units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
@@ -77,6 +87,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
             out.table("", ("parameter", "value"), _values(parameters))
+        _show_omission(part.get("omission") or (), out)
         if part.get("depends_on"):
             out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
         if part.get("next_measurement"):

@@ -62,7 +62,25 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
         if stage.base:
             title = f"{name}: base parameters of the arm, without the declared tool"
             out.table(title, ("base parameter", "described", "value", "± std", "unit", ""), base_rows(stage.base))
+    for sentence in contradictions(model):
+        out.warn(sentence)
+    if model.joint:
+        out.say("all tables in one fit, with the parameters that they share")
     show_rounds(model.ledger, out)
+
+
+def contradictions(model: Model) -> list[str]:
+    """Where the poses contradict the clamped sweeps, so that springs and clearances were not taken over, in words."""
+    out = []
+    for entry in model.ledger:
+        found = entry.evidence.get("contradicted") or ()
+        if found:
+            where = ", ".join(f"{a['parameter']} at {a['where']} ({abs(a['z']):.1f} standard errors)" for a in found)
+            out.append(
+                f"{entry.stage}: contradict the clamped sweeps in {where}; no spring and no clearance was taken over "
+                "from these: did the clamp yield? `clampid diagnose` says what the sweeps lack"
+            )
+    return out
 
 
 def show_drives(drives: Drives, out: Output) -> None:
