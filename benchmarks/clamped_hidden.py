@@ -63,10 +63,12 @@ class Case:
 
 CASES: tuple[Case, ...] = (
     Case("nonlinear_stiffness", "nonlinear_stiffness", ("nonlinear_stiffness@{place}",)),
+    Case("soft_near_zero", "nonlinear_stiffness", ("soft_near_zero@{place}",)),
     Case("hysteresis", "hysteresis", ("hysteresis@{place}",)),
     Case("cross_coupled_stiffness", "cross_coupled_stiffness", ("cross_coupled_stiffness@{place}",)),
     Case("fixture_compliance", "fixture_compliance", ("fixture_compliance",)),
-    Case("fixture_compliance", "fixture_compliance", ("fixture_compliance",), watched=True),
+    Case("fixture_compliance", "fixture_compliance", ("watched_fixture",), watched=True),
+    Case("fixture_shift", "fixture_compliance", ("watched_fixture",), watched=True),
 )
 
 

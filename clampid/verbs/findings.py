@@ -67,6 +67,7 @@ def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
     """Springs and clearances as the clamped sweeps have them and as the poses want them."""
     units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
     units |= {"nonlinear_stiffness.h": "rad/Nm^3", "cross_coupled_stiffness.x": "rad/Nm"}
+    units |= {"soft_near_zero.a": "rad/Nm", "soft_near_zero.s": "Nm"}
     rows = []
     for p in data["parameters"]:
         unit = units[p["parameter"]]
