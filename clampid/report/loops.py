@@ -69,8 +69,8 @@ def loops_figure(data: StageData) -> Figure:
     caption = (
         "Clamped: torque against angle of the motor driven, all sweeps of a joint. The slope is the drive's stiffness, "
         "the height of the loop twice its friction, the flat stretch in the middle its clearance. Dashed: spring and "
-        "clearance as identified, without friction, of the first sweep; the band is the clearance. Rows right after a "
-        "reversal (light) are not used."
+        "clearance as identified, without friction, of the first sweep; the band is the clearance; where the clamp "
+        "yields, loops are flatter than the spring. Rows right after a reversal (light) are not used."
     )
     return Figure("loops", plot, caption, 560)
 

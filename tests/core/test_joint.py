@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from clampid.catalogue import catalogue
-from clampid.cli import app
+from clampid.cli import run
 from clampid.compare import compare
 from clampid.fitted_stage import fit_stage
 from clampid.identify import identify
@@ -147,8 +146,7 @@ def test_contradicted_springs_are_not_shared(simulated: Simulated):
 def test_on_the_command_line(campaign: Campaign, tmp_path: Path):
     target, data = tmp_path / "joint.json", tmp_path / "out.json"
     call = ["identify", str(campaign.path), "-o", str(target), "--joint", "-q", "--json", str(data)]
-    result = CliRunner().invoke(app, call)
-    assert result.exit_code == 0, result.output
+    assert run(call) == 0
     assert json.loads(target.read_text())["joint"] is True
     assert json.loads(data.read_text())["joint"] is True
 
