@@ -78,7 +78,7 @@ def contradictions(model: Model) -> list[str]:
             where = ", ".join(f"{a['parameter']} at {a['where']} ({abs(a['z']):.1f} standard errors)" for a in found)
             out.append(
                 f"{entry.stage}: contradict the clamped sweeps in {where}; no spring and no clearance was taken over "
-                "from these. Did the clamp yield, or are the poses' loads wrong? `clampid diagnose` says what is missing"
+                "from these. Did the clamp yield, or are the poses' loads wrong? See `clampid diagnose`"
             )
     return out
 
