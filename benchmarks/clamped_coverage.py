@@ -24,11 +24,12 @@ import numpy as np
 
 from clampid.catalogue import catalogue
 from clampid.drives import DETECTION, Drives, drives_of
-from clampid.identify import fit_stage, stage_rows
+from clampid.fitted_stage import fit_stage
+from clampid.identify import stage_rows
 from clampid.layout import layout_of
 from clampid.slots import Term
-from experiments.campaign import Campaign, Instrument, Tool
-from experiments.virtual_robot import Measured, Plant, measure
+from experiments.simulate import measured_campaign
+from experiments.virtual_robot import Plant, measure
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 
@@ -59,27 +60,11 @@ def naive_robot(robot: RobotDescription) -> RobotDescription:
     return replace(robot, transmission=np.linalg.inv(np.asarray(robot.transmission)).T)
 
 
-def campaign_of(measured: Measured, robot: RobotDescription) -> Campaign:
-    """A measured campaign without a folder."""
-    header = measured.header
-    return Campaign(
-        name="benchmark",
-        path=None,
-        robot=robot,
-        gravity=np.array(header["gravity_m_s2"]),
-        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
-        targets={},
-        instrument=Instrument("virtual", header["instrument"]["position_std_m"], None),
-        tables=measured.tables,
-        fingerprint="0" * 64,
-    )
-
-
 def trial(seed: int, alter: Callable[[Plant], Plant] = lambda plant: plant, naive: bool = False) -> Trial:
     """Measure and fit the sweeps of one seed."""
     robot = load_robot("kuka_kr20_r1810")
     measured = measure(robot, seed=seed, tables=("clamped",), alter=alter)
-    campaign = campaign_of(measured, naive_robot(robot) if naive else robot)
+    campaign = measured_campaign(measured, naive_robot(robot) if naive else robot)
     rows = stage_rows([campaign], layout_of([campaign]), "clamped")
     start = perf_counter()
     terms = [Term(name) for name in ("joint_compliance", "backlash", "coulomb_friction")]

@@ -20,7 +20,8 @@ import numpy as np
 from clampid.identify import identify
 from clampid.model import Model
 from clampid.stages.pose_rows import align
-from experiments.campaign import Campaign, Instrument, Tool
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, Measured, measure
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.drive import arm_at_rest
@@ -55,23 +56,11 @@ class Errors:
         return float(np.mean(self.size <= self.radius95))
 
 
-def measured_campaign(seed: int, poses: int = 250) -> tuple[Measured, Campaign]:
+def measured_robot(seed: int, poses: int = 250) -> tuple[Measured, Campaign]:
     """A robot that warms up, and all that can be measured of it."""
     robot = load_robot(ROBOT)
     measured = measure(robot, [Hidden("thermal_expansion")], seed=seed, poses=poses)
-    header = measured.header
-    campaign = Campaign(
-        name="sphere",
-        path=None,
-        robot=robot,
-        gravity=np.array(header["gravity_m_s2"]),
-        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
-        targets={name: np.array(p) for name, p in header["targets_m"].items()},
-        instrument=Instrument("virtual", header["instrument"]["position_std_m"], None),
-        tables=measured.tables,
-        fingerprint="0" * 64,
-    )
-    return measured, campaign
+    return measured, measured_campaign(measured, robot)
 
 
 def identified(campaign: Campaign) -> Model:
@@ -170,7 +159,7 @@ def main() -> None:
     given = parser.parse_args()
     full: list[Errors] = []
     for seed in range(given.robots):
-        measured, campaign = measured_campaign(seed)
+        measured, campaign = measured_robot(seed)
         detector = detector_of(identified(campaign), campaign)
         angles = octant(given.poses, seed)
         found = errors(measured, detector, angles)

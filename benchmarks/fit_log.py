@@ -27,11 +27,11 @@ from clampid.catalogue import catalogue
 from clampid.fit import prior_of, start_of
 from clampid.fit_log import fit_log
 from clampid.identify_folder import STANDARD
-from clampid.identify_log import LogStage, log_parts
+from clampid.identify_log import LogStage
 from clampid.layout import layout_of
 from clampid.priors import description_priors
 from clampid.slots import Term
-from clampid.stages.log_facts import facts_of
+from clampid.stages.log_facts import facts_of, log_parts
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, Instrument, Tool
 from kinematics.description import load_robot
@@ -93,14 +93,13 @@ def stage_signals(stage: LogStage) -> dict[str, np.ndarray]:
 
 def accelerations_of(stage: LogStage) -> np.ndarray:
     """Accelerations ``(N, n)`` of the log, rad/s²."""
-    from clampid.stages.log_facts import WINDOW, joint_columns, motion_of
+    from clampid.stages.log_facts import WINDOW
     from experiments.log_windows import windows
 
-    n = stage.design.n
-    names = ["run", "time_s", *joint_columns("q", "rad", n), *joint_columns("qd", "rad_s", n)]
+    motions = stage.facts.motions
     parts = [
-        motion_of(w, n, stage.facts.step, True)[2][w.start : w.stop]
-        for w in windows(stage.parts[0].table, names, WINDOW, stage.facts.halo)
+        motions.of(0, w).acceleration[w.start : w.stop]
+        for w in windows(stage.parts[0].table, motions.columns, WINDOW, stage.facts.halo)
     ]
     return np.concatenate(parts)
 

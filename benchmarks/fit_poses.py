@@ -26,7 +26,8 @@ from clampid.noise import initial_noise
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows
-from experiments.campaign import Campaign, Instrument, Tool
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
 
@@ -37,18 +38,7 @@ def campaign() -> Campaign:
     """Poses of one target each on the virtual robot, and its verification table."""
     robot = load_robot("kuka_kr20_r1810")
     measured = measure(robot, seed=1, poses=POSES, tables=("poses", "verification"))
-    header = measured.header
-    return Campaign(
-        name="benchmark",
-        path=None,
-        robot=robot,
-        gravity=np.array(header["gravity_m_s2"]),
-        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
-        targets={name: np.array(p) for name, p in header["targets_m"].items()},
-        instrument=Instrument("virtual", header["instrument"]["position_std_m"], None),
-        tables=measured.tables,
-        fingerprint="0" * 64,
-    )
+    return measured_campaign(measured, robot)
 
 
 def slots_of_benchmark(rows: Rows) -> tuple[Slot, ...]:

@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -25,7 +23,7 @@ import numpy.typing as npt
 from clampid.compare import compare
 from clampid.identify import identify
 from clampid.model import StageModel
-from experiments.campaign import Campaign, read_campaign, write_campaign
+from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Measured, measure
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.drive import compliance_matrix, gear_output, motor_angles, static_load
@@ -78,19 +76,13 @@ def trial(seed: int) -> Trial:
     robot = load_robot(ROBOT)
     measured = measure(robot, seed=seed, tables=TABLES)
     plant = measured.truth.plant
-    model = identify(campaign_of(measured))
-    other = campaign_of(measure(robot, seed=OTHER_PROGRAM + seed, tables=("free_air",), alter=lambda _: plant))
-    motors = compare(model, other).tables["free_air"]["per_motor"]
+    model = identify(measured_campaign(measured, robot))
+    other = measure(robot, seed=OTHER_PROGRAM + seed, tables=("free_air",), alter=lambda _: plant)
+    motors = compare(model, measured_campaign(other, robot)).tables["free_air"]["per_motor"]
     noise = plant.instrument.torque_sigma
     unseen = [float(m["heldout"]["rms_Nm"] / sigma) for m, sigma in zip(motors, noise, strict=True)]
     stage = model.stages["free_air"]
     return Trial(friction_errors(stage, plant, robot) | gravity_errors(stage, measured, robot, seed), unseen)
-
-
-def campaign_of(measured: Measured) -> Campaign:
-    """The tables as a campaign read from a folder."""
-    with tempfile.TemporaryDirectory() as folder:
-        return read_campaign(write_campaign(Path(folder) / "campaign", measured.header, measured.tables, "parquet"))
 
 
 def friction_errors(stage: StageModel, plant: Plant, robot: RobotDescription) -> dict[str, float]:

@@ -5,30 +5,41 @@ Effects import these and nothing else symbolic, so that an effect's file reads l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import casadi as ca
 
 __all__ = [
     "along",
+    "at_link",
+    "at_place",
     "before",
     "columns",
+    "combined",
     "cos",
     "cross",
     "cross_rows",
     "dot",
     "exp",
     "fabs",
+    "fourier",
     "interleave",
     "norms",
+    "powers",
+    "products",
     "rows",
     "shifted_down",
     "shifted_up",
     "sin",
+    "sliding",
     "tanh",
     "turning",
 ]
+
+Terms = Mapping[str, Any]
+"""Terms of a shape by name, none of them constant: what a free factor each makes any smooth function of."""
 
 sin, cos, exp, fabs, tanh = ca.sin, ca.cos, ca.exp, ca.fabs, ca.tanh
 
@@ -102,3 +113,54 @@ def shifted_up(column: Any) -> Any:
 def shifted_down(column: Any) -> Any:
     """``(c_2, …, c_n, 0)``: each entry is the one after it."""
     return ca.vertcat(column[1:], 0)
+
+
+def at_place(number: int, value: Any, x: Any) -> Any:
+    """``(n,)``: a scalar at joint or motor ``number``, from 1, and nothing at the others."""
+    column = ca.SX(x.transmission.shape[0], 1)
+    column[number - 1] = value
+    return column
+
+
+def at_link(number: int, motion: Sequence[Any], x: Any) -> Any:
+    """Link twists ``(n, 6)``: a motion of the far end of link ``number``, from 1, and no other; 0 is the last one."""
+    twists = ca.SX(x.transmission.shape[0], 6)
+    twists[number - 1, :] = ca.horzcat(*motion)
+    return twists
+
+
+def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:
+    """``sin_q4``, ``cos_q4``, ``sin_2q4``, … up to ``orders`` a turn."""
+    found: dict[str, Any] = {}
+    for k in range(1, orders + 1):
+        label = name if k == 1 else f"{k}{name}"
+        found |= {f"sin_{label}": sin(k * angle), f"cos_{label}": cos(k * angle)}
+    return found
+
+
+def powers(name: str, value: Any, orders: int) -> dict[str, Any]:
+    """``time``, ``time_2``, … up to the power ``orders``; ``value`` is to be of order one."""
+    return {name if k == 1 else f"{name}_{k}": value**k for k in range(1, orders + 1)}
+
+
+def sliding(name: str, motion: Any, speed: Any) -> dict[str, Any]:
+    """What friction is made of: the sign of the motion, also at standstill, the speed, and its square with its sign."""
+    return {f"sign_{name}": motion, name: speed, f"{name}_2": speed * fabs(speed)}
+
+
+def products(*shapes: Terms) -> dict[str, Any]:
+    """All terms, and all products of terms of different variables: any smooth function of them together."""
+    found: dict[str, Any] = {}
+    for chosen in product(*([*terms.items(), ("", 1.0)] for terms in shapes)):
+        name = "_".join(label for label, _ in chosen if label)
+        if name:
+            value = 1.0
+            for _, term in chosen:
+                value = value * term
+            found[name] = value
+    return found
+
+
+def combined(p: Any, terms: Terms, prefix: str = "") -> Any:
+    """The sum of terms, each times the parameter of its name (with a prefix, such as ``rx_``)."""
+    return sum(getattr(p, prefix + name) * term for name, term in terms.items())

@@ -215,6 +215,10 @@ class RowSymbols:
                     value = value + effect.acts[station](self.parameters[effect.name], x)
                 except AttributeError as error:
                     raise EffectError(f"effect {effect.name} reads what it does not declare: {error}") from error
+                except (IndexError, RuntimeError) as error:  # casadi says the latter
+                    raise EffectError(
+                        f"effect {effect.name} does not fit a robot of {self.layout.joints} joints: {error}"
+                    ) from error
         return value
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clampid.diagnosis.stage import StageDiagnosis, diagnose_stage
+from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
 from clampid.identify import TABLES_OF
@@ -33,7 +34,13 @@ class Diagnosis:
 
 @single_threaded
 def diagnose(
-    model: Model, campaign: Campaign, *, seed: int = 0, flips: int = 199, user_effects: Path | None = None
+    model: Model,
+    campaign: Campaign,
+    *,
+    seed: int = 0,
+    flips: int = 199,
+    user_effects: Path | None = None,
+    stages: Sequence[Stage] | None = None,
 ) -> Diagnosis:
     """Find out where a model fails on a campaign and which effect is missing.
 
@@ -44,6 +51,8 @@ def diagnose(
     ----------
     flips
         Sign flips that decide: p_familywise is at least 1/(flips + 1).
+    stages
+        Those to diagnose; by default all that the campaign has tables for.
 
     Raises
     ------
@@ -53,7 +62,8 @@ def diagnose(
     opened = reopen(model, campaign, user_effects)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in opened.stages:
-        if any(t in campaign.tables for t in TABLES_OF[stage]):
+        wanted = stages is None or stage in stages
+        if wanted and any(t in campaign.tables for t in TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
     return Diagnosis(found)
 

@@ -7,7 +7,7 @@ what a deviation at each location does to the measurement. Zero amplitudes mean 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -117,6 +117,9 @@ class Parameter:
         Standard deviation of its prior in sizes. The usual 10 says next to nothing. Of an effect with many parameters,
         which rows can hardly tell one by one, 1 says what they amount to: what the rows leave open stays near zero, by
         as much as the family's size allows.
+    gearing
+        Of a number at the motor whose size and bounds are stated at the joint: the power of the gear ratio by which
+        they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it).
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``session``: one for each.
     bounds
@@ -136,6 +139,7 @@ class Parameter:
     shape: bool = False
     grid: tuple[float, ...] = ()
     spread: float = WEAK
+    gearing: int = 0
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -157,6 +161,14 @@ class Parameter:
         """The standard error below which rows tell it: its size, and no more than half of what the prior says."""
         return self.size if self.shape else min(self.size, 0.5 * self.prior_std)
 
+    def geared(self, ratio: float) -> Parameter:
+        """The same with size and bounds for a joint whose motor turns ``ratio`` times as fast."""
+        if not self.gearing:
+            return self
+        factor = abs(ratio) ** self.gearing
+        lower, upper = self.bounds
+        return replace(self, size=self.size * factor, bounds=(lower * factor, upper * factor), gearing=0)
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -167,7 +179,7 @@ class Effect:
     name
         The variant, unique in the catalogue.
     family
-        One of :data:`FAMILIES`.
+        One of :data:`FAMILIES`; an effect of a user's own that belongs to none goes by its own name.
     acts
         Station → ``deviation(p, x)``; p gives the parameters (casadi, ``(n,)`` or scalar), x the signals.
     parameters
@@ -211,7 +223,7 @@ class Effect:
 
     def __post_init__(self) -> None:
         for kind, found, known in (
-            ("family", (self.family,), FAMILIES),
+            ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
             ("signal", self.needs, tuple(SIGNALS)),
             ("stage", self.stages, STAGES),

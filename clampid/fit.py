@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
+from clampid.repeatability import Scatter, clustered_covariance, visit_scatter
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped import loop_compliance
 from clampid.stages.experiment import Experiment
@@ -70,6 +71,8 @@ class Estimate:
         ``(N,)``: rows rejected.
     prior_precision, prior_mean
         The prior that was used.
+    scatter
+        In poses, how the noise is shared between the measurement and the robot's own repeatability, where told.
     """
 
     experiment: Experiment
@@ -82,6 +85,7 @@ class Estimate:
     prior_precision: Array
     prior_mean: Array
     iterations: int
+    scatter: Scatter | None = None
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -139,7 +143,27 @@ def fit(
         for _ in range(1 if experiment.stage == "poses" else 2):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
             estimate = solve(experiment, estimate.theta, model, precision, mean)
+    if experiment.stage == "poses":
+        estimate = _with_repeatability(estimate)
     return replace(estimate, outliers=rejected)
+
+
+def _with_repeatability(estimate: Estimate) -> Estimate:
+    """The same fit, its covariance that of visits whose numbers share where the robot has stopped."""
+    white = estimate.whitened
+    rows = estimate.experiment.rows
+    visit = rows.unit[white.entry]
+    by_joint = estimate.experiment.by_joint(estimate.theta)[white.entry, white.channel]
+    by_joint = by_joint / estimate.noise.sigma[white.entry, white.channel, None]
+    inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
+    scatter = visit_scatter(white, by_joint, visit, inverse)
+    if scatter is None:
+        return estimate
+    return replace(
+        estimate,
+        covariance=clustered_covariance(white, by_joint, visit, estimate.prior_precision, scatter, inverse),
+        scatter=scatter,
+    )
 
 
 def _absorbed(estimate: Estimate) -> Array | None:

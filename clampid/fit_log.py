@@ -16,7 +16,7 @@ from scipy import stats
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
 from clampid.moments import Moments, minimise
 from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, autocorrelation, whitener
+from clampid.prewhitening import ORDER, autocorrelation, lag_products, whitener
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -31,7 +31,7 @@ class LogNoise:
     """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise."""
 
     sigma: Array
-    filters: tuple[Array, ...] = ()
+    autocorrelations: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -131,9 +131,9 @@ def summed(
                 continue
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
-            if noise.filters:
+            if noise.autocorrelations:
                 stretch = channel.stretch[used] if of is None or not apart else _apart(channel.stretch[used], of)
-                both = whitener(channel.row[used], stretch, noise.filters[c]) @ both
+                both = whitener(channel.row[used], stretch, noise.autocorrelations[c]) @ both
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -149,7 +149,7 @@ class Residuals:
     block: Block
     motor: int
     row: Integers
-    begins: Bools
+    stretch: Integers
     own: int
     values: Array
 
@@ -174,9 +174,7 @@ def residuals(
                 every = channel.both[:, :-1] @ theta[:, channel.columns].T
                 predicted = every[np.arange(len(every)), part[channel.fold]]
             values = (channel.both[:, -1] - predicted)[used]
-            found.append(
-                Residuals(block, c, channel.row[used], _begins(channel.row[used], channel.stretch[used]), own, values)
-            )
+            found.append(Residuals(block, c, channel.row[used], channel.stretch[used], own, values))
         yield found
 
 
@@ -208,28 +206,15 @@ def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) 
     """Scale and autoregression of each motor's residual, as in `clampid.noise.learn_noise`."""
     products, pairs = np.zeros((2, design.n, ORDER + 1))
     for r in (r for found in residuals(design, folds, outliers, theta) for r in found):
-        age, own = _age(r.begins), np.arange(len(r.values)) >= r.own
-        for lag in range(ORDER + 1):
-            both = own[lag:] & (age[lag:] >= lag)
-            products[r.motor, lag] += float((r.values[lag:] * both) @ r.values[: len(both)])
-            pairs[r.motor, lag] += both.sum()
+        sums, counts = lag_products(r.values, r.row, r.stretch, r.own)
+        products[r.motor] += sums
+        pairs[r.motor] += counts
     sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(pairs[:, 0], 1)), 1e-12)
-    filters = tuple(autocorrelation(p, k) for p, k in zip(products, pairs, strict=True))
-    return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), filters)
+    autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(products, pairs, strict=True))
+    return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
 
 
 def _apart(stretch: Integers, part: Integers) -> Integers:
     """Stretches ``(k,)`` that end with their part, too."""
     new = np.r_[True, (np.diff(stretch) != 0) | (np.diff(part) != 0)]
     return np.asarray(np.cumsum(new[: len(stretch)]))
-
-
-def _begins(row: Integers, stretch: Integers) -> Bools:
-    """Where among rows that count ``(k,)`` one does not follow the one before."""
-    return np.asarray(np.r_[True, (np.diff(row) != 1) | (np.diff(stretch) != 0)][: len(row)])
-
-
-def _age(begins: Bools) -> Integers:
-    """How many rows of its stretch are before each ``(k,)``."""
-    index = np.arange(len(begins))
-    return np.asarray(index - np.maximum.accumulate(np.where(begins, index, 0)))

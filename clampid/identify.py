@@ -10,15 +10,16 @@ import numpy as np
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
-from clampid.identify_log import LogStage, log_parts
+from clampid.identify_log import LogStage
 from clampid.joint import JointPart, fit_jointly
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.slots import Layout, Term, parse_term
 from clampid.stages.clamped import clamped_rows
+from clampid.stages.log_facts import log_parts, steady_share
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
-from clampid.stages.torques import steady_share, torque_rows
+from clampid.stages.torques import torque_rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
@@ -67,7 +68,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
         springs = ("joint_compliance",) if campaigns[0].robot.has_masses else ()
         names["poses"] = ("geometry", *springs, "backlash") if directed else ("geometry", *springs)
-    if "free_air" in found and min(steady_share(c) for c in campaigns) < MOSTLY:
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
         names["free_air"] += ("inertia",)
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 

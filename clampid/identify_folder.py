@@ -15,7 +15,7 @@ from clampid.identify_log import LogStage
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session
 from clampid.slots import Term, parse_term
-from clampid.stages.log_facts import LogPart, steady_share_of
+from clampid.stages.log_facts import LogPart, steady_share
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 from experiments.columns import table_format
@@ -90,7 +90,7 @@ def identify_folder(
             if "free_air" not in catalogue[term.effect].stages:
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
-    elif steady_share_of(parts) < MOSTLY:
+    elif steady_share(parts) < MOSTLY:
         terms = (*terms, Term("inertia"))
     stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
     if not stage.linear:

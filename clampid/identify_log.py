@@ -25,10 +25,8 @@ from clampid.stages.experiment import experiment
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
 from clampid.stages.rows import Array, Bools, Integers, Rows
-from experiments.campaign import Campaign
-from experiments.log_windows import LogTable
 
-__all__ = ["FittedLog", "LogStage", "log_parts"]
+__all__ = ["FittedLog", "LogStage"]
 
 
 @dataclass(frozen=True)
@@ -66,16 +64,6 @@ class FittedLog:
         prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.size)
         model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, told)
         return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
-
-
-def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
-    """The tables free_air and wrist of campaigns, in order."""
-    return [
-        LogPart(campaign, s, name, LogTable.of(campaign.tables[name]))
-        for s, campaign in enumerate(campaigns)
-        for name in ("free_air", "wrist")
-        if name in campaign.tables
-    ]
 
 
 class LogStage:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clampid.prewhitening import ORDER, autocorrelation, whitener
+from clampid.prewhitening import autocorrelation, lag_products, whitener
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 
@@ -41,12 +41,12 @@ class Noise:
     ----------
     sigma
         ``(N, m)``: standard deviation of each number, all of its noise, SI.
-    filters
-        Per channel the autocorrelation of its noise, lag 0 to 64; empty for white noise.
+    autocorrelations
+        Per channel that of its noise, lag 0 to 64; empty for white noise.
     """
 
     sigma: Array
-    filters: tuple[Array, ...] = ()
+    autocorrelations: tuple[Array, ...] = ()
 
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
@@ -72,18 +72,15 @@ class Noise:
 
     def whiten_channel(self, rows: Rows, channel: int, columns: Array) -> Array:
         """Whiten columns ``(N, k)`` of one channel: ``(used rows, k)``."""
-        used = rows.used[:, channel]
-        index = np.flatnonzero(used)
+        index = np.flatnonzero(rows.used[:, channel])
         out = columns[index] / self.sigma[index, channel][:, None]
-        if not self.filters:
+        if not self.autocorrelations:
             return np.asarray(out)
-        every = np.ones(len(rows), dtype=bool)
-        stretch = segments(rows.constants["run"], rows.constants["time"], every)[index]
-        return np.asarray(whitener(index, stretch, self.filters[channel]) @ out)
+        return np.asarray(whitener(index, _stretches(rows)[index], self.autocorrelations[channel]) @ out)
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
-        return Noise(self.sigma[chosen], self.filters)
+        return Noise(self.sigma[chosen], self.autocorrelations)
 
 
 def initial_noise(rows: Rows) -> Noise:
@@ -116,22 +113,17 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
     if rows.stage == "poses":
         return Noise(sigma)
-    filters = []
+    autocorrelations, stretch = [], _stretches(rows)
     for c in range(residual.shape[1]):
-        stretch = segments(rows.constants["run"], rows.constants["time"], rows.used[:, c])
+        index = np.flatnonzero(rows.used[:, c])
         x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
-        products, pairs = _products(x / sigma[:, c, None], stretch)
+        products, pairs = lag_products(x[index] / sigma[index, c, None], index, stretch[index])
         if absorbed is not None and pairs[0]:
             sigma[:, c] *= np.sqrt(products[0] / pairs[0])  # the residual alone has scale 1
-        filters.append(autocorrelation(products, pairs))
-    return Noise(sigma, tuple(filters))
+        autocorrelations.append(autocorrelation(products, pairs))
+    return Noise(sigma, tuple(autocorrelations))
 
 
-def _products(x: Array, stretch: Integers) -> tuple[Array, Array]:
-    """Sums of products of rows of x ``(N, k)`` that are 0 … 12 apart within a stretch, and how many there are."""
-    products, pairs = np.zeros((2, ORDER + 1))
-    for lag in range(min(ORDER + 1, len(x))):
-        a, b = x[lag:], x[: len(x) - lag]
-        same = (stretch[lag:] == stretch[: len(x) - lag]) & (stretch[lag:] >= 0)
-        products[lag], pairs[lag] = float(np.vdot(a[same], b[same])), float(same.sum())
-    return products, pairs
+def _stretches(rows: Rows) -> Integers:
+    """The stretch of the log ``(N,)`` that each row is of; between two, the clock breaks off."""
+    return segments(rows.constants["run"], rows.constants["time"], np.ones(len(rows), dtype=bool))

@@ -15,12 +15,44 @@ from scipy import sparse
 
 from clampid.stages.rows import Array, Bools, Integers
 
-__all__ = ["ORDER", "REACH", "autocorrelation", "whitener"]
+__all__ = ["ORDER", "REACH", "autocorrelation", "lag_products", "whitener"]
 
 ORDER = 12
 REACH = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
 ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
+
+
+def lag_products(x: Array, row: Integers, stretch: Integers, own: int = 0) -> tuple[Array, Array]:
+    """Sums of products of residuals that are 0 … 12 rows apart, with no row missing between, and how many there are.
+
+    Parameters
+    ----------
+    x
+        ``(k, m)`` or ``(k,)``: residuals of the rows that count; the products of m numbers add.
+    row, stretch
+        ``(k,)``: which rows of the log, and of which stretches, as `whitener` takes them.
+    own
+        How many of the first rows only stand before the others: products whose later row is one of them do not count.
+
+    Returns
+    -------
+    Array, Array
+        ``(13,)`` each; what `autocorrelation` takes.
+    """
+    count = len(x)
+    index = np.arange(count)
+    begins = np.r_[True, (np.diff(row) != 1) | (np.diff(stretch) != 0)][:count]
+    age = index - np.maximum.accumulate(np.where(begins, index, 0))
+    pairs = np.cumsum(np.bincount(np.minimum(age[own:], ORDER), minlength=ORDER + 1)[::-1])[::-1]
+    # Zeros between what does not follow each other make the products across vanish.
+    place = index + ORDER * np.cumsum(begins)
+    spaced = np.zeros((int(place[-1]) + 1 if count else 0, *x.shape[1:]))
+    spaced[place] = x
+    first = int(place[own]) if own < count else len(spaced)
+    later = spaced[first:]
+    products = [float(np.vdot(later, spaced[first - lag : len(spaced) - lag])) for lag in range(ORDER + 1)]
+    return np.array(products), pairs.astype(np.float64)
 
 
 def autocorrelation(products: Array, pairs: Array) -> Array:

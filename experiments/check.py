@@ -21,6 +21,7 @@ from experiments.check_sweeps import sweep_findings
 from experiments.check_torques import torque_findings
 from experiments.columns import QUATERNION, temperature_columns
 from experiments.finding import Finding
+from experiments.moving_log import moving_logs
 
 __all__ = ["Finding", "check_campaign", "holdings"]
 
@@ -42,14 +43,15 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
     """
     angles = tuple(angle_findings(campaign))
     wrong = frozenset(finding.table for finding in angles if finding.severity == "error")
-    torques = tuple(torque_findings(campaign, wrong))
+    logs = {table: log for table, log in moving_logs(campaign).items() if table not in wrong}
+    torques = tuple(torque_findings(campaign, logs))
     weighed = frozenset(finding.table for finding in torques if finding.severity == "error")
     findings = [
         *angles,
         *point_findings(campaign, wrong),
         *torques,
         *signal_findings(campaign, wrong, weighed),
-        *friction_findings(campaign, wrong | weighed),
+        *friction_findings(campaign, {table: log for table, log in logs.items() if table not in weighed}),
         *clock_findings(campaign),
         *motion_findings(campaign, wrong),
         *speed_findings(campaign, wrong),

@@ -7,7 +7,7 @@ independent.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.stats import t as student
@@ -15,7 +15,7 @@ from scipy.stats import t as student
 from experiments.campaign import Campaign
 from experiments.columns import joint_columns
 from experiments.finding import Finding
-from experiments.moving_log import ROWS, MovingLog, clear_moves, read_log, weight_regressor
+from experiments.moving_log import MovingLog, clear_moves, freed, weight_regressor
 from experiments.signals.typing_ import Array, Bools, Integers
 
 __all__ = ["friction_findings"]
@@ -26,15 +26,15 @@ MOVES = 8
 LEFT = 1e-6  # of a column's square that must be its own for its factor to be told
 
 
-def friction_findings(campaign: Campaign, wrong: frozenset[str]) -> Iterator[Finding]:
+def friction_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iterator[Finding]:
     """Look at the friction in free air and wrist.
 
     Parameters
     ----------
     campaign
         The campaign.
-    wrong
-        Tables whose angles or torques are known to be in another unit, or mirrored.
+    logs
+        Its torque tables by name, without those whose angles or torques are known to be in another unit, or mirrored.
 
     Yields
     ------
@@ -45,10 +45,7 @@ def friction_findings(campaign: Campaign, wrong: frozenset[str]) -> Iterator[Fin
     if not robot.transmission_known:
         return
     names = joint_columns("tau{}_Nm", robot.n)
-    for table in ("free_air", "wrist"):
-        if table not in campaign.tables or table in wrong or len(campaign.tables[table]) < ROWS // 100:
-            continue
-        log = read_log(campaign, campaign.tables[table])
+    for table, log in logs.items():
         turning = log.qd @ np.linalg.inv(robot.transmission)
         held = _held(campaign, log)
         for m in range(robot.n):
@@ -68,14 +65,6 @@ def _held(campaign: Campaign, log: MovingLog) -> list[Array]:
     i, k = np.triu_indices(campaign.robot.n)
     motion = np.column_stack([np.ones(len(log.q)), log.qdd, log.qd[:, i] * log.qd[:, k]])
     return [np.column_stack([motion, weight[:, m, np.any(weight[:, m] != 0.0, axis=0)]]) for m in range(len(T))]
-
-
-def _freed(held: Array, columns: Array) -> Array:
-    """Columns ``(k, p)`` without what the others ``(k, h)`` could be."""
-    scale = np.sqrt(np.mean(held**2, axis=0))
-    basis = np.linalg.svd(held / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    kept = basis.U[:, 1e-8 * basis.S[0] < basis.S]
-    return np.asarray(columns - kept @ (kept.T @ columns))
 
 
 def _rubbing(speed: Array) -> Array:
@@ -99,7 +88,7 @@ def _estimated(
     moves, member = np.unique(move[used], return_inverse=True)
     if len(moves) < MOVES or used.sum() < 3 * (held.shape[1] + columns.shape[1]):
         return None
-    free = _freed(held[used], np.column_stack([columns[used], log.tau[used, motor]]))
+    free = freed(held[used], np.column_stack([columns[used], log.tau[used, motor]]))
     X, y = free[:, :-1], free[:, -1]
     if np.any(np.sum(X**2, axis=0) < LEFT * np.sum(columns[used] ** 2, axis=0)):
         return None

@@ -7,7 +7,7 @@ torque was written; and since weight changes while a joint turns, the other way 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.stats import norm
@@ -15,7 +15,7 @@ from scipy.stats import norm
 from experiments.campaign import Campaign
 from experiments.columns import joint_columns
 from experiments.finding import Finding
-from experiments.moving_log import ROWS, MovingLog, clear_moves, read_log, weight_regressor
+from experiments.moving_log import MovingLog, clear_moves, freed, read_log, weight_regressor
 from experiments.signals import Shift, combine_shifts, time_shift
 from experiments.signals.typing_ import Array
 from kinematics.gravity import add_tool, gravity_parameters
@@ -36,15 +36,15 @@ FALSE_ALARMS, SHIFT_STEPS = 1e-4, 0.25
 MOVES = 6
 
 
-def torque_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
+def torque_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iterator[Finding]:
     """Look at the torques of free air and wrist, where the robot's masses and transmission are known.
 
     Parameters
     ----------
     campaign
         The campaign.
-    angles_wrong
-        Tables whose angles are known to be in another unit.
+    logs
+        Its torque tables by name, without those whose angles are known to be in another unit.
 
     Yields
     ------
@@ -54,10 +54,7 @@ def torque_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
     robot = campaign.robot
     if not robot.has_masses or not np.any(campaign.gravity):
         return
-    for table in ("free_air", "wrist"):
-        if table not in campaign.tables or table in angles_wrong or len(campaign.tables[table]) < ROWS // 100:
-            continue
-        log = read_log(campaign, campaign.tables[table])
+    for table, log in logs.items():
         regressor = weight_regressor(campaign, log.q)
         if robot.transmission_known:
             yield from _units(campaign, table, log, regressor)
@@ -192,10 +189,7 @@ def _factors(campaign: Campaign, log: MovingLog, speed: Array, weight: Array) ->
         others = _friction(campaign, log, m, speed[:, m])[used]
         if len(moves) < MOVES or used.sum() < 3 * others.shape[1]:
             continue
-        scale = np.sqrt(np.mean(others**2, axis=0))
-        basis = np.linalg.svd(others / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-        kept = basis.U[:, basis.S / basis.S[0] > 1e-8]
-        own, tau = (v - kept @ (kept.T @ v) for v in (weight[used, m], log.tau[used, m]))
+        own, tau = freed(others, np.column_stack([weight[used, m], log.tau[used, m]])).T
         power = float(own @ own)
         if power <= 1e-12 * float(weight[used, m] @ weight[used, m]) or power == 0.0:
             continue

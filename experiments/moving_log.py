@@ -13,10 +13,13 @@ from experiments.signals import acceleration, accelerations, choose_window, low_
 from experiments.signals.typing_ import Array, Bools, Integers
 from kinematics.gravity import gravity_regressor
 
-__all__ = ["ROWS", "MovingLog", "clear_moves", "read_log", "weight_regressor"]
+__all__ = ["MovingLog", "clear_moves", "freed", "moving_logs", "read_log", "weight_regressor"]
 
 # A table is judged on at most this many rows, smoothed and thinned: a check should not take longer than a fit.
 ROWS = 12_000
+FEWEST = 120  # fewer rows than this hold no moves to judge by
+# Of a direction in other columns, relative to their largest: below, it is rounding and not a column of its own.
+ROUNDING = 1e-8
 # Rows at either end of a move in which friction builds up.
 BUILD_UP = 2
 
@@ -32,6 +35,12 @@ class MovingLog:
     qd: Array
     qdd: Array
     tau: Array
+
+
+def moving_logs(campaign: Campaign) -> dict[str, MovingLog]:
+    """The torque tables of a campaign that are long enough to be judged, by name."""
+    tables = {table: campaign.tables[table] for table in ("free_air", "wrist") if table in campaign.tables}
+    return {table: read_log(campaign, frame) for table, frame in tables.items() if len(frame) >= FEWEST}
 
 
 def read_log(campaign: Campaign, frame: pd.DataFrame) -> MovingLog:
@@ -76,3 +85,11 @@ def clear_moves(speed: Array, run: Integers) -> tuple[Bools, Integers]:
     index = np.arange(len(speed))
     used = (sign != 0.0) & (index >= first[move - 1] + BUILD_UP) & (index <= last[move - 1] - BUILD_UP)
     return used, move
+
+
+def freed(others: Array, columns: Array) -> Array:
+    """Columns ``(N, p)`` without what a combination of the others ``(N, h)`` could be."""
+    scale = np.sqrt(np.mean(others**2, axis=0))
+    basis = np.linalg.svd(others / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+    kept = basis.U[:, ROUNDING * basis.S[0] < basis.S]
+    return np.asarray(columns - kept @ (kept.T @ columns))

@@ -9,11 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from experiments.campaign import write_campaign
-from experiments.virtual_robot import Hidden, Plant, measure
-from kinematics.description import load_robot
+import numpy as np
 
-__all__ = ["SimulationError", "hidden_file", "simulate"]
+from experiments.campaign import Campaign, Instrument, Tool, write_campaign
+from experiments.virtual_robot import Hidden, Measured, Plant, measure
+from kinematics.description import RobotDescription, load_robot
+
+__all__ = ["SimulationError", "hidden_file", "measured_campaign", "simulate"]
 
 
 class SimulationError(ValueError):
@@ -92,6 +94,38 @@ def simulate(
     path = write_campaign(folder, header, measured.tables, file_format, overwrite=overwrite)
     _write(hidden_file(folder), json.dumps(measured.hidden, indent=1) + "\n")
     return path
+
+
+def measured_campaign(measured: Measured, robot: RobotDescription, name: str = "virtual") -> Campaign:
+    """What the virtual robot measured, as a campaign that never was a folder: for benchmarks, tests and notebooks.
+
+    Parameters
+    ----------
+    measured
+        What :func:`experiments.virtual_robot.measure` gave.
+    robot
+        The description that the campaign names: that of the robot measured, or another one.
+    name
+        The campaign's name.
+
+    Returns
+    -------
+    Campaign
+        Without a path; its fingerprint is of no file.
+    """
+    header = measured.header
+    tool, instrument = header["tool"], header["instrument"]
+    return Campaign(
+        name=name,
+        path=None,
+        robot=robot,
+        gravity=np.array(header["gravity_m_s2"]),
+        tool=Tool(tool["mass_kg"], np.array(tool["com_m"])),
+        targets={target: np.array(point) for target, point in header["targets_m"].items()},
+        instrument=Instrument(instrument["name"], instrument["position_std_m"], instrument.get("orientation_std_rad")),
+        tables=measured.tables,
+        fingerprint="0" * 64,
+    )
 
 
 def _write(path: Path, text: str) -> None:

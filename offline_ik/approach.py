@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from offline_ik.detector import Answer, Detector
+    from offline_ik.answer import Answer
+    from offline_ik.detector import Detector
 
 __all__ = ["Approach", "approach_through"]
 
@@ -94,7 +95,7 @@ def approach_through(
         near=first.q, direction=side,
     )  # fmt: skip
     end = found.solutions[0] if found.solutions else first
-    towards = detector._towards(detector.to_base(found.target), first.roll)
+    towards = detector.towards(detector.to_base(found.target), first.roll)
     unknown = detector.propagation.at(end.q, detector.still, towards)
     through = np.clip(end.q - side * back, detector.lower, detector.upper)
     kept = found if found.solutions else replace(answer, solutions=(first,))

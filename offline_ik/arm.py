@@ -1,9 +1,8 @@
 """The identified arm: a model's robot with its effects, as one function from joint values to the flange.
 
-Two ways to it, held equal by tests: :meth:`IdentifiedArm.general` goes through the chain of effects and
-:func:`clampid.stages.poses.predict`, with derivatives by all parameters; :meth:`IdentifiedArm.expression` puts the very
-same casadi functions together with the parameters as constants and the loads as functions of the posture, so that they
-can be compiled into one kernel.
+The chain of effects and :func:`clampid.stages.pose_kernel.pose_function` are the very casadi functions that the pose
+stage is fitted with; here they are put together with the parameters as constants and the loads as functions of the
+posture, so that they can be compiled into one kernel. Tests hold it against the pose stage's own prediction.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -20,16 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.catalogue import with_user_effects
-from clampid.chain import OUTPUTS, Chain, RowSymbols, build_chain, offer_torque, parameter_columns
+from clampid.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
 from clampid.effect import Effect
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
-from clampid.stages.loads import bearing_signals, gravity_signals
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
-from clampid.stages.poses import evaluate, link_vectors, predict
-from clampid.stages.rows import Rows
-from experiments.campaign import Campaign, Instrument, Tool
+from clampid.stages.poses import link_vectors
 from kinematics.description import load_robot
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
@@ -125,8 +120,6 @@ class IdentifiedArm:
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = cayley(twist[:3]), twist[3:]
         return np.asarray((np.eye(4) if self.reference is None else self.reference) @ motion)
-
-    # --- as one expression ---------------------------------------------------------------------------------------
 
     def expression(self, q: Any, conditions: Any, mount: Array, theta: Any = None) -> tuple[Any, Any, Any, Any]:
         """Where a frame on the flange is, in the calibrated base's frame.
@@ -234,91 +227,6 @@ class IdentifiedArm:
     @property
     def _session_is(self) -> Array:
         return np.asarray(np.eye(len(self.layout.sessions))[self.session])
-
-    # --- through the chain of effects -----------------------------------------------------------------------------
-
-    @cached_property
-    def chain(self) -> Chain:
-        """The chain of the stage ``poses``."""
-        return build_chain(
-            "poses",
-            self.slots,
-            self.effects,
-            self.layout,
-            np.asarray(self.robot.transmission),
-            link_vectors(self.robot),
-        )
-
-    def general(self, q: Array, conditions: Conditions, target: Array) -> tuple[Array, Array, Array]:
-        """Points and orientations through clampid's own prediction.
-
-        Parameters
-        ----------
-        q
-            ``(N, n)``, the controller's joint values, rad.
-        target
-            ``(3,)``: the point, in the flange frame, m.
-
-        Returns
-        -------
-        position, rotation
-            ``(N, 3)`` m and ``(N, 3, 3)`` of the flange, instrument frame.
-        jacobian
-            ``(N, 6, P)``: d (position, rotation vector) / d theta.
-        """
-        rows = self._rows(np.atleast_2d(q), conditions, target)
-        deviations = evaluate(rows, self.chain, self.theta)
-        measured = slice(self.chain.offsets["measurement"].start, None)
-        deviations.values[:, measured] = 0.0
-        position, rotation, sensitivity = predict(rows, deviations)
-        sensitivity[:, :, measured] = 0.0
-        jacobian = np.zeros((len(rows), 6, len(self.slots)))
-        for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
-            jacobian[:, :, parameter] += sensitivity[:, :, station] * deviations.partials[:, k, None]
-        return position, rotation, jacobian
-
-    def _rows(self, q: Array, conditions: Conditions, target: Array) -> Rows:
-        count = len(q)
-        declared = Tool(float(self.tool[0]), self.tool[1:] / self.tool[0] if self.tool[0] else np.zeros(3))
-        campaign = Campaign(
-            "",
-            None,
-            self.robot,
-            self.gravity,
-            declared,
-            {},
-            Instrument("command", None, None),
-            MappingProxyType({}),
-            "",
-        )
-
-        def each(value: Array) -> Array:
-            return np.tile(value, (count, 1))
-
-        direction = each(conditions.direction)
-        signals = {
-            "q": q,
-            "motor": q @ np.linalg.inv(np.asarray(self.robot.transmission)),
-            "direction": direction,
-            "joint_motion": direction,
-            "motor_motion": direction,
-            "rest_direction": REST_FRICTION * self._rated * direction,
-            "elapsed": np.full(count, conditions.elapsed),
-            "target_is": np.zeros((count, len(self.layout.targets))),
-            "session_is": each(self._session_is),
-            "position": np.zeros((count, 3)),
-            "link_temperature": each(conditions.link_temperature),
-            "motor_temperature": each(conditions.motor_temperature),
-            **gravity_signals(campaign, q),
-            **bearing_signals(campaign, q),
-        }
-        zero = np.zeros(count, dtype=np.int64)
-        reference = np.eye(4) if self.reference is None else self.reference
-        return Rows(
-            "poses", self.robot, self.layout, signals, np.zeros((count, 3)), np.ones((count, 3)),
-            np.ones((count, 3), dtype=bool), zero, zero, np.full(count, "command"), zero, zero,
-            {"target": each(target), "base_reference": np.tile(reference, (count, 1, 1))},
-        )  # fmt: skip
 
 
 def arm_of(

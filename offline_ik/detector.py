@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,117 +18,22 @@ import numpy.typing as npt
 from clampid.model import Model, load_model
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
+from offline_ik.answer import Answer, Solution
 from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm_of
-from offline_ik.branches import Choice, candidate_turns, parse_choice, status_and_turn
+from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
 from offline_ik.errors import TargetError
 from offline_ik.kernels import Kernel, locate_kernel
 from offline_ik.mount import identified_mount
-from offline_ik.ortho import SIGNS
+from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
 from offline_ik.reach import nearest_reachable
-from offline_ik.solver import ELBOW_SINGULAR, NEARLY, WRIST_SINGULAR, Solver
-from offline_ik.uncertainty import Propagation, Uncertainty
+from offline_ik.solver import Solver
+from offline_ik.uncertainty import Propagation
 
 __all__ = ["Answer", "Detector", "Solution", "open_detector"]
 
 Array = npt.NDArray[np.float64]
-
-ROLLS = 24  # tried where the roll is free
-SHOULDER_SINGULAR = 0.02  # m: the wrist this near to axis 1
-
-
-@dataclass(frozen=True)
-class Solution:
-    """One posture that puts the detector there.
-
-    Attributes
-    ----------
-    q, motor
-        ``(n,)``, rad: what to command at the joints, and at the motors.
-    position_error, angle_error
-        What the identified model has left to the asked pose, m and rad.
-    roll
-        The detector's roll about its normal, rad.
-    singular
-        Which of ``wrist``, ``elbow``, ``shoulder`` are near a singularity.
-    status, turn
-        KUKA's bits.
-    distance
-        The largest joint move from the posture at hand, rad.
-    """
-
-    q: Array
-    motor: Array
-    position_error: float
-    angle_error: float
-    uncertainty: Uncertainty
-    roll: float
-    singular: tuple[str, ...]
-    status: int
-    turn: int
-    distance: float
-    direction: Array
-
-    def to_json(self) -> dict[str, Any]:
-        """For programs."""
-        return {
-            "q_rad": self.q.tolist(),
-            "motor_rad": self.motor.tolist(),
-            "position_error_m": self.position_error,
-            "angle_error_rad": self.angle_error,
-            "std_m": self.uncertainty.std_m,
-            "std_rad": self.uncertainty.std_rad,
-            "uncertainty": self.uncertainty.to_json(),
-            "roll_rad": self.roll,
-            "singular": list(self.singular),
-            "status": self.status,
-            "turn": self.turn,
-            "largest_move_rad": self.distance,
-            "approach_direction": self.direction.tolist(),
-        }
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What became of one asked position.
-
-    Attributes
-    ----------
-    target
-        ``(4, 4)``: the asked pose in the convention's frame (at the first solution's roll, where that is free).
-    reasons
-        Why there is no solution, branch by branch put together.
-    nearest
-        The nearest detector position that can be reached, where the asked one cannot: gamma, delta, r, how far off.
-    """
-
-    asked: dict[str, float | None]
-    target: Array
-    solutions: tuple[Solution, ...]
-    reasons: tuple[str, ...]
-    nearest: dict[str, float] | None
-    convention: dict[str, Any]
-    cell: dict[str, Any]
-
-    @property
-    def reachable(self) -> bool:
-        """Whether there is any solution."""
-        return bool(self.solutions)
-
-    def to_json(self) -> dict[str, Any]:
-        """The JSON of ``clampid ik``."""
-        return {
-            "reachable": self.reachable,
-            "solutions": [s.to_json() for s in self.solutions],
-            "reasons": list(self.reasons),
-            "nearest": self.nearest,
-            "asked": self.asked,
-            "detector_position_m": self.target[:3, 3].tolist(),
-            "detector_rotation": self.target[:3, :3].tolist(),
-            "convention": self.convention,
-            "cell": self.cell,
-        }
 
 
 class Detector:
@@ -151,6 +56,7 @@ class Detector:
         self.solver = Solver(arm, identified_mount(cell, arm))
         self.lower = self.robot.lower + cell.limit_margin
         self.upper = self.robot.upper - cell.limit_margin
+        self.search = PostureSearch(self.solver, self.lower, self.upper)
         self.rest = np.clip(np.zeros(arm.n), self.lower, self.upper)
         from offline_ik.safety import check_sample
 
@@ -232,7 +138,7 @@ class Detector:
         *,
         near: Sequence[float] | Array | None = None,
         branch: Choice | str = "nearest",
-        direction: Array | Literal["moved"] | None = None,
+        direction: Direction = None,
     ) -> Answer:
         """Joint and motor angles for a detector position.
 
@@ -265,8 +171,8 @@ class Detector:
         rolls = np.array([roll]) if roll is not None else np.arange(ROLLS) * (2 * np.pi / ROLLS) - np.pi
         poses = detector_pose(self.cell.convention, gamma, delta, r, np.asarray(rolls, dtype=np.float64))
         found: list[Solution] = []
-        reasons: dict[str, None] = {}
-        order = self._order(poses, here) if roll is None else [0]
+        reasons: Reasons = {}
+        order = self.search.order(self.to_base(poses), here) if roll is None else [0]
         for k in order:
             found = self._solutions(poses[k], float(rolls[k]), here, choice, direction, reasons)
             if found:
@@ -303,7 +209,7 @@ class Detector:
         )
 
     def _quick(
-        self, asked: tuple[float, float, float, float], here: Array, direction: Array | Literal["moved"] | None
+        self, asked: tuple[float, float, float, float], here: Array, direction: Direction
     ) -> tuple[Array, Solution] | None:
         """Target and nearest solution by the one compiled kernel; None where that is not the whole story."""
         kernel, n = self._kernel, self.arm.n
@@ -330,22 +236,12 @@ class Detector:
             math.hypot(*error[3:]),
             self.propagation.combined(kernel.out[1].reshape(6, -1), kernel.out[2].reshape(n, 6)),
             asked[3],
-            self._names(told[1], told[3], -told[2]),
+            self.search.names(told[1], told[3], -told[2]),
             status,
             turn,
             told[4],
             first[22 + 2 * n : 22 + 3 * n],
         )
-
-    def _names(self, wrist: float, elbow: float, shoulder: float) -> tuple[str, ...]:
-        """What is singular: by |sin| of the wrist's angle, joint 3 of the chain, the wrist's distance from axis 1."""
-        ortho = self.solver.ortho
-        found = ["wrist"] if wrist < WRIST_SINGULAR else []
-        if ortho is not None and abs(math.sin(elbow - ortho.stretched)) < ELBOW_SINGULAR:
-            found.append("elbow")
-        if shoulder < SHOULDER_SINGULAR:
-            found.append("shoulder")
-        return tuple(found)
 
     @cached_property
     def _still_vector(self) -> Array:
@@ -355,28 +251,18 @@ class Detector:
     def _to_motor(self) -> Array:
         return np.linalg.inv(np.asarray(self.robot.transmission))
 
-    def _order(self, poses: Array, here: Array) -> list[int]:
-        """Free rolls, those that move the joints least first."""
-        base = np.array([self.to_base(p) for p in poses])
-        if self.solver.analytic is None:
-            return list(range(len(poses)))
-        q, quality = self.solver.branches(base, here)
-        fits = (quality[..., :2] <= 0).all(axis=2) & ((q >= self.lower) & (q <= self.upper)).all(axis=2)
-        cost = np.where(fits, np.abs(q - here).max(axis=2), np.inf).min(axis=1)
-        return [int(k) for k in np.argsort(cost, kind="stable")]
-
     def _solutions(
         self,
         pose: Array,
         roll: float,
         here: Array,
         choice: Choice,
-        direction: Array | Literal["moved"] | None,
-        reasons: dict[str, None],
+        direction: Direction,
+        reasons: Reasons,
     ) -> list[Solution]:
         base = self.to_base(pose)
         found: list[Solution] = []
-        for q, direct in self._postures(base, here, direction, reasons):
+        for q, direct in self.search.find(base, here, direction, self.still, reasons):
             if not choice.allows(self.solver.ortho, self.solver.linkage @ q):
                 reasons["no branch of those asked for leads there"] = None
                 continue
@@ -385,70 +271,6 @@ class Detector:
             found.append(self._solution(q, base, roll, here, replace(self.still, direction=direct)))
         found.sort(key=lambda s: s.distance)
         return found if choice.kind == "all" else found[:1]
-
-    def _postures(
-        self, base: Array, here: Array, direction: Array | Literal["moved"] | None, reasons: dict[str, None]
-    ) -> list[tuple[Array, Array]]:
-        """Postures within limits on the identified model, with the directions that they were solved for."""
-        starts = self._starts(base, here, reasons)
-        out = []
-        for start, signs in starts:
-            near = start
-            given = self._direction(direction, start, here)
-            solved = self.solver.solve(base[None], near[None], signs[None], replace(self.still, direction=given))
-            if not solved.reached[0]:
-                reasons["beyond the reach of the identified arm" if self.solver.ortho else
-                        "no posture was found: out of reach, or nearly"] = None  # fmt: skip
-                continue
-            q = candidate_turns(solved.q[0], start, self.lower, self.upper)
-            if q is None:
-                reasons[self._limits(solved.q[0])] = None
-                continue
-            if np.abs(q - solved.q[0]).max() > 1e-9:  # another turn: solved again, since ratios may be off
-                again = self.solver.solve(base[None], q[None], signs[None], replace(self.still, direction=given))
-                q = again.q[0]
-                if not again.reached[0] or (q < self.lower).any() or (q > self.upper).any():
-                    reasons[self._limits(q)] = None
-                    continue
-            out.append((q, given))
-        return out
-
-    def _starts(self, base: Array, here: Array, reasons: dict[str, None]) -> list[tuple[Array, Array]]:
-        if self.solver.analytic is None:
-            rng = np.random.default_rng(0)
-            low, high = np.clip(self.lower, -np.pi, np.pi), np.clip(self.upper, -np.pi, np.pi)
-            return [(start, np.ones(3)) for start in (here, *rng.uniform(low, high, (ROLLS, len(here))))]
-        q, quality = self.solver.branches(base[None], here)
-        out = []
-        for branch, lacks, signs in zip(q[0], quality[0], SIGNS, strict=True):
-            if lacks[0] > NEARLY:
-                reasons[f"the wrist would be {1e3 * lacks[0]:.0f} mm too near to axis 1"] = None
-                continue
-            if lacks[1] > NEARLY:
-                reasons[f"out of reach by {1e3 * lacks[1]:.0f} mm"] = None
-                continue
-            turned = candidate_turns(branch, here, self.lower - 0.05, self.upper + 0.05)
-            if turned is None:
-                reasons[self._limits(branch)] = None
-                continue
-            out.append((turned, signs))
-        return out
-
-    def _direction(self, direction: Array | Literal["moved"] | None, start: Array, here: Array) -> Array:
-        if direction is None:
-            return np.zeros(self.arm.n)
-        if isinstance(direction, str):
-            return np.sign(start - here)
-        return np.asarray(np.sign(np.asarray(direction, dtype=float)))
-
-    def _limits(self, q: Array) -> str:
-        """The joints whose limits no turn keeps."""
-        beyond = []
-        for i, joint in enumerate(self.robot.joints):
-            one = slice(i, i + 1)
-            if candidate_turns(q[one], q[one], self.lower[one], self.upper[one]) is None:
-                beyond.append(joint.name)
-        return f"beyond the limits of {', '.join(beyond)}" if beyond else "at the limits"
 
     def _solution(self, q: Array, base: Array, roll: float, here: Array, conditions: Conditions) -> Solution:
         error = self.solver.residual(base, q, conditions)
@@ -459,9 +281,9 @@ class Detector:
             self.motor(q),
             float(np.linalg.norm(error[:3])),
             float(np.linalg.norm(error[3:])),
-            self.propagation.at(q, conditions, self._towards(base, roll)),
+            self.propagation.at(q, conditions, self.towards(base, roll)),
             roll,
-            self._singular(base, chain),
+            self.search.singular(base, chain, self.still),
             status,
             turn,
             float(np.abs(q - here).max()),
@@ -473,19 +295,11 @@ class Detector:
         """From the model's covariance to the detector's."""
         return Propagation(self.solver, self.cell)
 
-    def _towards(self, base: Array, roll: float) -> Array:
+    def towards(self, base: Array, roll: float) -> Array:
         """Columns: across and up of the detector as the circles carry it (at roll 0), outward; in the base's axes."""
         c, s = math.cos(roll), math.sin(roll)
         x, y, z = base[:3, 0], base[:3, 1], base[:3, 2]
         return np.column_stack([-s * x - c * y, s * y - c * x, -z])
-
-    def _singular(self, base: Array, chain: Array) -> tuple[str, ...]:
-        ortho = self.solver.ortho
-        if ortho is None:
-            J = self.solver.forward.one(np.r_[self.solver.unlinked @ chain, self.still.vector])[2].reshape(6, -1)
-            return ("singular",) if np.linalg.svd(J, compute_uv=False)[-1] < WRIST_SINGULAR else ()
-        _, quality = self.solver.branches(base[None], chain)
-        return self._names(abs(math.sin(chain[4] + ortho.psi)), float(chain[2]), -float(quality[0, 0, 0]))
 
 
 def open_detector(

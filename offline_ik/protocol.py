@@ -10,7 +10,6 @@ import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,42 +17,22 @@ import numpy.typing as npt
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
+from offline_ik.answer import Answer
 from offline_ik.approach import approach_through
-from offline_ik.detector import Answer, Detector, Solution
+from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.pyfai import pyfai_geometry
+from offline_ik.requests import WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
+from offline_ik.wording import answered, solutions_of
 
-__all__ = ["RequestError", "RobotLink", "Session", "Speaker"]
+__all__ = ["RobotLink", "Session", "Speaker"]
 
 Array = npt.NDArray[np.float64]
 
 ABSOLUTE_ZERO, HOT = -273.15, 200.0  # °C: what a temperature of a robot may be
-_TEMPLATE = (
-    '{"q_rad": [#], "motor_rad": [#], "position_error_m": %.3g, "angle_error_rad": %.3g, '
-    '"std_m": %.6g, "std_rad": %.6g, "radius95_m": %.6g, "tangential_std_m": %.6g, "radial_std_m": %.6g, '
-    '"tangential_std_pixels": %.6g, "model_std_m": %.6g, "approach_std_m": %.6g, "roll_rad": %.12g, '
-    '"status": %d, "turn": %d, "largest_move_rad": %.6g, "approach_direction": [#], "singular": %s}'
-)
-WORDS = {
-    "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "pyfai"),
-    "path": ("gamma", "delta", "r", "roll", "from", "branch", "to"),
-    "stream": ("gamma", "delta", "r", "roll", "dt"),
-    "start": ("q",),
-    "temperature": ("link", "motor"),
-    "move": ("gamma", "delta", "r", "roll"),
-    "state": (),
-    "help": (),
-    "quit": (),
-}
-
-
 Told = tuple[dict[str, Any], str]
 """An answer's members, and further ones as text to be spliced in."""
-
-
-class RequestError(CallError):
-    """A line that is no request; the message says what was expected."""
 
 
 class RobotLink(Protocol):
@@ -125,38 +104,38 @@ class Speaker:
         return _line({"ok": False, "error": reason})
 
     def _where(self, given: Mapping[str, str], session: Session) -> Told:
-        answer = self._located(given, _numbers(given, "near"))
-        data = _answered(answer)
-        if answer.reachable and _switch(given, "approach"):
-            way = approach_through(self.detector, answer, near=_numbers(given, "near"))
+        answer = self._located(given, numbers(given, "near"))
+        data = answered(answer)
+        if answer.reachable and switch(given, "approach"):
+            way = approach_through(self.detector, answer, near=numbers(given, "near"))
             answer = way.answer
-            data = {**_answered(answer), "approach": way.to_json()}
-        if answer.reachable and _switch(given, "pyfai"):
+            data = {**answered(answer), "approach": way.to_json()}
+        if answer.reachable and switch(given, "pyfai"):
             data["pyfai"] = pyfai_geometry(self.detector.cell.convention, answer.target).to_json()
-        return data, self._convention + _solutions(answer)
+        return data, self._convention + solutions_of(answer)
 
     def _located(self, given: Mapping[str, str], near: Array | None) -> Answer:
-        roll = None if given.get("roll") == "free" else _number(given, "roll", 0.0)
+        roll = None if given.get("roll") == "free" else number(given, "roll", 0.0)
         return self.detector.locate(
-            _number(given, "gamma"), _number(given, "delta"), _number(given, "r"), roll,
+            number(given, "gamma"), number(given, "delta"), number(given, "r"), roll,
             near=near, branch=given.get("branch", "nearest"), direction=None if near is None else "moved",
         )  # fmt: skip
 
     def _path(self, given: Mapping[str, str], session: Session) -> Told:
-        start = _numbers(given, "from")
+        start = numbers(given, "from")
         if start is None:
             start = self._posture(session)
         start = self.detector.check_posture(start, "from")
-        to = _numbers(given, "to")
+        to = numbers(given, "to")
         if to is not None:
             return {
                 "path": finite(check_path(self.detector, [start, self.detector.check_posture(to, "to")]).to_json())
             }, self._convention
         answer = self._located(given, start)
-        data = _answered(answer)
+        data = answered(answer)
         if answer.reachable:
             data["path"] = finite(check_path(self.detector, [start, answer.solutions[0].q]).to_json())
-        return data, self._convention + _solutions(answer)
+        return data, self._convention + solutions_of(answer)
 
     def _posture(self, session: Session) -> Array:
         if self.link is not None:
@@ -166,7 +145,7 @@ class Speaker:
         return session.here
 
     def _start(self, given: Mapping[str, str], session: Session) -> Told:
-        q = _numbers(given, "q")
+        q = numbers(given, "q")
         if q is None:
             raise RequestError("start: expected q=q1,q2,…")
         session.here = self.detector.check_posture(q, "q")
@@ -174,11 +153,11 @@ class Speaker:
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Told:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
-        dt = _number(given, "dt", math.inf)
+        dt = number(given, "dt", math.inf)
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
         answer = self._located(given, session.here)
-        data = _answered(answer)
+        data = answered(answer)
         if answer.reachable:
             q = answer.solutions[0].q
             if session.here is not None:
@@ -192,10 +171,10 @@ class Speaker:
             session.here = q
             session.count += 1
         data["number"] = session.count
-        return data, self._convention + _solutions(answer)
+        return data, self._convention + solutions_of(answer)
 
     def _temperature(self, given: Mapping[str, str], session: Session) -> Told:
-        found = {k: _numbers(given, k) for k in ("link", "motor")}
+        found = {k: numbers(given, k) for k in ("link", "motor")}
         if all(v is None for v in found.values()):
             raise RequestError("temperature: expected link=t1,t2,… or motor=t1,t2,… in degC")
         for name, values in found.items():
@@ -218,14 +197,14 @@ class Speaker:
             raise RequestError("move: no robot is linked; this server only computes")
         here = self.detector.check_posture(self.link.posture(), "the robot's posture")
         answer = self._located(given, here)
-        data = _answered(answer)
+        data = answered(answer)
         if not answer.reachable:
-            return {**data, "moving": False}, self._convention + _solutions(answer)
+            return {**data, "moving": False}, self._convention + solutions_of(answer)
         path = check_path(self.detector, [here, answer.solutions[0].q])
         data["path"] = finite(path.to_json())
         if path.safe:
             self.link.move(np.array([answer.solutions[0].q]), self.detector.cell.speed)
-        return {**data, "moving": path.safe}, self._convention + _solutions(answer)
+        return {**data, "moving": path.safe}, self._convention + solutions_of(answer)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell
@@ -262,94 +241,6 @@ class Speaker:
             "quit": Speaker._quit,
         },
     )
-
-
-def parse(line: bytes) -> tuple[str, dict[str, str]]:
-    """A request's word and its pairs.
-
-    Raises
-    ------
-    RequestError
-        The line is no text, its word is not known, a pair is none, not known there, or comes twice.
-    """
-    try:
-        parts = line.decode("ascii").split()
-    except UnicodeDecodeError:
-        raise RequestError("expected a line of ASCII text, found other bytes") from None
-    if not parts:
-        raise RequestError(f"expected a request, found an empty line; known: {', '.join(WORDS)}")
-    word, given = parts[0], {}
-    if word not in WORDS:
-        raise RequestError(f"no request is called {word[:40]!r}; known: {', '.join(WORDS)}")
-    for part in parts[1:]:
-        key, equals, value = part.partition("=")
-        if not equals or not value:
-            raise RequestError(f"{word}: expected key=value, found {part[:40]!r}")
-        if key != "id" and key not in WORDS[word]:
-            raise RequestError(f"{word}: no key is called {key[:40]!r}; known: {', '.join((*WORDS[word], 'id'))}")
-        if key in given:
-            raise RequestError(f"{word}: {key} is given twice")
-        given[key] = value
-    return word, given
-
-
-def _number(given: Mapping[str, str], key: str, default: float | None = None) -> float:
-    if key not in given:
-        if default is None:
-            raise RequestError(f"expected {key}=NUMBER")
-        return default
-    try:
-        return float(given[key])
-    except ValueError:
-        raise RequestError(f"{key}: expected a number, found {given[key][:40]!r}") from None
-
-
-def _numbers(given: Mapping[str, str], key: str) -> Array | None:
-    if key not in given:
-        return None
-    try:
-        return np.array([float(part) for part in given[key].split(",")])
-    except ValueError:
-        raise RequestError(f"{key}: expected numbers separated by commas, found {given[key][:40]!r}") from None
-
-
-def _switch(given: Mapping[str, str], key: str) -> bool:
-    value = given.get(key, "no")
-    if value not in ("yes", "no"):
-        raise RequestError(f"{key}: expected yes or no, found {value[:40]!r}")
-    return value == "yes"
-
-
-def _answered(answer: Answer) -> dict[str, Any]:
-    """What the server says of an answer; the cell is in its state."""
-    return {
-        "reachable": answer.reachable,
-        "reasons": list(answer.reasons),
-        "nearest": answer.nearest,
-        "asked": answer.asked,
-    }
-
-
-def _solutions(answer: Answer) -> str:
-    """Position and solutions as JSON members, by one template: the encoder would take as long as the solver."""
-    x, y, z = answer.target[:3, 3].tolist()
-    solutions = ", ".join(map(_told, answer.solutions))
-    return f', "detector_position_m": [{x:.9f}, {y:.9f}, {z:.9f}], "solutions": [{solutions}]'
-
-
-@lru_cache
-def _template(n: int) -> str:
-    return _TEMPLATE.replace("#", ", ".join(["%.12g"] * n))
-
-
-def _told(solution: Solution) -> str:
-    u = solution.uncertainty
-    return _template(len(solution.q)) % (
-        *solution.q.tolist(), *solution.motor.tolist(), solution.position_error, solution.angle_error, u.std_m,
-        u.std_rad, u.radius95_m,
-        u.tangential_m, u.radial_m, u.tangential_m / u.pixel, u.model_m, u.approach_m, solution.roll, solution.status,
-        solution.turn, solution.distance, *solution.direction.tolist(), json.dumps(solution.singular),
-    )  # fmt: skip
 
 
 def _id(given: Mapping[str, str]) -> dict[str, str]:

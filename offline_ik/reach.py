@@ -106,7 +106,7 @@ def _by_least_squares(detector: Detector, target: Array) -> dict[str, float] | N
     rng = np.random.default_rng(0)
     low, high = np.clip(detector.lower, -np.pi, np.pi), np.clip(detector.upper, -np.pi, np.pi)
     starts = rng.uniform(low, high, (16, detector.arm.n))
-    ends = solver.refine(np.tile(base, (len(starts), 1, 1)), starts, detector.still)
+    ends = solver.search.refine(np.tile(base, (len(starts), 1, 1)), starts, detector.still)
     order = np.argsort(np.linalg.norm(ends.error, axis=1))
     for k in order:
         q = candidate_turns(ends.q[k], np.zeros(detector.arm.n), detector.lower, detector.upper)

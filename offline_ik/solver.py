@@ -8,64 +8,23 @@ in Marquardt's method.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.screws import log_so3
 from offline_ik.arm import Conditions, IdentifiedArm
 from offline_ik.kernels import CONVERGED, Kernel, branch_kernel, forward_kernel, sensitivity_kernel, solve_kernel
-from offline_ik.ortho import BRANCHES, SIGNS, OrthoArm, ortho_arm, signs_of
+from offline_ik.ortho import BRANCHES, OrthoArm, ortho_arm, signs_of
+from offline_ik.search import Search, Solved, poses_of, wrapped
 
-__all__ = ["CONVERGED", "ELBOW_SINGULAR", "WRIST_SINGULAR", "Solved", "Solver"]
+__all__ = ["CONVERGED", "NEARLY", "Solved", "Solver"]
 
 Array = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
-Rows = npt.NDArray[np.intp]
 
-WISHED = 1e-11  # what rounding allows, and what a start is improved to
-WRIST_SINGULAR = 0.02  # |sin| of the wrist's angle below which it is called singular: joints 4 and 6 trade places
-ELBOW_SINGULAR = 0.02  # |sin| of the elbow's angle
 NEARLY = 0.02  # m by which the nominal arm may fall short and the real one still be tried
-AROUND = 3e-3  # m: what calibrated arms differ from nominal ones by
-AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what is left after everything else
-ASIDE = (0.003, -0.003, 0.01, -0.01, 0.03, -0.03, 0.1, -0.1)  # rad, along the direction in which a pose hardly moves
-VALLEY, VALLEY_STEPS = 0.02, 60  # rad at most in each of so many steps
-STARTS = 40  # of an arm without an analytic solution
 MANY = 64  # poses, for which a kernel of its own is worth compiling
 FURTHER = 3  # chords of that kernel
-LM_STEPS = 80
-LONG_STEPS = 1500
-FIRST = 3  # starts, after which the loads' change is let in
-NEAR = 1e-3  # m and rad: what is further off after a search lies in another valley
-STEP = 1e-6  # rad, of central differences: exact to 1e-10
-
-
-@dataclass(frozen=True)
-class Solved:
-    """Solutions of a block of poses.
-
-    Attributes
-    ----------
-    q
-        ``(N, n)``, rad: the controller's joint values.
-    error
-        ``(N, 6)``: what is left at q, position m and rotation vector rad.
-    pressing
-        ``(N, n)``, Nm: its sign is the flank.
-    """
-
-    q: Array
-    error: Array
-    pressing: Array
-
-    @property
-    def reached(self) -> Bools:
-        """``(N,)``."""
-        return np.asarray(np.abs(self.error).max(axis=1) <= CONVERGED)
 
 
 class Solver:
@@ -82,6 +41,7 @@ class Solver:
         self.ortho: OrthoArm | None = ortho_arm(arm.robot)
         self.linkage = np.asarray(arm.robot.linkage)
         self.unlinked = np.linalg.inv(self.linkage)
+        self.search = Search(self)
 
     @cached_property
     def forward(self) -> Kernel:
@@ -112,11 +72,11 @@ class Solver:
         """Poses ``(N, 4, 4)`` of the detector in the calibrated base's frame at ``q`` ``(N, n)``."""
         q = np.atleast_2d(q)
         p, R, _, _ = self.forward.many(q, np.tile(conditions.vector, (len(q), 1)))
-        return _poses(R, p)
+        return poses_of(R, p)
 
     def residual(self, pose: Array, q: Array, conditions: Conditions) -> Array:
         """What is left ``(6,)`` to a pose ``(4, 4)`` at ``q`` ``(n,)``: position m, rotation vector rad."""
-        return np.asarray(self._errors(pose[None], q[None], conditions.vector[None], False)[0][0])
+        return np.asarray(self.search.errors(pose[None], q[None], conditions.vector[None], False)[0][0])
 
     def branches(self, poses: Array, near: Array | None = None) -> tuple[Array, Array]:
         """Analytic postures of the nominal arm.
@@ -148,7 +108,7 @@ class Solver:
         q4 = np.full((len(poses), 1), chain_near[3])
         flat, quality = self.analytic.many(flange[:, :3, :3].reshape(-1, 9), flange[:, :3, 3], q4)
         chain = flat.reshape(-1, BRANCHES, 6)
-        chain = chain_near + _wrapped(chain - chain_near)
+        chain = chain_near + wrapped(chain - chain_near)
         return chain @ self.unlinked.T, quality.reshape(-1, BRANCHES, 3)
 
     def solve(self, poses: Array, near: Array, signs: Array, conditions: Conditions) -> Solved:
@@ -179,194 +139,11 @@ class Solver:
             left[rows[ok]] = False
         if left.any():
             rows = np.flatnonzero(left)
-            again = self._hard(poses[rows], near[rows], signs[rows], conditions, q[rows])
+            again = self.search.solve(poses[rows], near[rows], signs[rows], conditions, q[rows])
             q[rows], error[rows], pressing[rows] = again.q, again.error, again.pressing
         return Solved(q, error, pressing)
-
-    def _hard(self, poses: Array, near: Array, signs: Array, conditions: Conditions, first: Array) -> Solved:
-        """Several starts for each pose; the best end counts, those near the asked branch first."""
-        best = Solved(near.copy(), np.full((len(poses), 6), np.inf), np.zeros_like(near))
-
-        def attempt(start: Array, steps: int = LM_STEPS, exact: bool = False) -> bool:
-            cost = np.abs(best.error).max(axis=1)
-            rows = np.flatnonzero(~(cost <= 0.1 * CONVERGED) & (~np.bool_(exact) | (cost < NEAR)))
-            if len(rows):
-                found = self.refine(poses[rows], start[rows], conditions, exact, steps)
-                better = np.abs(found.error).max(axis=1) < cost[rows]
-                chosen = rows[better]
-                best.q[chosen], best.error[chosen] = found.q[better], found.error[better]
-                best.pressing[chosen] = found.pressing[better]
-            return bool(len(rows))
-
-        for k, start in enumerate(self._starts(poses, near, signs, conditions, first)):
-            if not attempt(start):
-                break
-            if k == FIRST:
-                attempt(best.q, exact=True)
-        attempt(best.q, LONG_STEPS, exact=True)  # within 1e-4 rad of a fold Newton's steps are short
-        cost = np.abs(best.error).max(axis=1)
-        rows = np.flatnonzero((cost > CONVERGED) & (cost < NEAR))
-        if self.ortho is not None and len(rows):  # a few in a million
-            self._last(best, rows, poses, near, signs, conditions)
-        q = near + _wrapped(best.q - near)
-        if np.abs(q - best.q).max(initial=0.0) > 1e-6:  # what counts turns (a wrong ratio) wants the last word
-            last = self.refine(poses, q, conditions)
-            ok = np.abs(last.error).max(axis=1) <= np.maximum(np.abs(best.error).max(axis=1), 0.1 * CONVERGED)
-            best.q[ok], best.error[ok], best.pressing[ok] = last.q[ok], last.error[ok], last.pressing[ok]
-        return best
-
-    def _last(self, best: Solved, rows: Rows, poses: Array, near: Array, signs: Array, conditions: Conditions) -> None:
-        """Improve the rows that nothing else solved: patient searches around, then along the bottom of a valley."""
-
-        def keep(found: Solved) -> None:
-            better = np.abs(found.error).max(axis=1) < np.abs(best.error[rows]).max(axis=1)
-            best.q[rows[better]], best.error[rows[better]] = found.q[better], found.error[better]
-            best.pressing[rows[better]] = found.pressing[better]
-
-        for radius in AROUNDS:
-            for turn in np.linspace(0, 2 * np.pi, 8, endpoint=False):
-                start = self._seed(self._aside(poses[rows], radius, turn), signs[rows], near[rows])
-                keep(self.refine(poses[rows], start, conditions, True, LM_STEPS))
-        keep(self.refine(poses[rows], best.q[rows], conditions, True, LONG_STEPS))
-        _, J, _ = self._errors(poses[rows], best.q[rows], np.tile(conditions.vector, (len(rows), 1)), True)
-        weak = np.linalg.svd(J)[2][:, -1]
-        middle = best.q[rows].copy()
-        for aside in (0.0, *ASIDE):
-            keep(self._valley(poses[rows], middle + aside * weak, conditions))
-
-    def _valley(self, poses: Array, start: Array, conditions: Conditions) -> Solved:
-        """Newton's method that may climb: in a bent valley every step along its bottom first climbs its side."""
-        given = np.tile(conditions.vector, (len(poses), 1))
-        q = start.copy()
-        best = Solved(q.copy(), np.full((len(q), 6), np.inf), np.zeros_like(q))
-        for _ in range(VALLEY_STEPS):
-            error, J, pressing = self._errors(poses, q, given, True)
-            better = np.abs(error).max(axis=1) < np.abs(best.error).max(axis=1)
-            best.q[better], best.error[better], best.pressing[better] = q[better], error[better], pressing[better]
-            step = (np.linalg.pinv(J, rcond=1e-10) @ error[:, :, None])[:, :, 0]
-            q = q + step * np.minimum(1.0, VALLEY / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
-        return best
-
-    def _starts(self, poses: Array, near: Array, signs: Array, conditions: Conditions, first: Array) -> Iterator[Array]:
-        """Starts of a search, the likely ones first, each made only when it is its turn."""
-        sane = np.isfinite(first).all(axis=1, keepdims=True) & (np.abs(first - near).max(axis=1, keepdims=True) < 7.0)
-        yield near if self.ortho is None else np.where(sane, first, near)
-        if self.ortho is None:
-            rng = np.random.default_rng(0)
-            low, high = (np.clip(v, -np.pi, np.pi) for v in (self.arm.robot.lower, self.arm.robot.upper))
-            yield np.where(sane, first, near)
-            for _ in range(STARTS):
-                yield np.tile(rng.uniform(low, high), (len(poses), 1))
-            return
-        seed = self._seed(poses, signs, near)
-        yield seed
-        # The nominal arm's posture for a pose that is off by what the identified arm does there.
-        off = self._nominal(seed) @ np.linalg.inv(self.pose(seed, conditions))
-        yield self._seed(off @ poses, signs, near)
-        for turn in np.linspace(0, 2 * np.pi, 12, endpoint=False)[1:]:
-            # At a singular wrist joints 4 and 6 trade places: any share may be the real arm's.
-            start = seed.copy()
-            start[:, 3] += turn
-            start[:, 5] -= turn * np.sign(self.ortho.axes[3] @ self.ortho.axes[5]) * np.sign(np.cos(seed[:, 4]))
-            start[:, 4] += 0.01 * np.sign(np.sin(seed[:, 4] + self.ortho.psi) + 1e-30)
-            yield start
-        for turn in np.linspace(0, 2 * np.pi, 16, endpoint=False):
-            # The wrist on axis 1: joint 1 is as good as free. Postures for places around give all its values.
-            yield self._seed(self._aside(poses, AROUND, turn), signs, near)
-        for other in SIGNS:  # near a border branches meet
-            yield self._seed(poses, np.tile(other, (len(poses), 1)), near)
-
-    def _aside(self, poses: Array, radius: float, turn: float) -> Array:
-        """The poses moved across axis 1."""
-        moved = poses.copy()
-        moved[:, :3, 3] += radius * (np.cos(turn) * self._across[0] + np.sin(turn) * self._across[1])
-        return moved
-
-    def _seed(self, poses: Array, signs: Array, near: Array) -> Array:
-        q, _ = self.branches(poses)
-        branch = np.argmax((signs[:, None, :] == SIGNS).all(axis=2), axis=1)
-        return np.asarray(near + _wrapped(q[np.arange(len(q)), branch] - near))
-
-    @cached_property
-    def _across(self) -> Array:
-        """Two directions ``(2, 3)`` across axis 1."""
-        axis = self.arm.robot.joints[0].axis
-        return np.linalg.svd(np.asarray(axis)[None, :])[2][1:]
-
-    @cached_property
-    def _ideal(self) -> Kernel:
-        from offline_ik.arm import nominal_arm
-
-        return forward_kernel(nominal_arm(self.arm.robot), self.mount)
-
-    def _nominal(self, q: Array) -> Array:
-        still = Conditions.still(self.arm.n).vector
-        p, R, _, _ = self._ideal.many(q, np.tile(still, (len(q), 1)))
-        return _poses(R, p)
-
-    def refine(
-        self, poses: Array, start: Array, conditions: Conditions, exact: bool = False, steps: int = LM_STEPS
-    ) -> Solved:
-        """Levenberg and Marquardt's method from starts ``(N, n)``, each row with its own damping.
-
-        ``exact``: with the loads' change with the posture in the Jacobian, which near a singularity is all that is
-        left of it.
-        """
-        given = np.tile(conditions.vector, (len(poses), 1))
-        q = np.asarray(start, dtype=float).copy()
-        error, J, pressing = self._errors(poses, q, given, exact)
-        cost = np.sum(error**2, axis=1)
-        damping, growth = np.full(len(q), 1e-3), np.full(len(q), 2.0)
-        active = np.ones(len(q), dtype=bool)
-        for _ in range(steps):
-            active &= (np.abs(error).max(axis=1) > WISHED) & (damping < 1e8)
-            rows = np.flatnonzero(active)
-            if not len(rows):
-                break
-            JT = np.swapaxes(J[rows], 1, 2)
-            A = JT @ J[rows] + damping[rows, None, None] * np.eye(q.shape[1])
-            step = np.linalg.solve(A, JT @ error[rows, :, None])[:, :, 0]
-            trial = q[rows] + np.clip(step, -0.5, 0.5)
-            new_error, new_J, new_pressing = self._errors(poses[rows], trial, given[rows], exact)
-            new_cost = np.sum(new_error**2, axis=1)
-            good = new_cost < cost[rows]
-            take, leave = rows[good], rows[~good]
-            q[take], error[take], J[take], cost[take] = trial[good], new_error[good], new_J[good], new_cost[good]
-            pressing[take] = new_pressing[good]
-            damping[take], growth[take] = np.maximum(damping[take] * 0.1, 1e-15), 2.0
-            damping[leave] = np.maximum(damping[leave], 1e-13) * growth[leave] * 2
-            growth[leave] *= 2
-        return Solved(q, error, pressing)
-
-    def _errors(self, poses: Array, q: Array, given: Array, exact: bool) -> tuple[Array, Array, Array]:
-        p, R, J, pressing = self.forward.many(q, given)
-        error = np.empty((len(q), 6))
-        error[:, :3] = poses[:, :3, 3] - p
-        error[:, 3:] = log_so3(poses[:, :3, :3] @ np.swapaxes(R.reshape(-1, 3, 3), 1, 2))
-        J = J.reshape(len(q), 6, -1)
-        if exact:
-            J = J.copy()
-            for k in range(q.shape[1]):
-                (p1, R1), (p0, R0) = (self.forward.many(q + side * _axis(k, q.shape[1]), given)[:2] for side in (1, -1))
-                J[:, :3, k] = (p1 - p0) / (2 * STEP)
-                J[:, 3:, k] = log_so3(R1.reshape(-1, 3, 3) @ np.swapaxes(R0.reshape(-1, 3, 3), 1, 2)) / (2 * STEP)
-        return error, J, pressing
 
     def signs(self, q: Array) -> Array:
         """The branches ``(N, 3)`` that postures ``(N, n)`` are on; ones for an arm without analytic solution."""
         q = np.atleast_2d(q)
         return np.ones((len(q), 3)) if self.ortho is None else signs_of(self.ortho, q @ self.linkage.T)
-
-
-def _poses(R: Array, p: Array) -> Array:
-    out = np.zeros((len(p), 4, 4))
-    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = R.reshape(-1, 3, 3), p, 1.0
-    return out
-
-
-def _axis(k: int, n: int) -> Array:
-    return np.asarray(STEP * np.eye(n)[k])
-
-
-def _wrapped(angle: Array) -> Array:
-    return np.asarray(angle - 2 * np.pi * np.floor(angle / (2 * np.pi) + 0.5))

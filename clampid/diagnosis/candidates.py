@@ -16,7 +16,8 @@ from clampid.effect import Effect, Parameter
 from clampid.fit import Estimate
 from clampid.gauge import independent_geometry
 from clampid.noise import Whitened
-from clampid.slots import Slot, Term, find_parameter, slots_of
+from clampid.slots import Slot, Term, slots_of
+from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Array
 
 __all__ = ["Candidate", "named_candidates", "terms_not_active"]
@@ -110,7 +111,7 @@ def named_candidates(
         of_term[term] = found
         slots |= dict.fromkeys(found)
     every = [s for s in slots if s not in estimate.slots]
-    parameters = {s: find_parameter(s, effects) for s in every}
+    parameters = {s: parameter_of(s, effects, rows.robot) for s in every}
     grids = max((len(p.grid) for p in parameters.values() if p.shape), default=1)
     out: list[Candidate] = []
     for level in range(grids):

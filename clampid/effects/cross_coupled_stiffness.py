@@ -21,7 +21,12 @@ EFFECT = Effect(
     acts={"joint_angle": deflection},
     parameters=(
         Parameter(
-            "x", "rad/Nm", 0.05, "joint", meaning="compliance between this drive and the one before it, at the motors"
+            "x",
+            "rad/Nm",
+            1e-5,
+            "joint",
+            meaning="compliance between this drive and the one before it, at the motors; size at the joint",
+            gearing=2,
         ),
     ),
     needs=("torque",),

@@ -17,7 +17,15 @@ EFFECT = Effect(
     family="joint_compliance",
     acts={"joint_angle": deflection},
     parameters=(
-        Parameter("c", "rad/Nm", 0.3, "joint", (1e-4, 1e3), "compliance of the drive's spring, 1/k, at the motor"),
+        Parameter(
+            "c",
+            "rad/Nm",
+            5e-5,
+            "joint",
+            (5e-9, 0.1),
+            "compliance of the drive's spring, 1/k, at the motor; size and bounds at the joint",
+            gearing=2,
+        ),
     ),
     needs=("torque",),
     stages=("clamped", "poses"),

@@ -18,7 +18,14 @@ EFFECT = Effect(
     family="nonlinear_stiffness",
     acts={"joint_angle": deflection},
     parameters=(
-        Parameter("h", "rad/Nm^3", 3e-3, "joint", meaning="cubic part of the deflection at the motor; hardening: < 0"),
+        Parameter(
+            "h",
+            "rad/Nm^3",
+            3e-11,
+            "joint",
+            meaning="cubic part of the deflection at the motor; hardening: < 0; size at the joint",
+            gearing=4,
+        ),
     ),
     needs=("torque",),
     stages=("clamped", "poses"),

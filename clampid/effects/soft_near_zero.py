@@ -19,7 +19,14 @@ EFFECT = Effect(
     family="nonlinear_stiffness",
     acts={"joint_angle": deflection},
     parameters=(
-        Parameter("a", "rad/Nm", 0.1, "joint", meaning="compliance near zero torque beyond the spring's, at the motor"),
+        Parameter(
+            "a",
+            "rad/Nm",
+            1e-5,
+            "joint",
+            meaning="compliance near zero torque beyond the spring's, at the motor; size at the joint",
+            gearing=2,
+        ),
         Parameter("s", "Nm", 1.0, "joint", (0.02, 50.0), "torque at the motor that uses it up", True, (1.0, 0.3, 3.0)),
     ),
     needs=("torque",),

@@ -10,7 +10,6 @@ from clampid.noise import Noise, Whitened
 from clampid.nulls import null_directions
 from clampid.planning.indices import observability
 from clampid.priors import description_priors
-from clampid.slots import find_parameter
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
 from experiments.plans.model import Expected, ExpectedParameter
@@ -61,8 +60,7 @@ def expected_of(
     covariance = predicted_covariance(information, precision, size)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     parameters = []
-    for k, slot in enumerate(experiment.slots):
-        parameter = find_parameter(slot, experiment.effects)
+    for k, (slot, parameter) in enumerate(zip(experiment.slots, experiment.parameters, strict=True)):
         parameters.append(
             ExpectedParameter(slot.label, parameter.unit, parameter.size, float(std[k]), bool(std[k] < parameter.size))
         )

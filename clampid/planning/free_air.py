@@ -8,14 +8,14 @@ exchanging stops for others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import MappingProxyType
 
 import numpy as np
 
 from clampid.catalogue import catalogue
 from clampid.planning.choose import log_det
-from clampid.planning.expected import expected_of, prior_precision
+from clampid.planning.expected import prior_precision
 from clampid.planning.logs import STANDARD, LogBench, TorqueNoise
+from clampid.planning.program import check_program, finished_program, wishes
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.rows import Array
@@ -24,35 +24,14 @@ from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits, course_of
 from experiments.plans.model import Cell, Plan, Run
 from experiments.plans.motion import Course
-from experiments.plans.press import rated_motor_torque
-from experiments.plans.validate import validate_plan
 
-__all__ = ["plan_free_air", "torque_noise_of"]
+__all__ = ["plan_free_air"]
 
 POOL = 400
 AT_ONCE = 16  # candidates looked at for the next stop
 TRIALS = 4  # candidates looked at in an exchange
 PASSES = 1
 FEWEST = 4  # stops: fewer do not make a program
-NOISE_SHARE = 0.01  # of the rated torque
-
-
-def torque_noise_of(
-    cell: Cell, share: float | None, rated: Sequence[float] | None
-) -> tuple[TorqueNoise, tuple[str, ...]]:
-    """Noise of the motor torques as a share of their rated ones, and what had to be assumed.
-
-    Raises
-    ------
-    PlanError
-        The share is not above 0, or no rated torques are known.
-    """
-    if share is not None and not share > 0:
-        raise PlanError(f"torque noise: expected a share of the rated torque above 0, found {share:g}")
-    motor = rated_motor_torque(cell.robot, None if rated is None else np.asarray(rated, dtype=float))
-    used = NOISE_SHARE if share is None else share
-    words = () if share is not None else (f"torque noise of {used:.0%} of the rated motor torques",)
-    return TorqueNoise(used * motor), words
 
 
 @single_threaded
@@ -106,45 +85,8 @@ def plan_free_air(
     search.grow()
     search.improve()
     runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), speeds, strict=True))
-    told = bench.tell([run.course for run in runs])
-    information = np.sum([t.information.sum(axis=0) for t in told], axis=0)
-    rows = int(sum(t.rows.sum() for t in told))
-    plan = Plan(
-        kind="free_air",
-        cell=cell,
-        limits=limits,
-        duration=sum(run.course.length for run in runs),
-        runs=runs,
-        rate=rate,
-        expected=expected_of(bench.experiment, information, rows, noise.words),
-        assumed=(*assumed, *around.assumed),
-        wished=MappingProxyType(
-            {"time_s": time, "speeds": ", ".join(f"{s:g}" for s in speeds), "effects": ", ".join(effects), "seed": seed}
-        ),
-    )
-    validate_plan(plan)
-    return plan
-
-
-def check_program(time: float, speeds: Sequence[float], dwell: float, rate: float) -> None:
-    """Refuse numbers that no program can have.
-
-    Raises
-    ------
-    PlanError
-        The first of them.
-    """
-    if not time > 0 or not np.isfinite(time):
-        raise PlanError(f"time: expected seconds above 0, found {time:g}")
-    if len(speeds) < 2 or len(set(speeds)) < len(speeds):
-        raise PlanError(f"speeds: expected two or more different shares of the top speeds, found {list(speeds)}")
-    for share in speeds:
-        if not 0.0 < share <= 1.0:
-            raise PlanError(f"speeds: expected shares of the top speeds above 0 and at most 1, found {share:g}")
-    if not dwell > 0:
-        raise PlanError(f"dwell: expected seconds above 0, found {dwell:g}")
-    if not rate > 0:
-        raise PlanError(f"rate: expected Hz above 0, found {rate:g}")
+    wished = wishes(time, speeds, effects, seed)
+    return finished_program("free_air", limits, bench, runs, wished, assumed=(*assumed, *around.assumed))
 
 
 class _Search:

@@ -18,16 +18,20 @@ from clampid.effect import Effect
 from clampid.layout import layout_of
 from clampid.planning.bench import imagined
 from clampid.slots import Slot, parse_term, slots_of_terms
+from clampid.stages.counting import INERTIA_SHARE
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.log_facts import CLEAR_MOTION
 from clampid.stages.rows import Array, Bools, Integers
-from clampid.stages.torques import CLEAR_MOTION, INERTIA_SHARE, torque_rows
+from clampid.stages.torques import torque_rows
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell
 from experiments.plans.motion import Course
+from experiments.plans.press import rated_motor_torque
 
-__all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise"]
+__all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise", "torque_noise_of"]
 
 STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
+NOISE_SHARE = 0.01  # of the rated torque
 SETTLING = 0.25  # s after a change of speed in which a differentiated log still shows it
 
 
@@ -68,6 +72,24 @@ class Told:
 
     information: Array
     rows: Array
+
+
+def torque_noise_of(
+    cell: Cell, share: float | None, rated: Sequence[float] | None
+) -> tuple[TorqueNoise, tuple[str, ...]]:
+    """Noise of the motor torques as a share of their rated ones, and what had to be assumed.
+
+    Raises
+    ------
+    PlanError
+        The share is not above 0, or no rated torques are known.
+    """
+    if share is not None and not share > 0:
+        raise PlanError(f"torque noise: expected a share of the rated torque above 0, found {share:g}")
+    motor = rated_motor_torque(cell.robot, None if rated is None else np.asarray(rated, dtype=float))
+    used = NOISE_SHARE if share is None else share
+    words = () if share is not None else (f"torque noise of {used:.0%} of the rated motor torques",)
+    return TorqueNoise(used * motor), words
 
 
 class LogBench:

@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
 from clampid.catalogue import catalogue
 from clampid.layout import coupled_joints
 from clampid.planning.choose import factor, greedy
-from clampid.planning.expected import expected_of, prior_precision
-from clampid.planning.free_air import check_program
+from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
+from clampid.planning.program import check_program, finished_program, wishes
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.rows import Array
@@ -28,7 +27,6 @@ from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits, course_of
 from experiments.plans.model import Cell, Plan, Run
 from experiments.plans.motion import Course
-from experiments.plans.validate import validate_plan
 from kinematics.description import RobotDescription
 
 __all__ = ["SWING_STOPS", "Fact", "directions", "facts", "plan_wrist"]
@@ -148,25 +146,10 @@ def plan_wrist(
     swings = _candidates(cell, limits, around, tuple(speeds), np.random.default_rng(seed), seed)
     chosen = _choose(cell, limits, bench, swings, dwell, time)
     runs = tuple(_run(cell, limits, part, dwell) for part in _by_centre([swings[k] for k in chosen]))
-    told = bench.tell([run.course for run in runs])
-    information = np.sum([t.information.sum(axis=0) for t in told], axis=0)
-    plan = Plan(
-        kind="wrist",
-        cell=cell,
-        limits=limits,
-        duration=sum(run.course.length for run in runs),
-        runs=runs,
-        rate=rate,
-        expected=expected_of(
-            bench.experiment, information, int(sum(t.rows.sum() for t in told)), noise.words, _impossible(robot)
-        ),
-        assumed=(*assumed, *around.assumed),
-        wished=MappingProxyType(
-            {"time_s": time, "speeds": ", ".join(f"{s:g}" for s in speeds), "effects": ", ".join(asked), "seed": seed}
-        ),
+    wished = wishes(time, speeds, asked, seed)
+    return finished_program(
+        "wrist", limits, bench, runs, wished, assumed=(*assumed, *around.assumed), impossible=_impossible(robot)
     )
-    validate_plan(plan)
-    return plan
 
 
 def _standard(robot: RobotDescription) -> tuple[str, ...]:

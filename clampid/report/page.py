@@ -25,6 +25,7 @@ from clampid.report.rounds import rounds_section
 from clampid.report.stage_data import stage_data
 from clampid.report.style import Figure, Section
 from clampid.report.torque import torque_section
+from clampid.report.unknown_shape import unknown_shape_section
 from clampid.report.verdict import headline, truth_section, verdict_section
 from clampid.report.where import where_section
 from experiments.campaign import Campaign
@@ -53,6 +54,7 @@ def page(
         measured_section(model, campaign),
         rounds_section(model, first_model, stages),
         verdict_section(diagnosis, comparison),
+        unknown_shape_section(diagnosis),
         truth_section(truth),
         where_section(stages, model.seed),
         robot_section(campaign.robot, poses, before) if poses is not None else None,

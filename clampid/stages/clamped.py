@@ -19,7 +19,7 @@ import numpy as np
 from clampid.chain import Chain, Deviations
 from clampid.slots import Layout
 from clampid.stages.rows import Array, Integers, Rows
-from clampid.stages.torques import temperatures
+from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
 from experiments.signals import slip_states
 from kinematics.poe import forward, space_jacobian

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from clampid.chain import Chain, build_chain
-from clampid.effect import WEAK, Effect, Stage
+from clampid.effect import WEAK, Effect, Parameter, Stage
 from clampid.slots import Slot, find_parameter
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
+from kinematics.description import RobotDescription
 
-__all__ = ["Experiment", "experiment"]
+__all__ = ["Experiment", "experiment", "parameter_of"]
 
 
 OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
@@ -43,6 +45,11 @@ class Experiment:
         """Which of the three stages this is."""
         return self.rows.stage
 
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What the slots are values of ``(P,)``, with sizes and bounds for this robot's gears."""
+        return tuple(parameter_of(slot, self.effects, self.rows.robot) for slot in self.slots)
+
     def residual(self, theta: Array) -> tuple[Array, Array]:
         """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P + K)``, SI."""
         own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
@@ -53,6 +60,12 @@ class Experiment:
                 return torques.residual(self.rows, self.chain, own, extra)
             case _:
                 return clamped.residual(self.rows, self.chain, own, extra)
+
+    def by_joint(self, theta: Array) -> Array:
+        """In poses, what a small turn of each joint does to the prediction ``(N, m, n)``, m/rad and rad/rad."""
+        deviations = poses.evaluate(self.rows, self.chain, theta[: len(self.slots)])
+        sensitivity = poses.predict(self.rows, deviations)[2]
+        return np.asarray(sensitivity[:, : self.rows.measured.shape[1], : self.rows.robot.n])
 
     def with_rows(self, rows: Rows) -> Experiment:
         """The same effects on other rows of the same layout."""
@@ -74,37 +87,46 @@ class Experiment:
     def start(self) -> Array:
         """A start: amplitudes zero, or in ``clamped`` stiff springs; shape parameters at the first of their grid."""
         theta = np.zeros(len(self.slots) + self.offsets)
-        for k, slot in enumerate(self.slots):
-            parameter = find_parameter(slot, self.effects)
+        for k, parameter in enumerate(self.parameters):
             if parameter.shape:
                 theta[k] = parameter.grid[0]
         return theta
 
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
-        own = [find_parameter(slot, self.effects).size for slot in self.slots]
+        own = [p.size for p in self.parameters]
         return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
-        own = [find_parameter(slot, self.effects).prior_std for slot in self.slots]
+        own = [p.prior_std for p in self.parameters]
         return np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
-        own = [find_parameter(slot, self.effects).clear for slot in self.slots]
+        own = [p.clear for p in self.parameters]
         return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
 
     def bounds(self) -> tuple[Array, Array]:
         """Physical limits ``(P + K,)`` each."""
-        pairs = [find_parameter(slot, self.effects).bounds for slot in self.slots]
+        pairs = [p.bounds for p in self.parameters]
         pairs += [(-np.inf, np.inf)] * self.offsets
         return np.array([a for a, _ in pairs]), np.array([b for _, b in pairs])
 
     def shapes(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` are shapes, not amplitudes."""
-        own = [find_parameter(slot, self.effects).shape for slot in self.slots]
+        own = [p.shape for p in self.parameters]
         return np.array([*own, *([False] * self.offsets)], dtype=bool)
+
+
+def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescription) -> Parameter:
+    """The parameter that a slot is a value of, with size and bounds for this robot's gear at that joint."""
+    parameter = find_parameter(slot, effects)
+    if not parameter.gearing:
+        return parameter
+    joint = int(slot.place.removeprefix("joint")) - 1
+    own = abs(float(np.asarray(robot.transmission)[joint, joint]))
+    return parameter.geared(1.0 / own if own > 0 else 1.0)
 
 
 def experiment(rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot]) -> Experiment:

@@ -14,12 +14,12 @@ import pandas as pd
 
 from clampid.chain import Chain
 from clampid.prewhitening import REACH
-from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, motion_of, stacked
-from clampid.stages.rows import Array, Bools, Integers
+from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
+from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
+from clampid.stages.rows import Array, Integers
+from clampid.stages.temperatures import temperatures
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel
-from clampid.stages.torques import FIFTHS, INERTIA_SHARE, temperatures
 from experiments.log_windows import Window, windows
-from experiments.signals import held_sign
 
 __all__ = ["Block", "Channel", "LogDesign"]
 
@@ -118,8 +118,7 @@ class LogDesign:
     @property
     def offset_keys(self) -> Integers:
         """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
-        keys = [(r, j) for j in self.wrist for r in range(len(self.facts.moved)) if not self.facts.moved[r, j]]
-        return np.array(keys, dtype=np.int64).reshape(-1, 2)
+        return standing_joints(self.facts, self.wrist)
 
     @property
     def parameters(self) -> int:
@@ -147,8 +146,7 @@ class LogDesign:
 
     def _blocks(self) -> Iterator[Block]:
         read = {name for kernel in self.kernels.values() for name, _ in kernel.signals}
-        kinds = [("q", "rad"), ("tau", "Nm"), *([("qd", "rad_s")] if self.facts.speeds_logged else [])]
-        names = ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, self.n))]
+        names = [*self.facts.motions.columns, *joint_columns("tau", "Nm", self.n)]
         before = 0
         for p, part in enumerate(self.parts):
             warm = [c for c in part.table.names if c.startswith("temp_")]
@@ -162,39 +160,18 @@ class LogDesign:
     def _block(self, w: Window, p: int, before: int, held: _Held | None) -> tuple[Block, _Held | None]:
         part, facts = self.parts[p], self.facts
         kernel = self.kernels[part.session]
-        q, qd, qdd = motion_of(w, self.n, facts.step, facts.speeds_logged)
+        motion = facts.motions.of(p, w)
         time, number = w.columns["time_s"], w.columns["run"].astype(np.int64)
         first_run = int(np.searchsorted(facts.runs[:, 0], p))
         run = first_run + np.searchsorted(facts.runs[facts.runs[:, 0] == p, 1], number)
-        wm = qd @ np.linalg.inv(self.T)
-        joint, motor = held_sign(qd, facts.rest, run), held_sign(wm, facts.rest_motor, run)
-        if held is not None:
-            for signs, old in ((joint, held.joint), (motor, held.motor)):
-                signs[:] = np.where((signs == 0) & (run == held.run)[:, None], old, signs)
-        at = w.stop - facts.halo - 1  # the row before the next window's first
-        held = _Held(int(run[at]), joint[at].copy(), motor[at].copy()) if at >= 0 else None
+        every = motion_signals(motion, self.T, facts, run, time)
+        held = self._held_on(every, w, run, held)
         measured = stacked(w, joint_columns("tau", "Nm", self.n))
-        counts = np.abs(wm) > np.maximum(facts.rest_motor, facts.clear_motor)
-        counts &= ~self._undecided(qd, joint, run)
-        if not self.accelerating:
-            counts &= np.abs(qdd) <= facts.steady
+        counts = counting(every, self.T, facts, run, self.wrist, self.accelerating)
         # Rows before the window's own are needed as far as the noise remembers.
         counts[: max(w.start - REACH, 0)] = False
         counts[w.stop :] = False
         chosen = np.flatnonzero(counts.any(axis=1))
-        every = {
-            "q": q,
-            "motor": q @ np.linalg.inv(self.T),
-            "joint_speed": qd,
-            "motor_speed": wm,
-            "joint_motion": joint,
-            "motor_motion": motor,
-            "own_speed": qd / np.diag(self.T),
-            "own_motion": joint * np.sign(np.diag(self.T)),
-            "joint_acceleration": qdd,
-            "elapsed": time - facts.since,
-            "rest_direction": np.zeros_like(q),
-        }
         if any(name.endswith("_temperature") for name, _ in kernel.signals):
             every |= temperatures(pd.DataFrame(dict(w.columns)), self.n)
         if any(name == "torque_rate" for name, _ in kernel.signals):
@@ -202,11 +179,11 @@ class LogDesign:
         predicted, inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
         counts = counts[chosen]
         if not self.accelerating:
-            counts &= np.abs(inertial) <= INERTIA_SHARE * facts.noise
+            counts &= negligible(inertial, facts)
         breaks = np.r_[True, (run[1:] != run[:-1]) | (np.abs(np.diff(time) - facts.step) > 0.5 * facts.step)]
         stretch = np.cumsum(breaks)
-        row = before + w.first + np.arange(len(q))
-        fold = run if len(facts.runs) > 1 else (row * FIFTHS // facts.rows).astype(np.int64)
+        row = before + w.first + np.arange(len(time))
+        fold = folds_of(facts, run, row)
         own = before + w.first + w.start
         torque = measured[chosen] - predicted
         channels = []
@@ -230,14 +207,15 @@ class LogDesign:
         mine = slice(w.start, w.stop)
         return Block(own, own + w.stop - w.start, run[mine], fold[mine], tuple(channels)), held
 
-    def _undecided(self, qd: Array, motion: Array, run: Integers) -> Bools:
-        """Motors ``(w, n)`` that a coupled joint keeps open: it creeps, or has not moved yet in this run."""
-        facts, out = self.facts, np.zeros(qd.shape, dtype=bool)
-        for j in self.wrist:
-            speed = np.abs(qd[:, j])
-            slow = (speed > facts.rest[j]) & (speed <= facts.clear[j])
-            out[:, j] = facts.moved[run, j] & (slow | (motion[:, j] == 0))
-        return np.asarray((out.astype(float) @ (self.T != 0).T.astype(float)) > 0)
+    def _held_on(self, signals: dict[str, Array], w: Window, run: Integers, held: _Held | None) -> _Held | None:
+        """Carry the signs of the last motion on from before the window, and say what they are before the next."""
+        joint, motor = signals["joint_motion"], signals["motor_motion"]
+        if held is not None:
+            for signs, old in ((joint, held.joint), (motor, held.motor)):
+                signs[:] = np.where((signs == 0) & (run == held.run)[:, None], old, signs)
+            signals["own_motion"] = joint * np.sign(np.diag(self.T))
+        at = w.stop - self.facts.halo - 1  # the row before the next window's first
+        return _Held(int(run[at]), joint[at].copy(), motor[at].copy()) if at >= 0 else None
 
     def _still(self, run: Integers, motor: int) -> tuple[Integers, Array]:
         """The friction of joints that stand still in these rows' runs: which parameters, and their columns."""

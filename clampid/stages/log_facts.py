@@ -7,21 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from clampid import prewhitening
 from clampid.stages.rows import Array, Bools, Integers
-from clampid.stages.torques import CLEAR_MOTION, NORMAL, STEADY, WINDOW_S
 from experiments.campaign import Campaign
 from experiments.log_windows import LogTable, Window, windows
 from experiments.signals import acceleration, medians, speed_counts, speeds, threshold_of_counts
 
-__all__ = ["LogFacts", "LogPart", "facts_of", "joint_columns", "motion_of", "stacked", "steady_share_of"]
+__all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked", "steady_share"]
 
 WINDOW = 1 << 14  # rows at once
 REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
 NEIGHBOURS = 16  # at least
+WINDOW_S = 0.02  # over which speeds and accelerations are taken
+CLEAR_MOTION = 0.02  # of the top speed of the log
+STEADY = 0.15  # of the log's largest acceleration of a joint
+NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
+KEPT_BYTES = 1 << 26  # of a short log the motion of all windows is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +39,68 @@ class LogPart:
     table: LogTable
 
 
+def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
+    """The tables free_air and wrist of campaigns, in order."""
+    return [
+        LogPart(campaign, s, name, LogTable.of(campaign.tables[name]))
+        for s, campaign in enumerate(campaigns)
+        for name in ("free_air", "wrist")
+        if name in campaign.tables
+    ]
+
+
+class Motion(NamedTuple):
+    """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²."""
+
+    position: Array
+    speed: Array
+    acceleration: Array
+
+
+class Motions:
+    """The motion of a log's windows; kept where the log is short.
+
+    Parameters
+    ----------
+    n
+        Number of joints.
+    step
+        The usual time step, s.
+    logged
+        Whether the log has all speeds.
+    """
+
+    def __init__(self, n: int, step: float, logged: bool) -> None:
+        self.n, self.step, self.logged = n, step, logged
+        self._kept: dict[tuple[int, int, int], Motion] = {}
+        self._room = KEPT_BYTES
+
+    @property
+    def columns(self) -> list[str]:
+        """The columns that a window has to have."""
+        kinds = [("q", "rad"), ("qd", "rad_s")] if self.logged else [("q", "rad")]
+        return ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, self.n))]
+
+    def of(self, part: int, window: Window) -> Motion:
+        """The motion of a window of one of the log's parts."""
+        key = part, window.first, len(window.columns["time_s"])
+        if key not in self._kept:
+            found = self._found(window)
+            size = sum(v.nbytes for v in found)
+            if size > self._room:
+                return found
+            self._kept[key] = found
+            self._room -= size
+        return self._kept[key]
+
+    def _found(self, window: Window) -> Motion:
+        q, time = stacked(window, joint_columns("q", "rad", self.n)), window.columns["time_s"]
+        run = window.columns["run"].astype(np.int64)
+        logged = joint_columns("qd", "rad_s", self.n)
+        qd = stacked(window, logged) if self.logged else speeds(q, time, run, WINDOW_S, self.step)
+        return Motion(q, qd, acceleration(qd, time, run, WINDOW_S, self.step))
+
+
 @dataclass(frozen=True)
 class LogFacts:
     """Facts of the log.
@@ -44,8 +111,8 @@ class LogFacts:
         The usual time step, within runs and between any rows that follow each other, s.
     noise
         ``(n,)``: of the torques, between neighbouring rows, Nm.
-    speeds_logged
-        Whether the log has all speeds.
+    motions
+        How its rows move.
     rest, rest_motor, clear, clear_motor
         ``(n,)``, rad/s: speeds of rest and of clear motion, of joints and of motors.
     steady
@@ -65,7 +132,7 @@ class LogFacts:
     step: float
     spacing: float
     noise: Array
-    speeds_logged: bool
+    motions: Motions
     rest: Array
     rest_motor: Array
     clear: Array
@@ -98,15 +165,6 @@ def stacked(window: Window, names: Sequence[str]) -> Array:
     return np.column_stack([window.columns[name] for name in names])
 
 
-def motion_of(window: Window, n: int, step: float, speeds_logged: bool) -> tuple[Array, Array, Array]:
-    """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²."""
-    q, time = stacked(window, joint_columns("q", "rad", n)), window.columns["time_s"]
-    run = window.columns["run"].astype(np.int64)
-    logged = joint_columns("qd", "rad_s", n)
-    qd = stacked(window, logged) if speeds_logged else speeds(q, time, run, WINDOW_S, step)
-    return q, qd, acceleration(qd, time, run, WINDOW_S, step)
-
-
 def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22, use_logged: bool = True) -> LogFacts:
     """Find the facts of a log.
 
@@ -126,18 +184,16 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
     step = float(middle[0]) if np.isfinite(middle[0]) else 1.0
     names_qd = joint_columns("qd", "rad_s", n)
     logged = use_logged and all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
-    kinds = [("q", "rad"), ("qd", "rad_s")] if logged else [("q", "rad")]
-    names = ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, n))]
+    motions = Motions(n, step, logged)
     to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
     counts = [np.zeros((n, 1), dtype=np.int64)] * 2
     top = np.zeros((3, n))
     since, rows = np.inf, 0
     found: dict[tuple[int, int], tuple[int, Array]] = {}
     for p, part in enumerate(parts):
-        for w in windows(part.table, names, window, halo_of(step)):
-            _, qd, qdd = motion_of(w, n, step, logged)
+        for w in windows(part.table, motions.columns, window, halo_of(step)):
             own = slice(w.start, w.stop)
-            qd, qdd = qd[own], qdd[own]
+            _, qd, qdd = (v[own] for v in motions.of(p, w))
             wm = qd @ to_motor
             counts = [c + speed_counts(v) for c, v in zip(counts, (qd, wm), strict=True)]
             top = np.maximum(top, [np.abs(v).max(axis=0) for v in (qd, wm, qdd)])
@@ -154,7 +210,7 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
         step=step,
         spacing=float(middle[1]) if np.isfinite(middle[1]) else 0.0,
         noise=NORMAL * middle[2:] / np.sqrt(2.0),
-        speeds_logged=logged,
+        motions=motions,
         rest=rest,
         rest_motor=rest_motor,
         clear=CLEAR_MOTION * top[0],
@@ -168,14 +224,13 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
     )
 
 
-def steady_share_of(parts: Sequence[LogPart], window: int = WINDOW) -> float:
-    """The share, 0 to 1, of a session's motion that is steady, as `clampid.stages.torques.steady_share` gives it."""
+def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
+    """The share, 0 to 1, of a session's motion that is steady; 1 for a session without logs."""
     steady = moving = 0
     for part in parts:
         facts = facts_of([part], window, use_logged=False)
-        n = part.campaign.robot.n
-        for w in windows(part.table, ["run", "time_s", *joint_columns("q", "rad", n)], window, facts.halo):
-            _, qd, qdd = (v[w.start : w.stop] for v in motion_of(w, n, facts.step, False))
+        for w in windows(part.table, facts.motions.columns, window, facts.halo):
+            _, qd, qdd = (v[w.start : w.stop] for v in facts.motions.of(0, w))
             moves = np.abs(qd) > np.maximum(facts.rest, facts.clear)
             moving += int(moves.sum())
             steady += int((moves & (np.abs(qdd) <= facts.steady)).sum())

@@ -9,7 +9,7 @@ import numpy as np
 from clampid.slots import Layout
 from clampid.stages.loads import bearing_signals, gravity_signals
 from clampid.stages.rows import Array, Rows
-from clampid.stages.torques import temperatures
+from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
 from kinematics.poe import forward
 

@@ -32,7 +32,7 @@ def _json(effect: Any) -> dict[str, Any]:
         "name": effect.name,
         "family": effect.family,
         "parameters": [
-            {"name": p.name, "unit": p.unit, "per": p.per, "size": p.size, "meaning": p.meaning}
+            {"name": p.name, "unit": p.unit, "per": p.per, "size": p.size, "gearing": p.gearing, "meaning": p.meaning}
             for p in effect.parameters
         ],
         "needs": list(effect.needs),

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from clampid.verbs.errors import CallError
+from clampid.verbs.grouped import grouped
 from clampid.verbs.options import Json, Quiet, Seed
 from clampid.verbs.output import Output, output_file
+from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of, numbers_of
 
 if TYPE_CHECKING:
-    from clampid.planning.scene import Scene
     from clampid.stages.rows import Array
-    from experiments.plans.limits import Limits
-    from experiments.plans.model import Cell, Expected, Plan
+    from experiments.plans.model import Expected, Plan
 
 __all__ = ["plan"]
 
@@ -26,56 +26,23 @@ plan = typer.Typer(help="Plan measurements that identify what is asked.", no_arg
 PlanFile = Annotated[
     Path, typer.Option("--output", "-o", metavar="PLAN.toml", help="Where the plan goes.", show_default=False)
 ]
-Robot = Annotated[str, typer.Option(help="A bundled robot, or the path of a description.")]
-Like = Annotated[
-    Path | None,
-    typer.Option(metavar="CAMPAIGN", help="Take tool, targets, instrument, gravity from there.", show_default=False),
-]
 Time = Annotated[float, typer.Option(metavar="S", help="Time budget, seconds.")]
 Effects = Annotated[
     str | None, typer.Option(metavar="A,B,…", help="What is asked; the stage's standard set otherwise.")
 ]
-RangeShare = Annotated[float, typer.Option(metavar="SHARE", help="How much of each joint's range may be used.")]
-Acceleration = Annotated[
-    str | None,
-    typer.Option(metavar="RAD/S2[,…]", help="Accelerations; else top speed in half a second.", show_default=False),
-]
-Floor = Annotated[
-    str | None,
-    typer.Option(metavar="M|none", help="Height of the floor over the base; 0 if upright.", show_default=False),
-]
-Obstacles = Annotated[
-    Path | None, typer.Option(metavar="FILE.toml", help="Boxes, spheres, cylinders to stay clear of.")
-]
-ArmRadius = Annotated[float, typer.Option(metavar="M", help="Of the capsules that stand for the arm.")]
 Speeds = Annotated[str, typer.Option(metavar="A,B,…", help="Shares of the top speeds, one run each.")]
-Rated = Annotated[
-    str | None,
-    typer.Option("--rated-torque", metavar="NM,…", help="At the joints, where the description has none."),
-]
-TorqueNoise = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SHARE", help="Noise of the motor torques, share of the rated ones; 0.01.", show_default=False
-    ),
-]
 
 
 @plan.command("free-air")
+@grouped
 def free_air(
     output: PlanFile,
-    robot: Robot = "kuka_kr20_r1810",
-    like: Like = None,
+    where: Surroundings,
+    torques: TorqueReadings,
     time: Time = 1200.0,
     speeds: Speeds = "0.15,0.06",
     effects: Effects = None,
-    range_share: RangeShare = 0.95,
     acceleration: Acceleration = None,
-    torque_noise: TorqueNoise = None,
-    rated_torque: Rated = None,
-    floor: Floor = None,
-    obstacles: Obstacles = None,
-    arm_radius: ArmRadius = 0.08,
     seed: Seed = 0,
     json: Json = None,
     quiet: Quiet = False,
@@ -83,35 +50,30 @@ def free_air(
     """Configurations visited in free air, which tell gravity and friction."""
     out = _begin(output, json, quiet)
     with _refusals():
-        from clampid.planning.free_air import plan_free_air, torque_noise_of
+        from clampid.planning.free_air import plan_free_air
         from clampid.planning.logs import STANDARD
 
-        cell, limits, assumed = _cell(robot, like, range_share, acceleration)
-        noise, more = torque_noise_of(cell, torque_noise, _numbers("--rated-torque", rated_torque))
+        cell, limits, assumed = where.cell(acceleration)
+        noise, more = torques.noise(cell)
         with out.working("choosing configurations"):
             made = plan_free_air(
-                cell, limits, noise, time=time, speeds=_numbers("--speeds", speeds) or (),
-                effects=_names(effects) or STANDARD, scene=_scene(cell, floor, obstacles, arm_radius), seed=seed,
+                cell, limits, noise, time=time, speeds=numbers_of("--speeds", speeds) or (),
+                effects=names_of(effects) or STANDARD, scene=where.scene(cell), seed=seed,
                 assumed=(*assumed, *more),
             )  # fmt: skip
         _finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
 
 
 @plan.command()
+@grouped
 def wrist(
     output: PlanFile,
-    robot: Robot = "kuka_kr20_r1810",
-    like: Like = None,
+    where: Surroundings,
+    torques: TorqueReadings,
     time: Time = 600.0,
     speeds: Speeds = "0.15,0.06",
     effects: Effects = None,
-    range_share: RangeShare = 0.95,
     acceleration: Acceleration = None,
-    torque_noise: TorqueNoise = None,
-    rated_torque: Rated = None,
-    floor: Floor = None,
-    obstacles: Obstacles = None,
-    arm_radius: ArmRadius = 0.08,
     seed: Seed = 0,
     json: Json = None,
     quiet: Quiet = False,
@@ -119,25 +81,25 @@ def wrist(
     """Swings in which a wrist motor turns with its joint still, and the reverse, which part their frictions."""
     out = _begin(output, json, quiet)
     with _refusals():
-        from clampid.planning.free_air import torque_noise_of
         from clampid.planning.wrist import SWING_STOPS, plan_wrist
 
-        cell, limits, assumed = _cell(robot, like, range_share, acceleration)
-        noise, more = torque_noise_of(cell, torque_noise, _numbers("--rated-torque", rated_torque))
+        cell, limits, assumed = where.cell(acceleration)
+        noise, more = torques.noise(cell)
         with out.working("choosing swings"):
             made = plan_wrist(
-                cell, limits, noise, time=time, speeds=_numbers("--speeds", speeds) or (), effects=_names(effects),
-                scene=_scene(cell, floor, obstacles, arm_radius), seed=seed, assumed=(*assumed, *more),
+                cell, limits, noise, time=time, speeds=numbers_of("--speeds", speeds) or (), effects=names_of(effects),
+                scene=where.scene(cell), seed=seed, assumed=(*assumed, *more),
             )  # fmt: skip
         swings = sum(len(run.course.duration) for run in made.runs) // SWING_STOPS
         _finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
 
 
 @plan.command()
+@grouped
 def clamping(
     output: PlanFile,
-    robot: Robot = "kuka_kr20_r1810",
-    like: Like = None,
+    where: Surroundings,
+    torques: TorqueReadings,
     time: Time = 7200.0,
     amplitude: Annotated[
         str, typer.Option(metavar="SHARE[,…]", help="Of the rated motor torques, for all joints or one each.")
@@ -156,12 +118,6 @@ def clamping(
         typer.Option(metavar="Q1,…", help="Where it can be clamped, rad; may be repeated.", show_default=False),
     ] = None,
     effects: Effects = None,
-    range_share: RangeShare = 0.95,
-    torque_noise: TorqueNoise = None,
-    rated_torque: Rated = None,
-    floor: Floor = None,
-    obstacles: Obstacles = None,
-    arm_radius: ArmRadius = 0.08,
     seed: Seed = 0,
     json: Json = None,
     quiet: Quiet = False,
@@ -172,23 +128,21 @@ def clamping(
         import numpy as np
 
         from clampid.planning.clamping import STANDARD, Press, plan_clamping, press_limits, stiffness_of
-        from clampid.planning.free_air import torque_noise_of
         from experiments.plans.press import rated_motor_torque
 
-        cell, limits, assumed = _cell(robot, like, range_share, None)
-        given = _numbers("--rated-torque", rated_torque)
-        noise, more = torque_noise_of(cell, torque_noise, given)
-        rated = rated_motor_torque(cell.robot, None if given is None else np.array(given))
+        cell, limits, assumed = where.cell()
+        noise, more = torques.noise(cell)
+        rated = rated_motor_torque(cell.robot, None if torques.rated is None else np.array(torques.rated))
         stiffness, usual = stiffness_of(cell.robot, rated)
-        share = np.array(_numbers("--amplitude", amplitude) or ())
+        share = np.array(numbers_of("--amplitude", amplitude) or ())
         share = np.full(cell.robot.n, share[0]) if len(share) == 1 else share
         held = press_limits(limits, rated, torque=max_torque, force=max_force, moment=max_moment)
         press = Press(share, rated, stiffness, margin, dwell, clamping_time)
         with out.working("choosing sweeps"):
             made = plan_clamping(
-                cell, held, noise, press, time=time, effects=_names(effects) or STANDARD,
+                cell, held, noise, press, time=time, effects=names_of(effects) or STANDARD,
                 joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n),
-                scene=_scene(cell, floor, obstacles, arm_radius), seed=seed, assumed=(*assumed, *more, *usual),
+                scene=where.scene(cell), seed=seed, assumed=(*assumed, *more, *usual),
             )  # fmt: skip
         _finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings")
         force = max(float(s.force.max()) for s in made.sweeps)
@@ -197,7 +151,7 @@ def clamping(
 
 
 def _joints(text: str | None, n: int) -> tuple[int, ...] | None:
-    numbers = _numbers("--joints", text)
+    numbers = numbers_of("--joints", text)
     if numbers is None:
         return None
     if not all(j.is_integer() and 1 <= j <= n for j in numbers) or len(set(numbers)) < len(numbers):
@@ -210,7 +164,7 @@ def _postures(texts: list[str] | None, n: int) -> Array | None:
 
     if not texts:
         return None
-    rows = [_numbers("--posture", text) or () for text in texts]
+    rows = [numbers_of("--posture", text) or () for text in texts]
     for row in rows:
         if len(row) != n:
             raise CallError(f"--posture: expected {n} angles in rad, found {len(row)}")
@@ -234,44 +188,6 @@ def _refusals() -> Iterator[None]:
         yield
     except PlanError as error:
         raise CallError(str(error)) from error
-
-
-def _cell(
-    robot: str, like: Path | None, share: float, acceleration: str | None
-) -> tuple[Cell, Limits, tuple[str, ...]]:
-    from experiments.plans.cell import cell_of
-    from experiments.plans.errors import PlanError
-    from experiments.plans.limits import limits_of
-
-    cell, assumed = cell_of(robot, like)
-    given = _numbers("--acceleration", acceleration)
-    if given is not None and len(given) not in (1, cell.robot.n):
-        raise PlanError(f"--acceleration: expected one number or {cell.robot.n}, found {len(given)}")
-    limits, more = limits_of(cell.robot, share=share, acceleration=None if given is None else given)
-    return cell, limits, (*assumed, *more)
-
-
-def _scene(cell: Cell, floor: str | None, obstacles: Path | None, radius: float) -> Scene:
-    from clampid.planning.scene import Scene, read_obstacles
-
-    usual = Scene.floor_only(cell).floor
-    if floor is not None:
-        usual = None if floor == "none" else (_numbers("--floor", floor) or (0.0,))[0]
-    around = () if obstacles is None else read_obstacles(obstacles, cell)
-    return Scene(cell, around, usual, radius)
-
-
-def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
-
-
-def _names(text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _finish(made: Plan, output: Path, out: Output, what: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.description import Array
@@ -49,7 +50,7 @@ def block_compliance(plant: Plant, jacobian: Array) -> tuple[Array, Array]:
 
 
 def clamped_torques(
-    plant: Plant, bodies: Bodies, output: Array, arm: Array, load: Array, slipped: Array | None = None
+    plant: Plant, bodies: Bodies, output: Array, arm: Array, load: Array, slipped: npt.NDArray[np.bool_] | None = None
 ) -> tuple[Array, Array]:
     """Return joint torques, Nm, (N, n), and the flange's displacement, m and rad, (N, 6), of one clamping.
 

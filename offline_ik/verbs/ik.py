@@ -12,7 +12,8 @@ from clampid.verbs.output import Output
 from offline_ik.verbs.options import CellFile, Robot, numbers, opened
 
 if TYPE_CHECKING:
-    from offline_ik.detector import Answer, Detector, Solution
+    from offline_ik.answer import Answer, Solution
+    from offline_ik.detector import Detector
 
 __all__ = ["ik"]
 

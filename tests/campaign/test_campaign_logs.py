@@ -14,6 +14,7 @@ from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.check import Finding, check_campaign
 from experiments.check_friction import friction_findings
 from experiments.check_torques import torque_shift
+from experiments.moving_log import moving_logs
 from experiments.signals import Shift, combine_shifts, time_shift
 from experiments.virtual_robot import Hidden, Measured, measure
 from kinematics.description import load_robot
@@ -50,6 +51,10 @@ def only(of: Campaign, severity: str, words: str) -> Finding:
     assert finding.severity == severity
     assert words in finding.message
     return finding
+
+
+def friction_of(of: Campaign) -> list[Finding]:
+    return list(friction_findings(of, moving_logs(of)))
 
 
 @pytest.mark.parametrize("robot", [KUKA, "ur10"])
@@ -272,7 +277,7 @@ class TestFriction:
         def mirrored(frame: pd.DataFrame) -> pd.DataFrame:
             return frame.assign(**{f"tau{motor}_Nm": -frame[f"tau{motor}_Nm"]})
 
-        found = list(friction_findings(campaign(tmp_path, mirrored, seed=3), frozenset()))
+        found = friction_of(campaign(tmp_path, mirrored, seed=3))
         assert [f.column for f in found] == [f"tau{motor}_Nm"]
         assert found[0].severity == "warning"
         assert f"friction of motor {motor} drives it" in found[0].message
@@ -280,4 +285,4 @@ class TestFriction:
     @pytest.mark.parametrize("seed", range(4))
     def test_sound_logs_are_called_sound(self, seed: int, tmp_path: Path) -> None:
         sound = campaign(tmp_path, seed=seed, tables="free_air wrist")
-        assert not list(friction_findings(sound, frozenset()))
+        assert not friction_of(sound)

@@ -15,9 +15,9 @@ from clampid.compare import compare
 from clampid.curves import angle_errors
 from clampid.diagnose import diagnose
 from clampid.diagnosis.columns import Columns, Products
+from clampid.diagnosis.look import RATE
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
 from clampid.diagnosis.score import flip_maxima, score, space_of
-from clampid.diagnosis.stage import RATE
 from clampid.identify import identify
 from clampid.model import Model
 from clampid.reopen import reopen

@@ -11,7 +11,8 @@ import pytest
 from clampid.base_names import base_name
 from clampid.base_parameters import base_parameters, described_parameters, regroup, to_joint_points
 from clampid.catalogue import with_user_effects
-from clampid.identify import fit_stage, has_inertia, stage_rows
+from clampid.fitted_stage import fit_stage
+from clampid.identify import has_inertia, stage_rows
 from clampid.layout import layout_of
 from clampid.model import Model, load_model, save_model
 from clampid.slots import Slot, Term

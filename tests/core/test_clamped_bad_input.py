@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.identify import fit_stage, stage_rows
+from clampid.fitted_stage import fit_stage
+from clampid.identify import stage_rows
 from clampid.layout import layout_of
 from clampid.model import StageModel
 from clampid.slots import Term

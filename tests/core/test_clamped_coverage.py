@@ -5,12 +5,9 @@ The study itself is benchmarks/clamped_coverage.py; the virtual robot shares no 
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from functools import cache
-from pathlib import Path
-from types import ModuleType
 
+import clamped_coverage
 import numpy as np
 import pytest
 
@@ -18,28 +15,15 @@ FEW, MANY = range(6), range(200)
 
 
 @cache
-def study() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "clamped_coverage", Path(__file__).parents[2] / "benchmarks" / "clamped_coverage.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where its dataclasses look for their names
-    spec.loader.exec_module(module)
-    return module
-
-
-@cache
 def pairs(seeds: range) -> list:
-    return [study().pair(seed) for seed in seeds]
+    return [clamped_coverage.pair(seed) for seed in seeds]
 
 
 def test_intervals_hold_the_truth():
     first = [p[0] for p in pairs(FEW)]
     off = np.array([t.off[:12] for t in first])
     # 72 numbers, of which 95 % should be inside: fewer than 64 would be, were they independent, one case in 100.
-    assert study().covered(first)[:12].mean() >= 0.88
+    assert clamped_coverage.covered(first)[:12].mean() >= 0.88
     assert 0.75 < np.sqrt(np.mean(off**2)) < 1.25
     for t in first:  # and they tell something
         assert np.all(t.std[:6] < 0.02 * t.true[:6])
@@ -53,14 +37,14 @@ def test_cross_terms_are_right_in_sign_and_size():
 
 
 def test_the_naive_reading_of_the_transmission_fails_the_same_test():
-    found = [study().trial(seed, naive=True) for seed in range(2)]
-    assert study().covered(found)[18:].max() == 0.0
+    found = [clamped_coverage.trial(seed, naive=True) for seed in range(2)]
+    assert clamped_coverage.covered(found)[18:].max() == 0.0
     for t in found:
         assert not np.any(np.isclose(t.found[18:], t.true[18:], rtol=0.5))
 
 
 def test_clearances_are_told_from_zero_where_the_limit_says():
-    small, large = study().told([p[1] for p in pairs(FEW)])
+    small, large = clamped_coverage.told([p[1] for p in pairs(FEW)])
     assert small.size == large.size == 18
     assert small.sum() <= 2  # 5 % are 0.9
     assert large.sum() == 18
@@ -70,14 +54,14 @@ def test_clearances_are_told_from_zero_where_the_limit_says():
 @pytest.mark.timeout(3600)
 def test_two_hundred_seeds():
     first, second = ([p[k] for p in pairs(MANY)] for k in (0, 1))
-    share = study().covered(first)
+    share = clamped_coverage.covered(first)
     assert 0.93 <= share[:12].mean() <= 0.97
     assert np.all((share[:12] >= 0.88) & (share[:12] <= 0.995)), share[:12]
     assert 0.90 <= share[12:18].mean() <= 0.97
     assert 0.90 <= share[18:].mean() <= 0.99
-    small, large = study().told(second)
+    small, large = clamped_coverage.told(second)
     assert small.mean() <= 0.05
     assert large.mean() >= 0.95
-    assert np.all(np.abs(study().limit_ratio(second) - 1.0) < 0.3)
+    assert np.all(np.abs(clamped_coverage.limit_ratio(second) - 1.0) < 0.3)
     wrist = np.degrees(np.median([t.drives.gap_limit[3:] for t in first], axis=0))
     assert np.all(wrist > 0.002)

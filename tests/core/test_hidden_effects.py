@@ -14,7 +14,7 @@ import pytest
 from clampid.add import add
 from clampid.catalogue import catalogue
 from clampid.diagnose import diagnose
-from clampid.diagnosis.stage import StageDiagnosis
+from clampid.diagnosis.result import StageDiagnosis
 from clampid.effect import EffectError, Stage
 from clampid.identify import identify
 from clampid.model import Model

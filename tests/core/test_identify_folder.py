@@ -11,8 +11,7 @@ import pytest
 from clampid.effect import EffectError
 from clampid.identify import identify
 from clampid.identify_folder import identify_folder
-from clampid.stages.log_facts import LogPart, steady_share_of
-from clampid.stages.torques import steady_share
+from clampid.stages.log_facts import LogPart, log_parts, steady_share
 from experiments.campaign import CampaignError, read_campaign, write_campaign
 from experiments.fingerprint import fingerprint_of_files
 from experiments.log_windows import LogTable
@@ -43,7 +42,7 @@ def test_the_model_is_that_of_the_campaign_read_whole(folder: Path, effects: tup
 def test_share_of_steady_motion_and_fingerprint_are_those_of_the_tables(folder: Path) -> None:
     campaign = read_campaign(folder)
     parts = [LogPart(campaign, 0, name, LogTable.of(folder / f"{name}.parquet")) for name in ("free_air", "wrist")]
-    assert steady_share_of(parts, window=900) == pytest.approx(steady_share(campaign), abs=1e-12)
+    assert steady_share(parts, window=900) == pytest.approx(steady_share(log_parts([campaign])), abs=1e-12)
     files = {part.name: folder / f"{part.name}.parquet" for part in parts}
     assert fingerprint_of_files(campaign.header, files) == campaign.fingerprint
 

@@ -12,13 +12,15 @@ import pytest
 
 from clampid.accuracy import StageErrors, stage_errors
 from clampid.catalogue import catalogue
-from clampid.identify import FittedStage, fit_stage, has_inertia, held_out_folds, stage_rows
-from clampid.identify_log import FittedLog, LogStage, log_parts
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify import has_inertia, held_out_folds, stage_rows
+from clampid.identify_log import FittedLog, LogStage
 from clampid.layout import layout_of
 from clampid.slots import Term
-from clampid.stages.log_facts import LogPart
-from experiments.campaign import Campaign, Instrument, Tool
+from clampid.stages.log_facts import LogPart, log_parts
+from experiments.campaign import Campaign, Tool
 from experiments.log_windows import LogTable, windows
+from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
 
@@ -27,19 +29,7 @@ STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_f
 
 def campaign_of(seed: int, tables: Sequence[str]) -> Campaign:
     robot = load_robot("kuka_kr20_r1810")
-    measured = measure(robot, seed=seed, tables=tables)
-    header = measured.header
-    return Campaign(
-        name=f"session{seed}",
-        path=None,
-        robot=robot,
-        gravity=np.array(header["gravity_m_s2"]),
-        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
-        targets={},
-        instrument=Instrument("virtual", 1e-5, None),
-        tables=measured.tables,
-        fingerprint="0" * 64,
-    )
+    return measured_campaign(measure(robot, seed=seed, tables=tables), robot, name=f"session{seed}")
 
 
 @pytest.fixture(scope="module")

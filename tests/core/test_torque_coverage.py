@@ -5,34 +5,18 @@ The study itself is benchmarks/torque_coverage.py; the virtual robot shares no c
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from functools import cache
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+import torque_coverage
 
 FEW, MANY = range(8), range(60)  # the benchmark itself goes over 200
 
 
 @cache
-def study() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "torque_coverage", Path(__file__).parents[2] / "benchmarks" / "torque_coverage.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where its dataclasses look for their names
-    spec.loader.exec_module(module)
-    return module
-
-
-@cache
 def trials(seeds: range) -> list:
-    return [study().trial(seed) for seed in seeds]
+    return [torque_coverage.trial(seed) for seed in seeds]
 
 
 def errors(seeds: range) -> np.ndarray:

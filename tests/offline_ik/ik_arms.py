@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.catalogue import catalogue
+from clampid.effect import Parameter
 from clampid.model import Model, Session, StageModel
-from clampid.slots import Layout, Slot, Term, find_parameter, slots_of_terms
+from clampid.slots import Layout, Term, slots_of_terms
+from clampid.stages.experiment import parameter_of
 from kinematics.description import load_robot
 from offline_ik.arm import Conditions, IdentifiedArm, arm_of
 
@@ -35,7 +37,6 @@ shape = "box"
 size_m = [0.3, 0.3, 0.6]
 position_m = [1.4, 0.0, -0.35]
 """
-REDUCTION = 0.01  # of a drive of this kind, where a description has none
 MOUNT = np.array([[0.0, -1.0, 0.0, 0.02], [1.0, 0.0, 0.0, -0.01], [0.0, 0.0, 1.0, 0.12], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -46,12 +47,9 @@ def drawn_model(robot: str = "kuka_kr20_r1810", effects: Sequence[str] = STANDAR
     layout = Layout(n, ("T1", "T2", "T3"), ("session1",), tuple(range(n - 3, n)))
     terms = tuple(Term(name) for name in effects)
     slots = slots_of_terms(terms, catalogue(), layout, "poses")
-    size = np.array([_size(slot) for slot in slots])
-    value = np.array([_value(slot, rng) for slot in slots])
-    # The catalogue's spring is a motor's; at a joint without a reduction it would be a rubber band.
-    ratio = np.abs(np.diag(np.asarray(load_robot(robot).transmission)))
-    stiff = REDUCTION**2 if (ratio == 1.0).all() else 1.0
-    value = np.where([slot.effect == "joint_compliance" for slot in slots], stiff, 1.0) * value
+    parameters = [parameter_of(slot, catalogue(), load_robot(robot)) for slot in slots]
+    size = np.array([parameter.size for parameter in parameters])
+    value = np.array([_value(parameter, rng) for parameter in parameters])
     loose = rng.normal(size=(len(slots), len(slots))) * 0.01
     covariance = (0.01 * size)[:, None] * (np.eye(len(slots)) + loose @ loose.T) * (0.01 * size)
     stage = StageModel("poses", terms, slots, value, covariance, (True,) * len(slots))
@@ -78,12 +76,7 @@ def postures(arm: IdentifiedArm, count: int, seed: int = 0) -> np.ndarray:
     return rng.uniform(low, high, (count, arm.n))
 
 
-def _size(slot: Slot) -> float:
-    return float(find_parameter(slot, catalogue()).size)
-
-
-def _value(slot: Slot, rng: np.random.Generator) -> float:
-    parameter = find_parameter(slot, catalogue())
+def _value(parameter: Parameter, rng: np.random.Generator) -> float:
     if parameter.shape:
         return parameter.grid[0]
     drawn = 0.5 * parameter.size * rng.normal()

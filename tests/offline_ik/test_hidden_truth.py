@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from detector_sphere import EFFECTS, detector_of, errors, identified, measured_campaign, nominal, octant
+from detector_sphere import EFFECTS, detector_of, errors, identified, measured_robot, nominal, octant
 
 from offline_ik.detector import Detector
 
 
 @pytest.mark.slow
 def test_the_full_model_is_within_60_um_and_every_effect_is_worth_something() -> None:
-    measured, campaign = measured_campaign(0)
+    measured, campaign = measured_robot(0)
     detector, angles = detector_of(identified(campaign), campaign), octant(60, 0)
     full = errors(measured, detector, angles)
     assert len(full.radial) > 50

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ik_arms import MOUNT, conditions, drawn_arm, postures
+from ik_general import general
 
 from clampid.catalogue import catalogue
 from kinematics.description import load_robot
@@ -26,7 +27,7 @@ def test_the_kernel_is_clampids_own_prediction(name: str) -> None:
     given_, q = conditions(), postures(arm, 20)
     solver = Solver(arm, MOUNT)
     mine = arm.base @ solver.pose(q, given_)
-    position, rotation, _ = arm.general(q, given_, MOUNT[:3, 3])
+    position, rotation, _ = general(arm, q, given_, MOUNT[:3, 3])
     assert np.abs(mine[:, :3, 3] - position).max() < 1e-12
     assert np.abs(mine[:, :3, :3] - rotation @ MOUNT[:3, :3]).max() < 1e-12
 
@@ -35,14 +36,14 @@ def test_the_kernel_is_clampids_own_prediction_with_a_linkage() -> None:
     arm = drawn_arm("abb_irb2400_12_155", ("geometry", "backlash"))
     given_, q = conditions(), postures(arm, 20)
     mine = arm.base @ Solver(arm, MOUNT).pose(q, given_)
-    position, _, _ = arm.general(q, given_, MOUNT[:3, 3])
+    position, _, _ = general(arm, q, given_, MOUNT[:3, 3])
     assert np.abs(mine[:, :3, 3] - position).max() < 1e-12
 
 
 def test_the_sensitivity_is_clampids_own() -> None:
     arm, given_ = drawn_arm(), conditions()
     solver, q = Solver(arm, MOUNT), postures(arm, 1)[0]
-    _, rotation, J = arm.general(q[None], given_, MOUNT[:3, 3])
+    _, rotation, J = general(arm, q[None], given_, MOUNT[:3, 3])
     R, mine, _ = solver.sensitivity.one(np.r_[q, given_.vector])
     mine = np.kron(np.eye(2), arm.base[:3, :3]) @ mine.reshape(6, -1)
     assert np.abs(mine - J[0]).max() < 1e-12 * max(1.0, np.abs(J).max())

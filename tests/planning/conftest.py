@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from clampid.planning.free_air import plan_free_air, torque_noise_of
+from clampid.planning.free_air import plan_free_air
+from clampid.planning.logs import torque_noise_of
 from experiments.plans import Cell, Limits, Plan, cell_of, limits_of, write_plan
 
 

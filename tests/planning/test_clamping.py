@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from clampid.identify import identify
 from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
-from clampid.planning.free_air import torque_noise_of
+from clampid.planning.logs import torque_noise_of
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.plan import plan as plan_verb
 from experiments.campaign import read_campaign

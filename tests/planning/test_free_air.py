@@ -11,8 +11,8 @@ from clampid.catalogue import catalogue
 from clampid.identify import identify
 from clampid.planning import log_det
 from clampid.planning.expected import prior_precision
-from clampid.planning.free_air import plan_free_air, torque_noise_of
-from clampid.planning.logs import STANDARD, LogBench
+from clampid.planning.free_air import plan_free_air
+from clampid.planning.logs import STANDARD, LogBench, torque_noise_of
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from experiments.campaign import read_campaign

@@ -1,0 +1,132 @@
+"""Hides every effect of the virtual robot at several sizes, and counts what diagnosis calls it.
+
+    python benchmarks/hidden_effects.py OUT [--seeds 10] [--sizes 0.4,0.8,1.6] [--families base_tilt,…]
+        [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--kinds single,several,outside,clean]
+
+Sizes are the rms of what the start model leaves of the effect, in units of the noise (`hidden_cases.py`). Prints how
+often the first name is right, the rate of false alarms where nothing is hidden, how often an effect outside the
+library is called unknown, how often the set is exact where two or three are hidden, the held-out error over the best
+possible, and the CPU time. Writes OUT/results.jsonl, one line a verdict, from which it goes on where it was stopped;
+OUT/summary.json, OUT/table.md and OUT/confusion.svg. All of it takes most of a day on one core; `--seeds 2
+--sizes 0.8 --clean 10` half an hour.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from hidden_cases import FAMILIES, OUTSIDE, SEVERAL, Case
+from hidden_table import by_case, draw, printed, summary
+from hidden_trial import clean_trial, hidden_trial
+
+CLEAN_SEED = 1000  # robots without anything hidden are others than those with something
+KINDS = ("single", "several", "outside", "clean")
+SEVERAL_SIZE = 0.8
+
+
+@dataclass(frozen=True)
+class Job:
+    """One trial: a case at a size, or nothing hidden."""
+
+    case: Case | None
+    size: float
+    seed: int
+    poses: int
+    best: bool
+
+    @property
+    def key(self) -> str:
+        return f"{self.case.label if self.case else 'nothing'} {self.size:g} {self.seed} {self.poses}"
+
+    def run(self) -> list[dict[str, Any]]:
+        if self.case is None:
+            return clean_trial(self.seed, self.poses)
+        return [hidden_trial(self.case, self.size, self.seed, self.poses, self.best)]
+
+
+def jobs(options: argparse.Namespace) -> Iterator[Job]:
+    """All trials that were asked for, seed by seed, so that what is there at any time is a fair sample."""
+    sizes = [float(s) for s in options.sizes.split(",")]
+    families = options.families.split(",") if options.families else None
+    stages, kinds = options.stages.split(","), options.kinds.split(",")
+    wanted = [
+        (case, size)
+        for kind, cases in (("single", FAMILIES), ("outside", OUTSIDE), ("several", SEVERAL))
+        for case in cases
+        for size in (sizes if kind != "several" else [SEVERAL_SIZE])
+        if kind in kinds and case.stage in stages and (families is None or set(case.hidden) & set(families))
+    ]
+    clean = options.clean if "clean" in kinds and families is None else 0
+    done = 0
+    for seed in range(1, options.seeds + 1):
+        yield from (Job(case, size, seed, options.poses, options.best) for case, size in wanted)
+        until = clean * seed // options.seeds
+        yield from (Job(None, 0.0, CLEAN_SEED + k, options.poses, options.best) for k in range(done, until))
+        done = until
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--sizes", default="0.4,0.8,1.6")
+    parser.add_argument("--families", default="", help="only these names of the virtual robot")
+    parser.add_argument("--stages", default="free_air,clamped,poses")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--clean", type=int, default=100, help="robots with nothing hidden")
+    parser.add_argument("--poses", type=int, default=200)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--no-best", dest="best", action="store_false", help="do not fit the true effects")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "results.jsonl"
+    results = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
+    wanted = list(jobs(options))
+    keys = {job.key for job in wanted}
+    done = {r["key"] for r in results}
+    with file.open("a") as out, ProcessPoolExecutor(options.workers) as pool:
+        running = {pool.submit(job.run): job for job in wanted if job.key not in done}
+        for future in as_completed(running):
+            job = running[future]
+            try:
+                rows = [{**row, "key": job.key} for row in future.result()]
+            except ValueError as error:  # one case that cannot be is no reason to lose the others
+                print(f"{job.key}: {error}", flush=True)
+                continue
+            for row in rows:
+                out.write(json.dumps(row) + "\n")
+                mark = "" if row["right"] else "  WRONG"
+                print(f"{row['key']} {row['stage']}: {row['verdict']} {_names(row)}{mark}", flush=True)
+            out.flush()
+            results += rows
+    report(options.out, [r for r in results if r["key"] in keys])
+
+
+def _names(row: dict[str, Any]) -> str:
+    return ", ".join([f"{c['effect']}@{'+'.join(c['where'])}" for c in row["candidates"]] or row["depends_on"])
+
+
+def report(out: Path, results: list[dict[str, Any]]) -> None:
+    """Print, write and draw what the results amount to."""
+    found = summary(results)
+    (out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
+    (out / "table.md").write_text(by_case(results) + "\n")
+    if results:
+        draw(results, out / "confusion.svg")
+        draw(results, out / "confusion.png")
+    print(by_case(results))
+    print(printed(found))
+
+
+if __name__ == "__main__":
+    main()

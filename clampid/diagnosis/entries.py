@@ -1,0 +1,159 @@
+"""Candidates as a verdict lists them: evidence, estimates, look-alikes and stand-ins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from clampid.diagnosis.look import CONFUSABLE, RATE, Look
+from clampid.diagnosis.score import Flips, Scored, canonical
+from clampid.effect import Effect
+from clampid.fit import Estimate
+from clampid.slots import Term, find_parameter
+
+__all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
+
+ALIASED = 0.999
+LISTED = 12
+
+
+def entry_of(
+    s: Scored,
+    null: Flips,
+    effects: dict[str, Effect],
+    before: float,
+    after: float | None,
+    estimate: Estimate | None = None,
+    kept: Sequence[Term] | None = None,
+    rivals: Sequence[Scored] = (),
+) -> dict[str, Any]:
+    """A candidate as the contract lists it.
+
+    Parameters
+    ----------
+    before, after
+        Held-out rms without it and with it, in the stage's unit; None where it was not fitted.
+    estimate
+        The fit with it, for its parameters; without, the score's own estimate, one step from zero.
+    kept
+        The terms that paid for themselves; None: all of the candidate's.
+    rivals
+        What these rows cannot tell it from.
+    """
+    places = [t.place for t in kept if t.place] if kept is not None else list(s.candidate.places)
+    return {
+        "effect": s.candidate.family,
+        "name": s.candidate.name,
+        "where": places,
+        "alternative": False,
+        "p_value": float(np.exp(max(s.log_p, -690.0))),
+        "p_familywise": null.p_familywise(s.log_p),
+        "heldout_rms_before": before,
+        "heldout_rms_after": after,
+        "parameters": _parameters(s, effects, estimate),
+        "confusable_with": confusable_with(rivals, s) if rivals else [],
+        "explained": s.explained,
+        "retained": s.retained,
+        "state": s.state,
+    }
+
+
+def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None) -> list[dict[str, Any]]:
+    if estimate is None:  # the score's own estimate: one step from zero
+        value, spread = s.value, s.spread
+        return [
+            {"name": slot.label, "value": float(v), "std": float(sd), "unit": find_parameter(slot, effects).unit}
+            for slot, v, sd in zip(s.candidate.slots, value, spread, strict=False)
+        ]
+    wanted: dict[str, set[str]] = {}
+    for slot in (*s.candidate.slots, *s.candidate.shapes):
+        wanted.setdefault(slot.effect, set()).add(slot.place)
+    std = estimate.std
+    return [
+        {
+            "name": slot.label,
+            "value": float(estimate.theta[k]),
+            "std": float(std[k]),
+            "unit": find_parameter(slot, effects).unit,
+        }
+        for k, slot in enumerate(estimate.slots)
+        if slot.place in wanted.get(slot.effect, set())
+    ]
+
+
+def confusable_with(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:
+    """Of some candidates those of other families that share most of a candidate's columns, the closest five."""
+    out: list[dict[str, Any]] = []
+    for other in scored:
+        if other.candidate.family == s.candidate.family or not other.freedom:
+            continue
+        square = canonical(s, other)
+        if square > CONFUSABLE:
+            out.append(
+                {
+                    "effect": other.candidate.family,
+                    "where": list(other.candidate.places),
+                    "cos2": square,
+                    "aliased": square > ALIASED,
+                }
+            )
+    return sorted(out, key=lambda c: -float(c["cos2"]))[:5]
+
+
+def considered_of(scored: Sequence[Scored], null: Flips, most: int = LISTED) -> list[dict[str, Any]]:
+    """The best candidates with their evidence, whether anything became of them or not."""
+    able = sorted((s for s in scored if s.freedom), key=lambda s: -s.bic)[:most]
+    return [
+        {
+            "effect": s.candidate.family,
+            "name": s.candidate.name,
+            "where": list(s.candidate.places),
+            "p_value": float(np.exp(max(s.log_p, -690.0))),
+            "p_familywise": null.p_familywise(s.log_p),
+            "explained": s.explained,
+            "retained": s.retained,
+            "state": s.state,
+            "depends_on": list(s.candidate.depends_on),
+        }
+        for s in able
+    ]
+
+
+def with_stand_ins(considered: list[dict[str, Any]], look: Look) -> list[dict[str, Any]]:
+    """Mark names that merely absorb a part of what the best probe explains."""
+    whole = look.probe.explained if look.probe is not None else 0.0
+    share = {s.candidate.label: s.explained / whole for s in look.named if s.freedom and whole > 0}
+    for entry in considered:
+        label = entry["name"] + ("@" + ",".join(entry["where"]) if entry["where"] else "")
+        if share.get(label, 0.0) > 0.2:
+            entry["stand_in"] = f"absorbs {100 * min(share[label], 1.0):.0f} % of what is left"
+    return considered
+
+
+def variables_of(look: Look) -> list[str]:
+    """The variables of the best probe, and of others at the same place that fire nearly as strongly."""
+    if look.probe is None:
+        return []
+    names = dict.fromkeys(look.probe.candidate.depends_on)
+    for s in sorted(look.free, key=lambda s: -s.bic):
+        close = s.bic > 0.8 * look.probe.bic and s.candidate.places == look.probe.candidate.places
+        if close and look.free_null.p_familywise(s.log_p) <= RATE:
+            names |= dict.fromkeys(s.candidate.depends_on)
+    return list(names)
+
+
+def merged(candidates: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Confirmed steps of one effect at several places as one candidate, where its first step stood."""
+    out: list[dict[str, Any]] = []
+    for c in candidates:
+        same = next((o for o in out if o["name"] == c["name"] and not o["alternative"] and not c["alternative"]), None)
+        if same is None:
+            out.append(c)
+            continue
+        same["where"] = list(dict.fromkeys([*same["where"], *c["where"]]))
+        known = {p["name"] for p in same["parameters"]}
+        same["parameters"] += [p for p in c["parameters"] if p["name"] not in known]
+        same["heldout_rms_after"] = c["heldout_rms_after"]
+    return out

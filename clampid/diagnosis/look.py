@@ -1,0 +1,125 @@
+"""One look at what a fit leaves: both dictionaries scored, each with its null, and the best of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.probes import probes
+from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
+from clampid.effect import Effect
+from clampid.fit import Estimate
+from clampid.stages.experiment import parameter_of
+from clampid.stages.rows import Integers
+from kinematics.description import RobotDescription
+
+__all__ = ["ABLE", "CONFUSABLE", "RATE", "SAME", "Look", "look_at", "rivals_of"]
+
+RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
+SAME = 20.0  # explained beyond another candidate less than this: these data cannot tell the two apart
+CONFUSABLE = 0.8
+STANDS_IN = 0.9
+IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
+ABLE = ("testable", "weak")
+
+
+@dataclass(frozen=True)
+class Look:
+    """One look at what is left: both dictionaries scored, with their nulls."""
+
+    space: Space
+    named: list[Scored]
+    free: list[Scored]
+    named_null: Flips
+    free_null: Flips
+    best: Scored | None
+    probe: Scored | None
+    folds: Integers
+
+    @property
+    def fires(self) -> bool:
+        """Whether the best probe stands out of its null."""
+        return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
+
+    @property
+    def stands_in(self) -> bool:
+        """Whether the best name explains so much less than a probe that it only stands in for something else."""
+        if not self.fires or self.best is None or self.probe is None:
+            return False
+        less = self.probe.bic - self.best.bic > SAME
+        return less and self.best.explained < STANDS_IN * self.probe.explained
+
+
+def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, rejected: set[str]) -> Look:
+    """Score both dictionaries on what a fit leaves, with their nulls.
+
+    Parameters
+    ----------
+    flips, seed
+        How many sign flips make a null, and their stream; the probes' is the next one.
+    rejected
+        Labels of candidates that have failed on held-out rows, and are not the best of any further look.
+    """
+    space = space_of(estimate)
+    free = score(space, probes(estimate))
+    free_null = flip_maxima(space, free, flips, seed + 1)
+    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
+    named = score(space, named_candidates(estimate, effects, fired))
+    named_null = flip_maxima(space, named, flips, seed)
+    named = [
+        s if _plausible(s, effects, estimate.experiment.rows.robot, space.scale) else replace(s, state="implausible")
+        for s in named
+    ]
+    best = _best([s for s in named if s.candidate.label not in rejected])
+    if best is not None and named_null.p_familywise(best.log_p) > RATE:
+        best = None
+    folds = estimate.experiment.rows.fold[estimate.whitened.entry]
+    return Look(space, named, free, named_null, free_null, best, _best(free), folds)
+
+
+def _best(scored: Sequence[Scored]) -> Scored | None:
+    able = [s for s in scored if s.freedom and s.state in ABLE]
+    return max(able, key=lambda s: s.bic, default=None)
+
+
+def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
+    """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
+    value, spread = s.value, SURE * scale * s.spread
+    alone = len(s.candidate.terms) < 2  # of several places, one step from zero may put a few on the wrong side
+    for slot, v, sd in zip(s.candidate.slots, value, spread, strict=True):
+        parameter = parameter_of(slot, effects, robot)
+        lower, upper = parameter.bounds
+        if abs(v) - sd > IMPOSSIBLE * parameter.size or (alone and (v + sd < lower or v - sd > upper)):
+            return False
+    return True
+
+
+def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: set[str]) -> list[Scored]:
+    """Other effects, or other places, that explain as well what the best one does."""
+    found: dict[tuple[str, tuple[str, ...]], Scored] = {}
+    mine = set(best.candidate.terms)
+    for other in sorted(named, key=lambda s: -s.bic):
+        theirs = set(other.candidate.terms)
+        if (
+            other is best
+            or other.state not in ABLE
+            or theirs <= mine
+            or mine <= theirs
+            or other.candidate.label in rejected
+        ):
+            continue
+        if other.candidate.name == best.candidate.name and (theirs & mine):
+            continue
+        if other.candidate.family == best.candidate.family and other.candidate.places == best.candidate.places:
+            continue  # variants of one effect at one place are one verdict
+        if other.explained < best.explained - SAME - other.freedom:
+            continue
+        if other.candidate.prior is not None and other.bic < best.bic - SAME:
+            continue  # what can follow anything explains what the simpler one does, and is no rival for it
+        if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
+            found.setdefault((other.candidate.name, other.candidate.places), other)
+    kept = [
+        s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
+    ]
+    return kept[:4]

@@ -1,0 +1,56 @@
+"""What a diagnosis of one stage has found, in the form of the contract."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from clampid.effect import Stage
+from clampid.fitted_stage import FittedStage
+from clampid.slots import Term
+
+__all__ = ["StageDiagnosis", "Verdict"]
+
+Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
+
+
+@dataclass
+class StageDiagnosis:
+    """What was found in one stage; :meth:`to_json` gives the contract's form."""
+
+    stage: Stage
+    unit: str
+    verdict: Verdict = "adequate"
+    noise_floor: float = 0.0
+    before: float = 0.0
+    after: float = 0.0
+    candidates: list[dict[str, Any]] = field(default_factory=list)
+    considered: list[dict[str, Any]] = field(default_factory=list)
+    depends_on: list[str] = field(default_factory=list)
+    shape: dict[str, Any] | None = None
+    outliers: list[dict[str, Any]] = field(default_factory=list)
+    next_measurement: str | None = None
+    omission: list[dict[str, Any]] = field(default_factory=list)
+    testability: list[dict[str, Any]] = field(default_factory=list)
+    summary: str = ""
+    added: list[Term] = field(default_factory=list)
+    fitted: FittedStage | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "verdict": self.verdict,
+            "unit": self.unit,
+            "noise_floor": self.noise_floor,
+            "heldout_rms_before": self.before,
+            "heldout_rms_after": self.after,
+            "candidates": self.candidates,
+            "considered": self.considered,
+            "depends_on": self.depends_on,
+            "shape": self.shape,
+            "outliers": self.outliers,
+            "next_measurement": self.next_measurement,
+            "omission": self.omission,
+            "testability": self.testability,
+            "summary": self.summary,
+        }

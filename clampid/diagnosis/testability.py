@@ -1,0 +1,55 @@
+"""What rows can tell: the state of each candidate, and the smallest parameter that would have been found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy import optimize, stats
+
+from clampid.diagnosis.look import RATE
+from clampid.diagnosis.score import Flips, Scored, log_tail
+from clampid.effect import Effect
+from clampid.slots import find_parameter
+
+__all__ = ["noncentrality", "testability_of"]
+
+POWER = 0.9
+GAUSSIAN = 300.0
+
+
+def noncentrality(freedom: int, null: Flips) -> float:
+    """The noncentrality that is found with 90 % power at this dictionary's size."""
+    log_p = null.critical_log_p(RATE)
+    most = 4.0 * (freedom - log_p) + 100.0
+    critical = float(optimize.brentq(lambda x: float(log_tail(x, freedom)) - log_p, 0.0, most))
+
+    def short(x: float) -> float:
+        return float(stats.ncx2.sf(critical, freedom, x)) - POWER
+
+    if critical > GAUSSIAN:  # far out the distribution of the statistic is narrow about its mean
+        return critical + float(stats.norm.isf(1 - POWER)) * 2.0 * float(np.sqrt(critical))
+    return float(optimize.brentq(short, 0.0, 10.0 * critical + 200.0))
+
+
+def testability_of(named: Sequence[Scored], null: Flips, effects: dict[str, Effect]) -> list[dict[str, Any]]:
+    """For each candidate its state and the smallest parameter that is found with 90 % probability."""
+    out, factor = [], {}
+    for s in named:
+        if s.freedom and s.freedom not in factor:
+            factor[s.freedom] = np.sqrt(noncentrality(s.freedom, null))
+        limits: list[dict[str, Any]] = []
+        together = s.candidate.prior is not None  # too many to be found one by one: so many times the assumed size
+        if together and s.freedom:
+            information = float(np.sum(s.kept**2 / np.maximum(1.0 - s.kept, 1e-9)))
+            name = f"{s.candidate.name}, in assumed sizes"
+            limits.append({"name": name, "limit": float(factor[s.freedom] / np.sqrt(information)), "unit": ""})
+        for slot, unit_limit in zip(s.candidate.slots, s.unit_limit, strict=True):
+            if together:
+                break
+            limit = float(unit_limit * factor[s.freedom]) if s.freedom and np.isfinite(unit_limit) else None
+            limits.append({"name": slot.label, "limit": limit, "unit": find_parameter(slot, effects).unit})
+        entry = {"effect": s.candidate.family, "name": s.candidate.name, "where": list(s.candidate.places)}
+        out.append({**entry, "state": s.state, "retained": s.retained, "limits": limits})
+    return out

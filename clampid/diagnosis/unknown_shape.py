@@ -1,0 +1,239 @@
+"""The shape of what no known effect explains: its dependence on the variables that the verdict names, with a band.
+
+The shape is the very effect that ``clampid effect new`` would write for these variables at this place, fitted to the
+residual in one linear step along with all active parameters. How fine it is, harmonics or powers, the score-BIC says.
+The band is simultaneous: with 95 % probability the whole curve lies inside, and not only a point of it. Its width
+follows from the residuals' own scatter from unit to unit (poses, blocks of a log), so that it needs no noise model.
+
+Source of the covariance: White, Econometrica 48, 1980, with units for rows (Liang and Zeger, Biometrika 73, 1986); of
+the band: the maximum of a Gaussian process over the curve, by simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from types import ModuleType
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from clampid.dependence import Dependence, Variable, dependence
+from clampid.diagnosis.candidates import Candidate, named_candidates
+from clampid.diagnosis.columns import Columns
+from clampid.diagnosis.score import Scored, Space, score
+from clampid.effect import EffectError
+from clampid.effect_new import effect_module, effect_text
+from clampid.fit import Estimate
+from clampid.stages.rows import Array, Rows
+
+__all__ = ["shape_of"]
+
+FINEST = (8, 3)  # orders tried of one variable, and of each of two
+TRIED = 2  # variables; a shape over more of them nobody can look at
+STEPS = 61
+COVERED = 0.95
+DRAWS = 4000
+EDGES = (0.01, 0.99)  # of a variable's values: beyond them hardly a row tells anything
+SECTIONS = (0.1, 0.5, 0.9)  # of the second variable, at which the curve over the first is drawn
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Factors of the terms ``(k,)`` with a root of their covariance ``(k, f)``."""
+
+    orders: int
+    module: ModuleType
+    scored: Scored
+    factors: Array
+    root: Array
+
+
+def shape_of(
+    estimate: Estimate, space: Space, probe: Scored, depends_on: Sequence[str], seed: int
+) -> dict[str, Any] | None:
+    """The shape of what a probe has found, as the JSON of ``diagnose`` has it; None where it has none to show.
+
+    Parameters
+    ----------
+    space
+        The residual, and what the active parameters can absorb of it.
+    probe
+        The best probe: its place is where the shape sits.
+    depends_on
+        Variables by column name; of more than two the probe's own go first.
+    """
+    found = _dependence(estimate, probe, depends_on)
+    if found is None:
+        return None
+    fitted = _fit(estimate, space, found)
+    if fitted is None:
+        return None
+    names = [v.name for v in found.variables]
+    name = fitted.module.EFFECT.name
+    command = f"clampid effect new {name} --depends-on {','.join(names)} --at {found.place.name}"
+    return {
+        "name": name,
+        "at": found.place.name,
+        "depends_on": names,
+        "orders": fitted.orders,
+        "explained": fitted.scored.explained,
+        "share": float(np.sum(fitted.scored.amplitude**2) / max(float(space.residual @ space.residual), 1e-300)),
+        "band": "95 %, simultaneous",
+        "curves": list(_curves(estimate.experiment.rows, found, fitted, seed)),
+        "command": f"{command} --stage {found.stage} --orders {fitted.orders}",
+    }
+
+
+def _dependence(estimate: Estimate, probe: Scored, depends_on: Sequence[str]) -> Dependence | None:
+    """The probe's place and at most two variables; None where nothing can act there as an effect of its own."""
+    own = probe.candidate.depends_on
+    if len(probe.candidate.places) != 1:
+        return None
+    names = list(dict.fromkeys([*own, *depends_on]))[: max(TRIED, 1)]
+    try:
+        return dependence(names, probe.candidate.places[0], estimate.experiment.stage)
+    except EffectError:
+        return None
+
+
+def _fit(estimate: Estimate, space: Space, found: Dependence) -> _Fitted | None:
+    """Fit the finest shape's terms at once, and keep the orders whose score-BIC is best."""
+    known = estimate.experiment.effects
+    name = next(n for k in range(1, 100) if (n := f"unknown_{found.place.name}{f'_{k}' if k > 1 else ''}") not in known)
+    names = [v.name for v in found.variables]
+
+    def module_of(orders: int) -> ModuleType:
+        return effect_module(effect_text(name, names, found.place.name, stage=found.stage, orders=orders))
+
+    graded = any(v.basis in ("fourier", "powers") for v in found.variables)
+    modules = {k: module_of(k) for k in range(1, (FINEST[len(names) - 1] if graded else 1) + 1)}
+    effect = modules[max(modules)].EFFECT
+    trial = replace(estimate, experiment=replace(estimate.experiment, effects={**known, name: effect}))
+    whole = next(iter(named_candidates(trial, {name: effect})), None)
+    if whole is None:
+        return None
+    tried = {k: score(space, [_part(whole, m)])[0] for k, m in modules.items()}
+    orders = max(tried, key=lambda k: tried[k].bic)
+    best = tried[orders]
+    if not best.freedom:
+        return None
+    root = best.weights @ _scatter(estimate, space, best)
+    return _Fitted(orders, modules[orders], best, best.weights @ best.amplitude, root)
+
+
+def _part(whole: Candidate, module: ModuleType) -> Candidate:
+    """The terms of a coarser shape among those of a finer one."""
+    wanted = {p.name for p in module.EFFECT.parameters}
+    chosen = [k for k, slot in enumerate(whole.slots) if slot.parameter in wanted]
+    pieces = whole.columns.pieces if isinstance(whole.columns, Columns) else ()
+    columns = Columns(tuple((start, block[:, chosen]) for start, block in pieces), len(chosen))
+    return replace(whole, slots=tuple(whole.slots[k] for k in chosen), columns=columns)
+
+
+def _scatter(estimate: Estimate, space: Space, s: Scored) -> Array:
+    """A root ``(f, f)`` of the covariance of the amplitudes, from how much each unit of rows pulls them."""
+    entries = len(space.residual)
+    directions = (s.candidate.columns.dense(entries) - space.basis @ s.absorbed) @ s.weights
+    left = space.residual - directions @ s.amplitude
+    _, unit = np.unique(space.unit, return_inverse=True)
+    pulls = np.zeros((int(unit.max()) + 1, s.freedom))
+    np.add.at(pulls, unit, directions * left[:, None])
+    count = len(np.unique(estimate.experiment.rows.unit))
+    values, vectors = np.linalg.eigh(pulls.T @ pulls * count / max(count - s.freedom, 1))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _curves(rows: Rows, found: Dependence, fitted: _Fitted, seed: int) -> Iterator[dict[str, Any]]:
+    """The shape over its first variable, at several values of the other; axis by axis where the place has several."""
+    measured = [_observed(v, rows) for v in found.variables]
+    middle = _terms(fitted.module, found.variables, measured).mean(axis=0)
+    first = next((k for k, v in enumerate(found.variables) if v.basis != "sign"), 0)
+    grid = _grid(found.variables[first], measured[first])
+    others = [k for k in range(len(measured)) if k != first]
+    parameters = [slot.parameter for slot in fitted.scored.candidate.slots]
+    terms = list(fitted.module.shape(*(0.0 for v in found.variables for _ in v.arguments)))
+    sections = list(product(*(_sections(found.variables[k], measured[k]) for k in others)))
+    for axis, unit in found.place.units.items():
+        prefix = "" if len(found.place.units) == 1 else f"{axis}_"
+        own = [parameters.index(prefix + term) for term in terms]
+        factors, root = fitted.factors[own], fitted.root[own]
+        tables = []
+        for section in sections:
+            at = [np.full(len(grid), np.nan)] * len(measured)
+            at[first] = grid
+            for k, value in zip(others, section, strict=True):
+                at[k] = np.full(len(grid), value)
+            tables.append(_terms(fitted.module, found.variables, at) - middle)
+        wide = _width(np.vstack(tables) @ root, seed)
+        for section, table in zip(sections, tables, strict=True):
+            value, half = table @ factors, wide * np.linalg.norm(table @ root, axis=1)
+            yield {
+                "variable": found.variables[first].name,
+                "variable_unit": found.variables[first].unit,
+                "given": {found.variables[k].name: float(v) for k, v in zip(others, section, strict=True)},
+                "axis": axis,
+                "unit": unit,
+                "x": grid.tolist(),
+                "value": value.tolist(),
+                "low": (value - half).tolist(),
+                "high": (value + half).tolist(),
+            }
+
+
+def _width(root: Array, seed: int) -> float:
+    """How many standard errors a band is wide that holds all points ``(G, f)`` at once with 95 % probability."""
+    spread = np.linalg.norm(root, axis=1)
+    told = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
+    if not told.any():
+        return 0.0
+    draws = np.random.default_rng(seed).standard_normal((root.shape[1], DRAWS))
+    largest = np.abs((root[told] / spread[told, None]) @ draws).max(axis=0)
+    return float(np.quantile(largest, COVERED))
+
+
+def _grid(v: Variable, values: Array) -> Array:
+    """Where along a variable the curve is drawn: over the values that rows have, or both directions."""
+    if v.basis == "sign":
+        return np.array([-1.0, 1.0])
+    low, high = np.quantile(values, EDGES)
+    return np.linspace(low, high, STEPS)
+
+
+def _sections(v: Variable, values: Array) -> list[float]:
+    """Values of the other variable at which the curve is drawn."""
+    if v.basis == "sign":
+        return [-1.0, 1.0]
+    return [float(q) for q in np.unique(np.quantile(values, SECTIONS))]
+
+
+def _terms(module: ModuleType, variables: Sequence[Variable], values: Sequence[Array]) -> Array:
+    """The terms ``(N, k)`` of a shape at values ``(N,)`` of its variables, SI."""
+    arguments = []
+    for v, x in zip(variables, values, strict=True):
+        if v.basis == "sliding":
+            arguments.append(ca.DM(np.sign(x)))
+        arguments.append(ca.DM(x / v.scale))
+    found: Mapping[str, Any] = module.shape(*arguments)
+    return np.column_stack([np.asarray(term).ravel() for term in found.values()])
+
+
+def _observed(v: Variable, rows: Rows) -> Array:
+    """The values ``(N,)`` of a variable in the rows, SI."""
+    signal = v.signals[-1]
+    if signal == "torque":
+        return _load(v, rows)
+    values = np.asarray(rows.signals[signal], dtype=float)
+    return values if v.index is None else values[:, v.index]
+
+
+def _load(v: Variable, rows: Rows) -> Array:
+    """The load of a joint in poses, of a motor elsewhere: what the description says, or what a clamped motor had."""
+    index = v.index or 0
+    if rows.stage == "poses":
+        return np.asarray(rows.signals["gravity_torque"][:, index])
+    if rows.stage == "free_air":
+        return np.asarray((rows.signals["gravity_torque"] @ np.asarray(rows.robot.transmission).T)[:, index])
+    return np.asarray(rows.measured[:, index])

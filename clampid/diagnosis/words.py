@@ -1,0 +1,93 @@
+"""A verdict in words, and what stands beside it: outliers, and what an omission did to other parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from clampid.diagnosis.result import StageDiagnosis
+from clampid.fit import Estimate
+from clampid.slots import Slot, find_parameter
+
+__all__ = ["omission_of", "outliers_of", "summary_of"]
+
+
+def outliers_of(estimate: Estimate) -> list[dict[str, Any]]:
+    """The rows that the fit has rejected, and the size of their residual: m of a point, Nm over all motors."""
+    rows = estimate.experiment.rows
+    width = 3 if rows.stage == "poses" else rows.robot.n
+    return [
+        {
+            "table": str(rows.table[i]),
+            "row": int(rows.row[i]),
+            "size": float(np.linalg.norm(estimate.residual[i, :width])),
+        }
+        for i in np.flatnonzero(estimate.outliers)
+    ]
+
+
+def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
+    """What the omission had done to the parameters that were fitted anyway: shifts beyond their standard error."""
+    if before is after:
+        return []
+    std = after.std
+    new: dict[Slot, int] = {slot: k for k, slot in enumerate(after.slots)}
+    out: list[dict[str, Any]] = []
+    for k, slot in enumerate(before.slots):
+        if slot not in new:
+            continue
+        shift = float(before.theta[k] - after.theta[new[slot]])
+        spread = float(std[new[slot]])
+        if spread > 0 and abs(shift) > 2 * spread:
+            out.append(
+                {
+                    "name": slot.label,
+                    "shift": shift,
+                    "std": spread,
+                    "unit": find_parameter(slot, dict(before.experiment.effects)).unit,
+                }
+            )
+    return sorted(out, key=lambda o: -abs(float(o["shift"])) / float(o["std"]))[:10]
+
+
+def summary_of(result: StageDiagnosis) -> str:
+    """The verdict in a sentence or two."""
+    scale, unit = (1e6, "µm") if result.unit == "m" else (1.0, "σ of the motors' noise")
+
+    def shown(x: float) -> str:
+        return f"{x * scale:.3g} {unit}"
+
+    def words(c: Mapping[str, Any]) -> str:
+        return str(c["effect"]).replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "")
+
+    confirmed = [words(c) for c in result.candidates if not c["alternative"]]
+    floor = f"noise floor {shown(result.noise_floor)}"
+    start = ""
+    if confirmed:
+        fall = f"the held-out error falls from {shown(result.before)} to {shown(result.after)} ({floor})"
+        start = f"Missing: {'; '.join(confirmed)}; with it {fall}. "
+    match result.verdict:
+        case "adequate":
+            return (
+                f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, {floor}; effects "
+                "above the listed limits would have been found with 90 % probability."
+            )
+        case "missing":
+            return start + "Beyond that nothing stands out of the noise."
+        case "ambiguous":
+            rest = [words(c) for c in result.candidates if c["alternative"]]
+            return start + f"These data cannot tell apart: {'; '.join(rest)}. To part them: {result.next_measurement}."
+        case _:
+            error = "" if confirmed else f" (held-out error {shown(result.after)}, {floor})"
+            if not result.depends_on:
+                return (
+                    f"{start}The error is far above the noise{error}, but no known effect explains it, and it depends "
+                    "on no recorded variable as far as these rows tell."
+                )
+            next_step = f" To make it an effect: {result.shape['command']}" if result.shape else ""
+            return (
+                f"{start}Structure is left that no known effect explains; it depends on "
+                f"{', '.join(result.depends_on)}{error}.{next_step}"
+            )

@@ -1,0 +1,109 @@
+"""The shape of what no known effect explains, as the diagnosis found it: curves with their bands, and what to type."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from clampid.report.display import Scale, number, scale_for, stage_title
+from clampid.report.panels import finish, grid, place_of
+from clampid.report.stage_data import in_order
+from clampid.report.style import BLUE, GREEN, ORANGE, Figure, Section
+
+__all__ = ["unknown_shape_section"]
+
+Json = Mapping[str, Any]
+COLORS = (BLUE, ORANGE, GREEN)
+BANDS = ("rgba(0,114,178,0.22)", "rgba(213,94,0,0.22)", "rgba(0,158,115,0.22)")
+DEGREES = Scale(np.pi / 180.0, "degrees")
+
+
+def unknown_shape_section(diagnosis: Json | None) -> Section | None:
+    """Section "The shape of what is not known"; None where no verdict has one."""
+    stages: Json = (diagnosis or {}).get("stages") or {}
+    blocks: list[str | Figure] = []
+    notes: list[str] = []
+    for stage in in_order(stages):
+        shape = stages[stage].get("shape")
+        if shape:
+            blocks += [stage_title(stage), _figure(stage, shape)]
+            notes.append(f"{stage_title(stage)}, to make it an effect of your own: {shape['command']}")
+    if not blocks:
+        return None
+    text = (
+        "No effect of the catalogue explains what is left, but it depends on what the verdict names. This is how: the "
+        "part of it that the model's own parameters cannot take up, about its mean over the rows. The command writes "
+        "it as an effect with free factors, which fit, diagnosis and compensation then treat like any other."
+    )
+    return Section("shape", "The shape of what is not known", (text,), tuple(blocks), tuple(notes), "What to type")
+
+
+def _figure(stage: str, shape: Json) -> Figure:
+    curves: Sequence[Json] = shape["curves"]
+    axes = list(dict.fromkeys(str(c["axis"]) for c in curves))
+    scales = {axis: _scale([c for c in curves if c["axis"] == axis]) for axis in axes}
+    titles = [f"{axis}, {scales[axis].unit}" if len(axes) > 1 else "" for axis in axes]
+    plot = grid(len(axes), titles)
+    for k, axis in enumerate(axes):
+        own = [c for c in curves if c["axis"] == axis]
+        for i, curve in enumerate(own):
+            for trace in _traces(curve, scales[axis], i, first=k == 0):
+                plot.add_trace(trace, *place_of(k, len(axes)))
+    across = _scale_of_variable(str(curves[0]["variable"]), str(curves[0]["variable_unit"]))
+    height = 240 * (-(-len(axes) // 3)) + (90 if len(axes) > 1 else 160)
+    up = "" if len(axes) > 1 else f"{'angle' if axes[0] == 'dq' else 'torque'} at {shape['at']}, {scales[axes[0]].unit}"
+    title = f"{curves[0]['variable']}{f', {across.unit}' if across.unit else ''}"
+    plot = finish(plot, len(axes), height, title, up)
+    caption = (
+        f"What acts at {shape['at']} as a function of {' and '.join(shape['depends_on'])}, with a band that holds the "
+        f"whole curve with 95 % probability (simultaneous). It explains {number(100 * float(shape['share']), 2)} % of "
+        "the squares of what is left."
+    )
+    return Figure(f"shape-{stage}", plot, caption, height)
+
+
+def _scale(curves: Sequence[Json]) -> Scale:
+    return scale_for(str(curves[0]["unit"]), [float(v) for c in curves for v in (*c["low"], *c["high"])])
+
+
+def _scale_of_variable(name: str, unit: str) -> Scale:
+    """Degrees of joint angles, minutes of times, kelvin above 20 °C, and what the unit has of the rest."""
+    if unit == "rad" and name.startswith("q"):
+        return DEGREES
+    if unit == "s":
+        return Scale(60.0, "min")
+    if unit == "K":
+        return Scale(1.0, "K above 20 °C")
+    return Scale(1.0, unit)
+
+
+def _given(curve: Json) -> str:
+    """The values of the other variables, as a legend has them."""
+    parts = []
+    for name, value in curve["given"].items():
+        if name.startswith("dir"):
+            parts.append(f"{name} {'+' if value > 0 else '−'}1")
+        elif name.startswith("q") and name[1:].isdigit():
+            parts.append(f"{name} {number(float(np.degrees(value)), 2)}°")
+        else:
+            parts.append(f"{name} {number(float(value), 2)}")
+    return ", ".join(parts) or "shape"
+
+
+def _traces(curve: Json, scale: Scale, index: int, first: bool) -> list[go.Scatter]:
+    across = _scale_of_variable(str(curve["variable"]), str(curve["variable_unit"]))
+    x = np.asarray(curve["x"]) / across.factor
+    value, low, high = (np.asarray(curve[k], dtype=float) / scale.factor for k in ("value", "low", "high"))
+    name, color = _given(curve), COLORS[index % len(COLORS)]
+    band = go.Scatter(
+        x=np.r_[x, x[::-1]], y=np.r_[high, low[::-1]], fill="toself", fillcolor=BANDS[index % len(BANDS)],
+        line={"width": 0}, mode="lines", hoverinfo="skip", showlegend=False, legendgroup=name,
+    )  # fmt: skip
+    mode = "lines" if len(x) > 2 else "lines+markers"
+    line = go.Scatter(
+        x=x, y=value, mode=mode, line={"color": color, "width": 2}, name=name, legendgroup=name, showlegend=first
+    )
+    return [band, line]

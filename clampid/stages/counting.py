@@ -1,0 +1,108 @@
+"""Which rows of a torque log count, the signals of its motion, and its folds: for logs held whole and by windows alike.
+
+Static friction is indeterminate, so that a motor at rest says nothing. Dry friction takes a distance to build up:
+between rest and clear motion its torque is not known either. Where a motor turns while a joint that it is coupled with
+has not moved in the whole run, the dry friction of that joint's arm side is an unknown constant of the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from clampid.stages.log_facts import LogFacts, Motion
+from clampid.stages.rows import Array, Bools, Integers
+from experiments.signals import held_sign
+
+__all__ = ["FIFTHS", "INERTIA_SHARE", "counting", "folds_of", "motion_signals", "negligible", "standing_joints"]
+
+FIFTHS = 5  # a log of one run is held out by contiguous fifths
+INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
+
+
+def motion_signals(
+    motion: Motion, transmission: Array, facts: LogFacts, run: Integers, time: Array
+) -> dict[str, Array]:
+    """Signals of :data:`clampid.effect.SIGNALS` that follow from motion alone, ``(N, n)`` each, ``elapsed`` ``(N,)``.
+
+    Parameters
+    ----------
+    motion
+        Of ``N`` rows that follow each other.
+    transmission
+        ``(n, n)``, T.
+    run, time
+        The log's number of each row's run ``(N,)``, and stamps ``(N,)``, s.
+    """
+    to_motor = np.linalg.inv(transmission)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
+    joint_speed, motor_speed = motion.speed, motion.speed @ to_motor
+    joint_motion = held_sign(joint_speed, facts.rest, run)
+    gear = np.diag(transmission)
+    return {
+        "q": motion.position,
+        "motor": motion.position @ to_motor,
+        "joint_speed": joint_speed,
+        "motor_speed": motor_speed,
+        "joint_motion": joint_motion,
+        "motor_motion": held_sign(motor_speed, facts.rest_motor, run),
+        "own_speed": joint_speed / gear,
+        "own_motion": joint_motion * np.sign(gear),
+        "joint_acceleration": motion.acceleration,
+        "elapsed": time - facts.since,
+        "rest_direction": np.zeros_like(motion.position),
+    }
+
+
+def counting(
+    signals: Mapping[str, Array],
+    transmission: Array,
+    facts: LogFacts,
+    run: Integers,
+    wrist: Sequence[int],
+    accelerating: bool,
+) -> Bools:
+    """Motors' rows ``(N, n)`` that count by their motion; `negligible` inertia is not asked for here.
+
+    Parameters
+    ----------
+    signals
+        Of :func:`motion_signals`, their held signs carried on from before the rows.
+    run
+        The log's number of each row's run ``(N,)``.
+    wrist
+        Joints whose transmission is coupled.
+    accelerating
+        Use rows in acceleration.
+    """
+    out = np.abs(signals["motor_speed"]) > np.maximum(facts.rest_motor, facts.clear_motor)
+    unknown = np.zeros(out.shape, dtype=bool)
+    for j in wrist:
+        speed = np.abs(signals["joint_speed"][:, j])
+        creeping = (speed > facts.rest[j]) & (speed <= facts.clear[j])
+        unmoved = signals["joint_motion"][:, j] == 0  # not moved yet in this run
+        unknown[:, j] = facts.moved[run, j] & (creeping | unmoved)
+    out &= ~((unknown.astype(float) @ (transmission != 0).T.astype(float)) > 0)
+    if not accelerating:
+        out &= np.abs(signals["joint_acceleration"]) <= facts.steady  # rotors and links have inertia of their own
+    return np.asarray(out)
+
+
+def negligible(inertia: Array, facts: LogFacts) -> Bools:
+    """Whether motor torques of inertia ``(N, n)``, Nm, are little against the noise.
+
+    Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
+    and where that is more than a fraction of the noise, the row is left out.
+    """
+    return np.asarray(np.abs(inertia) <= INERTIA_SHARE * facts.noise)
+
+
+def standing_joints(facts: LogFacts, wrist: Sequence[int]) -> Integers:
+    """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
+    keys = [(r, j) for j in wrist for r in range(len(facts.moved)) if not facts.moved[r, j]]
+    return np.array(keys, dtype=np.int64).reshape(-1, 2)
+
+
+def folds_of(facts: LogFacts, run: Integers, row: Integers) -> Integers:
+    """The folds ``(N,)`` of rows of the log ``(N,)``, from 0: runs, or contiguous fifths where there is one run."""
+    return run if len(facts.runs) > 1 else (row * FIFTHS // facts.rows).astype(np.int64)

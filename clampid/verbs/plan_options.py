@@ -1,0 +1,118 @@
+"""What the verbs of ``clampid plan`` are told alike: the robot and what stands around it, and how torques are read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from clampid.verbs.errors import CallError
+
+if TYPE_CHECKING:
+    from clampid.planning.logs import TorqueNoise
+    from clampid.planning.scene import Scene
+    from experiments.plans.limits import Limits
+    from experiments.plans.model import Cell
+
+__all__ = ["Acceleration", "Surroundings", "TorqueReadings", "names_of", "numbers_of"]
+
+Acceleration = Annotated[
+    str | None,
+    typer.Option(metavar="RAD/S2[,…]", help="Accelerations; else top speed in half a second.", show_default=False),
+]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The robot, how much of its joints' ranges may be used, and what it must not touch."""
+
+    robot: Annotated[str, typer.Option(help="A bundled robot, or the path of a description.")] = "kuka_kr20_r1810"
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CAMPAIGN", help="Take tool, targets, instrument, gravity from there.", show_default=False
+        ),
+    ] = None
+    range_share: Annotated[float, typer.Option(metavar="SHARE", help="How much of each joint's range may be used.")] = (
+        0.95
+    )
+    floor: Annotated[
+        str | None,
+        typer.Option(metavar="M|none", help="Height of the floor over the base; 0 if upright.", show_default=False),
+    ] = None
+    obstacles: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Boxes, spheres, cylinders to stay clear of.")
+    ] = None
+    arm_radius: Annotated[float, typer.Option(metavar="M", help="Of the capsules that stand for the arm.")] = 0.08
+
+    def cell(self, acceleration: str | None = None) -> tuple[Cell, Limits, tuple[str, ...]]:
+        """Cell and limits, and what had to be assumed; ``acceleration`` as the option of that name."""
+        from experiments.plans.cell import cell_of
+        from experiments.plans.errors import PlanError
+        from experiments.plans.limits import limits_of
+
+        cell, assumed = cell_of(self.robot, self.like)
+        given = numbers_of("--acceleration", acceleration)
+        if given is not None and len(given) not in (1, cell.robot.n):
+            raise PlanError(f"--acceleration: expected one number or {cell.robot.n}, found {len(given)}")
+        limits, more = limits_of(cell.robot, share=self.range_share, acceleration=given)
+        return cell, limits, (*assumed, *more)
+
+    def scene(self, cell: Cell) -> Scene:
+        """What the arm must not touch."""
+        from clampid.planning.scene import Scene, read_obstacles
+
+        usual = Scene.floor_only(cell).floor
+        if self.floor is not None:
+            usual = None if self.floor == "none" else (numbers_of("--floor", self.floor) or (0.0,))[0]
+        around = () if self.obstacles is None else read_obstacles(self.obstacles, cell)
+        return Scene(cell, around, usual, self.arm_radius)
+
+
+@dataclass(frozen=True)
+class TorqueReadings:
+    """What the motors are rated for, and how well their torques are read."""
+
+    torque_noise: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE", help="Noise of the motor torques, share of the rated ones; 0.01.", show_default=False
+        ),
+    ] = None
+    rated_torque: Annotated[
+        str | None, typer.Option(metavar="NM,…", help="At the joints, where the description has none.")
+    ] = None
+
+    @property
+    def rated(self) -> tuple[float, ...] | None:
+        """Rated joint torques, Nm, or None: the description's."""
+        return numbers_of("--rated-torque", self.rated_torque)
+
+    def noise(self, cell: Cell) -> tuple[TorqueNoise, tuple[str, ...]]:
+        """Noise of the torques, and what had to be assumed."""
+        from clampid.planning.logs import torque_noise_of
+
+        return torque_noise_of(cell, self.torque_noise, self.rated)
+
+
+def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
+    """Numbers separated by commas; None where the option was not given.
+
+    Raises
+    ------
+    CallError
+        One of them is no number.
+    """
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
+
+
+def names_of(text: str | None) -> tuple[str, ...] | None:
+    """Names separated by commas; None where the option was not given."""
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())

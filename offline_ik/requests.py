@@ -1,0 +1,108 @@
+"""Requests of the line protocol: a word and ``key=value`` pairs, and the numbers in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from clampid.verbs.errors import CallError
+
+__all__ = ["WORDS", "RequestError", "number", "numbers", "parse", "switch"]
+
+Array = npt.NDArray[np.float64]
+
+WORDS = {
+    "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "pyfai"),
+    "path": ("gamma", "delta", "r", "roll", "from", "branch", "to"),
+    "stream": ("gamma", "delta", "r", "roll", "dt"),
+    "start": ("q",),
+    "temperature": ("link", "motor"),
+    "move": ("gamma", "delta", "r", "roll"),
+    "state": (),
+    "help": (),
+    "quit": (),
+}
+"""The requests and their keys; every one may have an ``id`` too."""
+
+
+class RequestError(CallError):
+    """A line that is no request; the message says what was expected."""
+
+
+def parse(line: bytes) -> tuple[str, dict[str, str]]:
+    """A request's word and its pairs.
+
+    Raises
+    ------
+    RequestError
+        The line is no text, its word is not known, a pair is none, not known there, or comes twice.
+    """
+    try:
+        parts = line.decode("ascii").split()
+    except UnicodeDecodeError:
+        raise RequestError("expected a line of ASCII text, found other bytes") from None
+    if not parts:
+        raise RequestError(f"expected a request, found an empty line; known: {', '.join(WORDS)}")
+    word, given = parts[0], {}
+    if word not in WORDS:
+        raise RequestError(f"no request is called {word[:40]!r}; known: {', '.join(WORDS)}")
+    for part in parts[1:]:
+        key, equals, value = part.partition("=")
+        if not equals or not value:
+            raise RequestError(f"{word}: expected key=value, found {part[:40]!r}")
+        if key != "id" and key not in WORDS[word]:
+            raise RequestError(f"{word}: no key is called {key[:40]!r}; known: {', '.join((*WORDS[word], 'id'))}")
+        if key in given:
+            raise RequestError(f"{word}: {key} is given twice")
+        given[key] = value
+    return word, given
+
+
+def number(given: Mapping[str, str], key: str, default: float | None = None) -> float:
+    """A number of a request.
+
+    Raises
+    ------
+    RequestError
+        It is none, or absent where there is no default.
+    """
+    if key not in given:
+        if default is None:
+            raise RequestError(f"expected {key}=NUMBER")
+        return default
+    try:
+        return float(given[key])
+    except ValueError:
+        raise RequestError(f"{key}: expected a number, found {given[key][:40]!r}") from None
+
+
+def numbers(given: Mapping[str, str], key: str) -> Array | None:
+    """Numbers separated by commas ``(k,)``, or None where the key is absent.
+
+    Raises
+    ------
+    RequestError
+        One is no number.
+    """
+    if key not in given:
+        return None
+    try:
+        return np.array([float(part) for part in given[key].split(",")])
+    except ValueError:
+        raise RequestError(f"{key}: expected numbers separated by commas, found {given[key][:40]!r}") from None
+
+
+def switch(given: Mapping[str, str], key: str) -> bool:
+    """Whether a key says ``yes``; absent it is ``no``.
+
+    Raises
+    ------
+    RequestError
+        It says anything else.
+    """
+    value = given.get(key, "no")
+    if value not in ("yes", "no"):
+        raise RequestError(f"{key}: expected yes or no, found {value[:40]!r}")
+    return value == "yes"
