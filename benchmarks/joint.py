@@ -24,7 +24,8 @@ from clampid.identify import identify
 from clampid.model import Model
 from clampid.reopen import reopen
 from clampid.stages.experiment import experiment
-from experiments.campaign import Campaign, Instrument, Tool
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
 
@@ -86,19 +87,8 @@ def measured(seed: int, poses: int) -> tuple[Campaign, np.ndarray]:
     """A campaign without a folder and without a verification table, and its true springs and clearances ``(12,)``."""
     robot = load_robot("kuka_kr20_r1810")
     found = measure(robot, seed=seed, poses=poses, tables=("free_air", "wrist", "clamped", "poses"))
-    header, drive = found.header, found.truth.plant.drive
-    campaign = Campaign(
-        name="benchmark",
-        path=None,
-        robot=robot,
-        gravity=np.array(header["gravity_m_s2"]),
-        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
-        targets={name: np.array(point) for name, point in header["targets_m"].items()},
-        instrument=Instrument("virtual", header["instrument"]["position_std_m"], None),
-        tables=found.tables,
-        fingerprint="0" * 64,
-    )
-    return campaign, np.r_[1.0 / drive.spring, drive.gap]
+    drive = found.truth.plant.drive
+    return measured_campaign(found, robot), np.r_[1.0 / drive.spring, drive.gap]
 
 
 def drives(model: Model) -> tuple[np.ndarray, np.ndarray]:
