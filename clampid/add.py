@@ -15,25 +15,34 @@ from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
-from clampid.identify import has_inertia, session_of, stage_rows, stages_of, verification_rows
+from clampid.identify import (
+    has_friction_state,
+    has_inertia,
+    session_of,
+    stage_rows,
+    stages_of,
+    verification_rows,
+)
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, Round, StageModel
+from clampid.omission import exported_shift
 from clampid.reopen import reopen
 from clampid.slots import Layout, Term, find_parameter, parse_term
 from clampid.stages.rows import Array
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
-__all__ = ["Addition", "add"]
+__all__ = ["Addition", "add", "carried"]
 
 
 @dataclass(frozen=True)
 class StageAddition:
-    """What was added in one stage, and the errors before and after."""
+    """What was added in one stage, the errors before and after, and what its lack had done to the exported table."""
 
     added: tuple[dict[str, Any], ...]
     before: StageErrors
     after: StageErrors
+    shift: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,6 +63,7 @@ class Addition:
                     "heldout_rms_after": s.after.heldout_rms,
                     "rms_before": s.before.rms,
                     "rms_after": s.after.rms,
+                    "exported_shift": list(s.shift),
                 }
                 for name, s in self.stages.items()
             }
@@ -88,19 +98,21 @@ def add(
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)
-    layout, stages, base = _carried(model, several, chosen)
+    layout, stages, base = carried(model, several, chosen)
     here = [s for s in stages_of(several) if s in stages]
     wanted = _parse(terms, effects, layout, here)
     mended, ledger = dict(stages), list(model.ledger)
     found: dict[Stage, StageAddition] = {}
     references: dict[int, Array] = dict(base or {})
+    unmended: StageModel | None = None
     for stage in here:
         asked = wanted.get(stage, [])
         if not asked and not (stage == "poses" and found):
             continue
         # Both models are judged by the same rows: with inertia those in acceleration, too.
-        moves = has_inertia((*stages[stage].terms, *asked), effects)
-        rows = stage_rows(several, layout, stage, base, accelerating=moves)
+        every = (*stages[stage].terms, *asked)
+        moves, rests = has_inertia(every, effects), has_friction_state(every, effects)
+        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
         before_stages = {s: m for s, m in mended.items() if s != stage}
         held, told = stages[stage].held_out, stages[stage].told
         old = fit_stage(rows, effects, stages[stage].terms, before_stages, stages[stage].values(), held, told)
@@ -114,10 +126,14 @@ def add(
             if new_terms
             else old
         )
+        # An effect that takes another's place finds its own places.
+        every, new_terms = new.model.terms, [t for t in new.model.terms if t not in stages[stage].terms]
         verification = verification_rows(several, layout, stage, new.base_reference)
         errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
         references |= new.base_reference
         mended[stage] = new.model
+        if stage == "poses":
+            unmended = old.model
         labels = tuple(t.label for t in new_terms)
         if new_terms:
             found[stage] = StageAddition(_listed(new, new_terms, effects), errors[0], errors[1])
@@ -142,10 +158,14 @@ def add(
         ledger=tuple(ledger),
         user_effects=None if chosen is None else str(chosen),
     )
+    if "poses" in found and unmended is not None:
+        without = replace(result, stages={**mended, "poses": unmended})
+        shift = exported_shift(without, result, several[0].robot)
+        found["poses"] = replace(found["poses"], shift=tuple(shift))
     return result, Addition(found)
 
 
-def _carried(
+def carried(
     model: Model, campaigns: Sequence[Campaign], user_effects: Path | None
 ) -> tuple[Layout, Mapping[Stage, StageModel], Mapping[int, Array] | None]:
     """The model's stages in the campaigns' layout, and where the instruments see the base."""
@@ -189,8 +209,10 @@ def _resolved(
     if not asked:
         return [], {}
     estimate = fitted.estimate
+    active = {slot.effect for slot in estimate.slots}
+    out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
+    asked = [t for t in asked if effects[t.effect].aligns is None]
     scored = score(space_of(estimate), named_candidates(estimate, {t.effect: effects[t.effect] for t in asked}))
-    out: dict[Term, None] = {}
     shapes: dict[Any, float] = {}
     for term in asked:
         effect = effects[term.effect]

@@ -24,8 +24,10 @@ __all__ = [
     "dot",
     "exp",
     "fabs",
+    "fmax",
     "fourier",
     "interleave",
+    "log",
     "norms",
     "powers",
     "products",
@@ -36,12 +38,13 @@ __all__ = [
     "sliding",
     "tanh",
     "turning",
+    "winding",
 ]
 
 Terms = Mapping[str, Any]
 """Terms of a shape by name, none of them constant: what a free factor each makes any smooth function of."""
 
-sin, cos, exp, fabs, tanh = ca.sin, ca.cos, ca.exp, ca.fabs, ca.tanh
+sin, cos, exp, log, fabs, fmax, tanh = ca.sin, ca.cos, ca.exp, ca.log, ca.fabs, ca.fmax, ca.tanh
 
 
 def rows(*parts: Any) -> Any:
@@ -136,6 +139,11 @@ def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:
         label = name if k == 1 else f"{k}{name}"
         found |= {f"sin_{label}": sin(k * angle), f"cos_{label}": cos(k * angle)}
     return found
+
+
+def winding(name: str, angle: Any, orders: int) -> dict[str, Any]:
+    """``q4``, ``sin_q4``, ``cos_q4``, …: of a joint that turns more than once, at which a cable is not what it was."""
+    return {name: angle, **fourier(name, angle, orders)}
 
 
 def powers(name: str, value: Any, orders: int) -> dict[str, Any]:

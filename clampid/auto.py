@@ -26,7 +26,8 @@ def auto(
     """Identify a model, then add what diagnosis confirms.
 
     Diagnosis itself adds, refits and looks again until nothing more is confirmed, so that one pass is the whole loop.
-    What these data cannot tell apart is not added.
+    What these data cannot tell apart is not added. Where joints have one and the same curve, that takes the place of
+    one for each.
 
     Returns
     -------
@@ -48,6 +49,7 @@ def auto(
     for stage, part in found.stages.items():
         progress(f"{stage}: {part.summary}")
         terms = [f"{stage}={term.label}" for term in part.added]
+        terms += [f"{stage}={c['name']}" for c in found.simpler.get(stage, ())]
         if terms:
             model, _ = add(model, several, terms, seed=seed, user_effects=user_effects)
     return model, found

@@ -38,7 +38,9 @@ def with_user_effects(path: Path | None) -> Mapping[str, Effect]:
         return catalogue()
     spec = importlib.util.spec_from_file_location(f"user_effects_{path.stem}", path)
     if spec is None or spec.loader is None or not path.is_file():
-        raise EffectError(f"{path}: expected a Python file that defines EFFECT, found none")
+        raise EffectError(
+            f"{path}: expected a Python file that defines EFFECT, found none; say where it is by --effects-from"
+        )
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

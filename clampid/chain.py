@@ -20,7 +20,16 @@ from clampid.compiled import Blocks
 from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
 from clampid.slots import Layout, Slot
 
-__all__ = ["OUTPUTS", "Chain", "Deviations", "RowSymbols", "build_chain", "offer_torque", "parameter_columns"]
+__all__ = [
+    "OUTPUTS",
+    "Chain",
+    "Deviations",
+    "RowSymbols",
+    "build_chain",
+    "offer_friction_state",
+    "offer_torque",
+    "parameter_columns",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -160,6 +169,7 @@ def build_chain(
     parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
     constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
     row = RowSymbols(layout, constants, parameters)
+    offer_friction_state(row, stage, active)
     offer_torque(row, stage, active)
     values, offsets, start = [], {}, 0
     for station in OUTPUTS[stage]:
@@ -220,6 +230,13 @@ class RowSymbols:
                         f"effect {effect.name} does not fit a robot of {self.layout.joints} joints: {error}"
                     ) from error
         return value
+
+
+def offer_friction_state(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:
+    """Let the motors' dry friction follow the state that effects give it, instead of the sign of the last motion."""
+    acting = [e for e in active if "friction_state" in e.acts]
+    if stage == "free_air" and acting:
+        row.offered["motor_motion"] = row.recorded("motor_motion") + row.total("friction_state", acting)
 
 
 def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:

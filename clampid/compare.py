@@ -11,7 +11,8 @@ import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
 from clampid.agreement import Agreement, agreement_of, shared_drives
-from clampid.curves import angle_errors
+from clampid.compensation import Compensation, compensation_of
+from clampid.curves import angle_errors, shared_curve
 from clampid.effect import Stage
 from clampid.fit import fit
 from clampid.fitted_stage import fit_stage
@@ -38,6 +39,8 @@ class Comparison:
     drives, drives_p
         Whether clamped sweeps and poses agree on springs and clearances, joint by joint, and the p-value of all
         together; empty and None where the model or the campaign does not have both.
+    compensation
+        How much of the model's deflections stands in the poses, and what mistake in a compensation that is.
     """
 
     model: str
@@ -45,12 +48,15 @@ class Comparison:
     tables: dict[str, dict[str, Any]]
     drives: tuple[Agreement, ...] = ()
     drives_p: float | None = None
+    compensation: Compensation | None = None
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         data: dict[str, Any] = {"model": self.model, "campaign": self.campaign, "tables": self.tables}
         if self.drives:
             data["drives"] = {"p_value": self.drives_p, "parameters": [a.to_json() for a in self.drives]}
+        if self.compensation is not None:
+            data["compensation"] = self.compensation.to_json()
         return data
 
 
@@ -104,7 +110,7 @@ def compare(
     own = None if refit else _independent_drives(opened)
     if own is not None:
         drives, drives_p = agreement_of(*own)
-    return Comparison(model.robot, campaign.name, tables, drives, drives_p)
+    return Comparison(model.robot, campaign.name, tables, drives, drives_p, compensation_of(opened))
 
 
 def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | None:
@@ -247,6 +253,8 @@ def _refitted(opened: Reopened, refit: Sequence[str], share: float, seed: int) -
 def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
     """Which share of the held-out rows, joint by joint, stands at angles that no pose of the fit came near.
 
+    Of joints on one curve a pose of any counts for all.
+
     None where the model has no angle errors that depend on where a joint stands.
     """
     q = rows.signals["q"][chosen]
@@ -255,7 +263,9 @@ def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]
         return None
     far = found.extrapolated
     joints = {f"joint{j + 1}": float(far[:, j].mean()) for j in np.flatnonzero(far.any(axis=0))}
-    return {"share": float(far.any(axis=1).mean()), "joints": joints}
+    one = shared_curve(opened.stages["poses"], opened.effects, np.zeros(1))
+    together = {} if one is None else {"one_curve": [f"joint{j + 1}" for j in one.joints]}
+    return {"share": float(far.any(axis=1).mean()), "joints": joints, **together}
 
 
 def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:

@@ -1,4 +1,7 @@
-"""Errors of joint angles as curves over the angle: what a model says, how sure it is, and where no pose ever was."""
+"""Errors of joint angles as curves over the angle: what a model says, how sure it is, and where no pose ever was.
+
+On a curve that joints share, a pose of any of them counts for all: what one has not visited another may have.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from clampid.chain import build_chain
-from clampid.effect import Effect
+from clampid.effect import Effect, Parameter
 from clampid.model import StageModel
-from clampid.slots import Layout, find_parameter
+from clampid.slots import Layout, Slot, find_parameter
 from clampid.stages import poses
 from clampid.stages.rows import Array, Bools
 from kinematics.description import RobotDescription
 
-__all__ = ["FAMILY", "AngleErrors", "angle_errors"]
+__all__ = ["FAMILY", "AngleErrors", "SharedCurve", "angle_errors", "shared_curve"]
 
 FAMILY = "gear_eccentricity"
 KNOWN = 0.5  # of what was assumed before any row: an error known less well is extrapolated
@@ -74,7 +77,7 @@ def angle_errors(
     chain = build_chain("poses", slots, effects, layout, transmission, poses.link_vectors(robot))
     found = chain.evaluate(stage.theta[chosen], {"q": q})
     covariance = stage.covariance[np.ix_(chosen, chosen)]
-    prior = np.array([find_parameter(slot, effects).prior_std for slot in slots])
+    prior = np.array([_assumed(find_parameter(slot, effects)) for slot in slots])
     first = chain.offsets["joint_angle"].start
     error[:] = found.values[:, chain.offsets["joint_angle"]]
     for j in range(q.shape[1]):
@@ -84,3 +87,78 @@ def angle_errors(
         assumed[:, j] = np.sqrt(np.sum((slope * prior[index]) ** 2, axis=1))
         active[j] = len(own) > 0
     return AngleErrors(error, std, assumed, active)
+
+
+def _assumed(parameter: Parameter) -> float:
+    """What is assumed of an amplitude; phases and the like are no part of an error's size."""
+    return 0.0 if parameter.shape else parameter.prior_std
+
+
+@dataclass(frozen=True)
+class SharedCurve:
+    """The one curve that several joints' angle errors follow.
+
+    Attributes
+    ----------
+    joints
+        From 0; phases count from the first.
+    sense, phase, phase_std
+        ``(j,)``: a joint's error is ``sense g(sense q - phase)`` and what it has of its own; rad.
+    angle, error, std, assumed
+        ``(M,)``, rad: where on the curve, g there, its standard error, and what was assumed of its size.
+    deviation
+        rad, rms over a turn: by how much the joints differ from the curve, beside once and twice per turn.
+    """
+
+    joints: tuple[int, ...]
+    sense: Array
+    phase: Array
+    phase_std: Array
+    angle: Array
+    error: Array
+    std: Array
+    assumed: Array
+    deviation: float
+
+    @property
+    def extrapolated(self) -> Bools:
+        """Where ``(M,)`` no pose of any of the joints came near."""
+        return self.std > KNOWN * self.assumed
+
+    def on_curve(self, q: Array) -> Array:
+        """Where joint angles ``(N, n)`` stand on the curve ``(N, j)``, rad, from 0 to 2 pi."""
+        return np.mod(self.sense * q[:, list(self.joints)] - self.phase, 2 * np.pi)
+
+
+def shared_curve(stage: StageModel, effects: Mapping[str, Effect], angle: Array) -> SharedCurve | None:
+    """The curve that a pose model's joints share, at angles ``(M,)``, rad; None where none do."""
+    name = next((s.effect for s in stage.slots if effects[s.effect].aligns is not None), None)
+    if name is None:
+        return None
+    effect, values = effects[name], stage.values()
+    std = dict(zip(stage.slots, stage.std.tolist(), strict=True))
+    places = [s.place for s in stage.slots if s.effect == name and s.parameter == "sense"]
+    phases = [Slot(name, "phase", p) for p in places]
+    index = [k for k, s in enumerate(stage.slots) if s.effect == name and _coefficient(effect, s)]
+    order = np.array([int(stage.slots[k].parameter[1:]) for k in index])
+    sine = np.array([stage.slots[k].parameter.startswith("a") for k in index])
+    slope = np.where(sine, np.sin(angle[:, None] * order), np.cos(angle[:, None] * order))
+    prior = np.array([find_parameter(stage.slots[k], effects).prior_std for k in index])
+    covariance = stage.covariance[np.ix_(index, index)]
+    return SharedCurve(
+        joints=tuple(int(p.removeprefix("joint")) - 1 for p in places),
+        sense=np.array([values[Slot(name, "sense", p)] for p in places]),
+        phase=np.array([values[s] for s in phases]),
+        phase_std=np.array([std[s] for s in phases]),
+        angle=angle,
+        error=slope @ stage.theta[index],
+        std=np.sqrt(np.maximum(np.sum((slope @ covariance) * slope, axis=1), 0.0)),
+        assumed=np.sqrt(np.sum((slope * prior) ** 2, axis=1)),
+        deviation=values[Slot(name, "deviation", effect.at)],
+    )
+
+
+def _coefficient(effect: Effect, slot: Slot) -> bool:
+    """Whether a slot is an amplitude of the shared curve."""
+    parameter = effect.by_name[slot.parameter]
+    return parameter.per == "robot" and not parameter.shape

@@ -16,7 +16,7 @@ from clampid.effect import STAGES, EffectError, Stage
 
 __all__ = ["AXES", "Dependence", "Place", "Variable", "dependence"]
 
-Basis = Literal["fourier", "sign", "powers", "sliding"]
+Basis = Literal["winding", "fourier", "sign", "powers", "sliding"]
 
 AXES: Mapping[str, str] = {"rx": "rad", "ry": "rad", "rz": "rad", "x": "m", "y": "m", "z": "m"}
 """The six numbers of a small motion, in the chain's order, with their units."""
@@ -103,7 +103,7 @@ class _Kind:
 _ANGLE, _HOUR, _WARM = "rad", 3600.0, 10.0
 _MOTOR_LOAD = _Kind(("torque",), ("(x.transmission @ x.torque)[{i}]",), "powers", 10.0, "Nm")
 _ANYWHERE: Mapping[str, _Kind] = {
-    "q": _Kind(("q",), ("x.q[{i}]",), "fourier", unit=_ANGLE),
+    "q": _Kind(("q",), ("x.q[{i}]",), "winding", unit=_ANGLE),
     "motor": _Kind(("motor",), ("x.motor[{i}]",), "fourier", unit=_ANGLE),
     "time": _Kind(("elapsed",), ("x.elapsed",), "powers", _HOUR, "s", numbered=False),
     "temp_link": _Kind(("link_temperature",), ("x.link_temperature[{i}]",), "powers", _WARM, "K"),

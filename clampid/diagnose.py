@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from clampid.alignment import simpler
+from clampid.compensation import Compensation, compensation_of
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
-from clampid.identify import TABLES_OF
+from clampid.identify import TABLES_OF, session_of
 from clampid.model import Model
+from clampid.omission import exported_shift, shift_in_words
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot, Term
 from clampid.threads import single_threaded
@@ -23,13 +26,28 @@ __all__ = ["Diagnosis", "diagnose"]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, stage by stage."""
+    """What was found, stage by stage.
+
+    Attributes
+    ----------
+    compensation
+        Mistakes of the controller's own compensation that were measured along, by name; None where none shows.
+    simpler
+        Stage → effects that say with one curve what the model, with what was found missing, says with several.
+    """
 
     stages: Mapping[Stage, StageDiagnosis]
+    compensation: Compensation | None = None
+    simpler: Mapping[Stage, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``diagnose``."""
-        return {"stages": {name: stage.to_json() for name, stage in self.stages.items()}}
+        simpler = {name: {"simpler": list(found)} for name, found in self.simpler.items() if found}
+        stages = {name: {**stage.to_json(), **simpler.get(name, {})} for name, stage in self.stages.items()}
+        data: dict[str, Any] = {"stages": stages}
+        if self.compensation is not None:
+            data["compensation"] = self.compensation.to_json()
+        return data
 
 
 @single_threaded
@@ -65,7 +83,11 @@ def diagnose(
         wanted = stages is None or stage in stages
         if wanted and any(t in campaign.tables for t in TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
-    return Diagnosis(found)
+    mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
+    compensation = compensation_of(opened)
+    if compensation is not None and "poses" in found:
+        found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()
+    return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
 
 
 def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:
@@ -78,7 +100,18 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
         return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
-    return diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+    found = diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+    if stage == "poses" and found.added and found.fitted is not None:
+        ends = [_alone(opened, end) for end in (fitted, found.fitted)]
+        found.exported_shift = exported_shift(ends[0], ends[1], opened.campaign.robot)
+        found.summary = f"{found.summary} {shift_in_words(found.exported_shift)}".rstrip()
+    return found
+
+
+def _alone(opened: Reopened, poses: FittedStage) -> Model:
+    """A model of the poses of this campaign alone."""
+    session = session_of(opened.campaign, poses.base_reference[0])
+    return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=(session,))
 
 
 def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:

@@ -11,7 +11,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
-__all__ = ["FAMILIES", "SIGNALS", "STATIONS", "UNITS", "Effect", "EffectError", "Parameter", "Signal", "Stage"]
+__all__ = [
+    "FAMILIES",
+    "PRESLIDING_LENGTHS",
+    "RELAXATION_TIMES",
+    "SIGNALS",
+    "STATIONS",
+    "UNITS",
+    "Effect",
+    "EffectError",
+    "Parameter",
+    "Signal",
+    "Stage",
+]
 
 Stage = Literal["free_air", "clamped", "poses"]
 Per = Literal["robot", "joint", "link", "target", "session"]
@@ -37,6 +49,11 @@ UNITS: frozenset[str] = frozenset(
     }
 )  # fmt: skip
 
+PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
+"""Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""
+RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
+"""Times in which these states relax at rest, s; every length goes with every time, times running faster."""
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -60,6 +77,11 @@ SIGNALS: Mapping[str, Signal] = {
     "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),
     "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion"),
     "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion"),
+    "dry_state": Signal(
+        ("n", len(PRESLIDING_LENGTHS) * len(RELAXATION_TIMES)),
+        "",
+        "state of each motor's dry friction, -1 to +1, for every presliding length and relaxation time",
+    ),
     "own_speed": Signal(("n",), "rad/s", "speed that each motor would have if its own joint alone turned it"),
     "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion"),
     "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
@@ -85,6 +107,7 @@ SIGNALS: Mapping[str, Signal] = {
 """What an effect may depend on, name by name."""
 
 STATIONS: Mapping[str, tuple[tuple[str | int, ...], str]] = {
+    "friction_state": (("n",), "state of the motors' dry friction beyond the sign of their last motion"),
     "joint_torque": (("n",), "torque at the joint, Nm; reaches the motors through T"),
     "motor_torque": (("n",), "torque at the motor, Nm"),
     "joint_angle": (("n",), "angle of the arm beyond what the controller reports, rad"),
@@ -128,6 +151,9 @@ class Parameter:
         Not an amplitude: it has a start value and a grid, and means nothing while the amplitudes are zero.
     grid
         The values of a shape parameter that a search visits; the first is its start.
+    held
+        Where a fit keeps it at its start: ``everywhere``, because it is chosen and not measured, or at the ``first`` of
+        its places, because the others count from there.
     """
 
     name: str
@@ -139,6 +165,7 @@ class Parameter:
     shape: bool = False
     grid: tuple[float, ...] = ()
     spread: float = WEAK
+    held: Literal["nowhere", "first", "everywhere"] = "nowhere"
     gearing: int = 0
 
     def __post_init__(self) -> None:
@@ -201,6 +228,10 @@ class Effect:
     tried
         How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
         ``jointly``: at all places at once, after which each place must pay for itself.
+    aligns
+        An effect with a curve of each joint's own, of which this one says that they are one curve, turned and mirrored.
+        From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.alignment`), and takes
+        its place where they are one. Diagnosis tests for it there, and does not look for it among the candidates.
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
@@ -219,6 +250,7 @@ class Effect:
     beyond: str | None = None
     tried: Literal["places", "together", "both", "jointly"] = "both"
     revealed_by: str | None = None
+    aligns: str | None = None
     meaning: str = field(default="")
 
     def __post_init__(self) -> None:

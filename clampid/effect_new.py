@@ -1,8 +1,8 @@
 """The file of an effect of unknown physics: a smooth shape over the variables that a verdict named, to be completed.
 
-What is written works as it stands: Fourier series of angles, powers of loads, times and temperatures, signs of
-directions, and the products of these over several variables, each term with a free factor. It is read back by the same
-loader as any effect of a user's own.
+What is written works as it stands: Fourier series of angles (of joints with a linear term, for they may turn more than
+once), powers of loads, times and temperatures, signs of directions, and the products of these over several variables,
+each term with a free factor. It is read back by the same loader as any effect of a user's own.
 """
 
 from __future__ import annotations
@@ -164,10 +164,8 @@ def _written(name: str, found: Dependence, orders: int) -> str:
 def _terms(v: Variable, orders: int) -> tuple[str, str]:
     """The expression of a variable's terms, and what it takes from the algebra."""
     match v.basis:
-        case "fourier":
-            return f'fourier("{v.name}", {v.name}, {orders})', "fourier"
-        case "powers":
-            return f'powers("{v.name}", {v.name}, {orders})', "powers"
+        case "winding" | "fourier" | "powers":
+            return f'{v.basis}("{v.name}", {v.name}, {orders})', v.basis
         case "sliding":
             return f'sliding("{v.name}", {", ".join(v.arguments)})', "sliding"
         case _:

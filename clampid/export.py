@@ -37,7 +37,17 @@ from kinematics.urdf import read_urdf, write_urdf
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["COLUMNS", "CalibratedChain", "calibrated_chain", "dh_table", "read_dh", "table_text", "urdf_text"]
+__all__ = [
+    "COLUMNS",
+    "FRAME_COLUMNS",
+    "ROW_COLUMNS",
+    "CalibratedChain",
+    "calibrated_chain",
+    "dh_table",
+    "read_dh",
+    "table_text",
+    "urdf_text",
+]
 
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")

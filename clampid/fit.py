@@ -129,6 +129,7 @@ def fit(
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
     precision, mean = prior_of(experiment, priors)
     theta = start_of(experiment, start, priors)
+    mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
     estimate = solve(experiment, theta, model, precision, mean)

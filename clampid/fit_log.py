@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -16,7 +17,7 @@ from scipy import stats
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
 from clampid.moments import Moments, minimise
 from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, autocorrelation, lag_products, whitener
+from clampid.prewhitening import ORDER, Predictors, Whitener, autocorrelation, lag_products
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -32,6 +33,11 @@ class LogNoise:
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
+
+    @cached_property
+    def predictors(self) -> tuple[Predictors, ...]:
+        """What whitens each motor's noise."""
+        return tuple(Predictors(a) for a in self.autocorrelations)
 
 
 @dataclass(frozen=True)
@@ -132,8 +138,7 @@ def summed(
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
             if noise.autocorrelations:
-                stretch = channel.stretch[used] if of is None or not apart else _apart(channel.stretch[used], of)
-                both = whitener(channel.row[used], stretch, noise.autocorrelations[c]) @ both
+                both = _whitener(channel, used, of if apart else None)(both, noise.predictors[c])
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -180,16 +185,17 @@ def residuals(
 
 def _outliers(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> Integers:
     """Rows far beyond what a clean table would show, as in `clampid.fit`."""
+    count, largest = np.zeros((2, design.n))
 
     def sizes() -> Iterator[list[Array]]:
+        count[:], largest[:] = 0.0, 0.0
         for found in residuals(design, folds, outliers, theta):
-            yield [np.abs(r.values[r.own :]) for r in found]
+            piece = [np.abs(r.values[r.own :]) for r in found]
+            count[:] += [len(p) for p in piece]
+            np.maximum(largest, [p.max(initial=0.0) for p in piece], out=largest)
+            yield piece
 
     scale = NORMAL * medians(sizes)
-    count, largest = np.zeros(design.n), np.zeros(design.n)
-    for piece in sizes():
-        count += [len(p) for p in piece]
-        largest = np.maximum(largest, [p.max(initial=0.0) for p in piece])
     limit = np.maximum(np.sqrt(stats.chi2.isf(OUTLIER_RATE / np.maximum(count, 1), 1)), 4.0)
     limit = np.where(count >= ENOUGH, limit * np.fmax(scale, 1e-12), np.inf)
     if not np.any(largest > limit):
@@ -212,6 +218,14 @@ def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) 
     sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(pairs[:, 0], 1)), 1e-12)
     autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(products, pairs, strict=True))
     return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
+
+
+def _whitener(channel: Channel, used: Integers | slice, part: Integers | None) -> Whitener:
+    """The filter of some of a channel's rows; across parts ``(k,)`` nothing is remembered, if they are given."""
+    if part is None and isinstance(used, slice):
+        return channel.whitener
+    stretch = channel.stretch[used]
+    return Whitener(channel.row[used], stretch if part is None else _apart(stretch, part))
 
 
 def _apart(stretch: Integers, part: Integers) -> Integers:

@@ -11,6 +11,7 @@ import numpy as np
 from clampid.accuracy import StageErrors, stage_errors
 from clampid.agreement import Agreement
 from clampid.base_parameters import base_parameters
+from clampid.begin import begun
 from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
 from clampid.fit import Estimate, fit
@@ -74,15 +75,29 @@ def fit_stage(
         The stages already fitted, whose values this one takes over.
     told
         What all other rows say, where a joint fit knows: taken instead.
+
+    Raises
+    ------
+    clampid.effect.EffectError
+        An effect needs something of these rows to begin with that they do not have.
     """
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
+
+    def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
+        first = experiment(fitted_rows, effects, _active_slots(rows, effects, chosen))
+        if told is not None:
+            return fit(first, (told,), values)
+        priors, carried = carried_over(rows, before)
+        return fit(first, priors, {**carried, **values})
+
+    terms, start = begun(terms, effects, rows.layout, start or {}, begin)
     trial = experiment(fitted_rows, effects, _active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
     if told is not None:
         estimate = fit(trial, (told,), start)
     else:
         priors, carried = carried_over(rows, before)
-        estimate = fit(trial, priors, {**carried, **(start or {})})
+        estimate = fit(trial, priors, {**carried, **start})
         drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, estimate)
         contradicted = drives.contradicted
         if drives.prior is not None:

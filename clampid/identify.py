@@ -27,6 +27,7 @@ __all__ = [
     "TABLES_OF",
     "FittedStage",
     "fit_stage",
+    "has_friction_state",
     "has_inertia",
     "identify",
     "session_of",
@@ -80,11 +81,15 @@ def stage_rows(
     base: Mapping[int, Array] | None = None,
     table: str = "poses",
     accelerating: bool = False,
+    resting: bool = False,
 ) -> Rows:
-    """The rows of a stage, or of the table ``verification``; ``accelerating``: logs with their accelerations."""
+    """The rows of a stage, or of the table ``verification``.
+
+    ``accelerating``: logs with their accelerations; ``resting``: with the motors that stand still.
+    """
     match stage:
         case "free_air":
-            return torque_rows(campaigns, layout, accelerating)
+            return torque_rows(campaigns, layout, accelerating, resting)
         case "clamped":
             return clamped_rows(campaigns, layout)
         case _:
@@ -94,6 +99,11 @@ def stage_rows(
 def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
     """Whether some terms explain torques of acceleration, so that such rows can be used."""
     return any(t.effect in effects and effects[t.effect].family == "inertia" for t in terms)
+
+
+def has_friction_state(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
+    """Whether some terms say what friction is at rest, so that such rows can be used."""
+    return any(t.effect in effects and "friction_state" in effects[t.effect].acts for t in terms)
 
 
 def resolve_terms(
@@ -191,12 +201,14 @@ def identify(
     parts: list[JointPart] = []
     before: dict[Stage, StageModel] = {}
     for stage, wanted in terms.items():
-        accelerating = has_inertia(wanted, catalogue)
-        log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating) if stage == "free_air" else None
+        accelerating, resting = has_inertia(wanted, catalogue), has_friction_state(wanted, catalogue)
+        log = None
+        if stage == "free_air" and not resting:
+            log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
         if log is not None and log.linear:
             parts.append(log.fit(held_out_folds(log.folds, holdout, seed)))
         else:
-            rows = stage_rows(several, layout, stage, accelerating=accelerating)
+            rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
             parts.append(fit_stage(rows, catalogue, wanted, before, held=held_out_folds(rows, holdout, seed)))
         before[stage] = parts[-1].model
     if joint:

@@ -170,11 +170,12 @@ def _union(parts: Sequence[JointPart]) -> _Union:
     for part, here in zip(parts, columns, strict=True):
         trial = _experiment(part)
         own_precision, own_mean = prior_of(trial, description_priors(trial.rows))
-        precision[np.ix_(here, here)], mean[here] = own_precision, own_mean
+        precision[np.ix_(here, here)] = own_precision
         limits = limits_of(trial)
         scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
         bounded[here] |= limits.bounded
         theta[here] = part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta  # the last knows most
+        mean[here] = np.where(trial.held(), theta[here], own_mean)
     theta = np.where(bounded, np.clip(theta, lower, upper), theta)
     return _Union(tuple(columns), theta, precision, mean, Limits(scale, lower, upper, bounded))
 
@@ -233,6 +234,7 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -
     alone = part.estimate
     point = stage_point(alone.experiment, alone.noise, theta)
     precision, mean = prior_of(alone.experiment, (told,))
+    mean = np.where(alone.experiment.held(), theta, mean)
     return replace(
         alone,
         theta=theta,

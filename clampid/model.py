@@ -174,9 +174,17 @@ def load_model(path: str | Path) -> Model:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         raise ModelError(f"{path}: expected format = {FORMAT!r}, found {found!r}")
     try:
-        return _from_json(data)
+        return _with_effects_beside(_from_json(data), Path(path))
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
         raise ModelError(f"{path}: a model with a part missing or spoiled: {type(error).__name__}: {error}") from error
+
+
+def _with_effects_beside(model: Model, path: Path) -> Model:
+    """The same model; a user's effects that are not where it says are looked for beside the model's own file."""
+    if model.user_effects is None or Path(model.user_effects).is_file():
+        return model
+    beside = path.parent / Path(model.user_effects).name
+    return replace(model, user_effects=str(beside)) if beside.is_file() else model
 
 
 def _to_json(model: Model) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clampid.prewhitening import autocorrelation, lag_products, whitener
+from clampid.prewhitening import Predictors, Whitener, autocorrelation, lag_products
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 
@@ -76,7 +76,7 @@ class Noise:
         out = columns[index] / self.sigma[index, channel][:, None]
         if not self.autocorrelations:
             return np.asarray(out)
-        return np.asarray(whitener(index, _stretches(rows)[index], self.autocorrelations[channel]) @ out)
+        return Whitener(index, _stretches(rows)[index])(out, Predictors(self.autocorrelations[channel]))
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""

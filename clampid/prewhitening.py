@@ -11,16 +11,24 @@ Source: Brockwell & Davis, Time Series: Theory and Methods (1991), sections 5.1 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from scipy import sparse
+from scipy.linalg.blas import daxpy
 
-from clampid.stages.rows import Array, Bools, Integers
+from clampid.stages.rows import Array, Integers
+from experiments.signals import solve_definite
 
-__all__ = ["ORDER", "REACH", "autocorrelation", "lag_products", "whitener"]
+__all__ = ["ORDER", "REACH", "Predictors", "Whitener", "autocorrelation", "lag_products"]
 
 ORDER = 12
 REACH = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
+CACHED = 1 << 14  # numbers that are filtered at once: they should stay in the processor's cache
 ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
+MOST_KINDS = 1 << 15  # of predictors that are kept
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
+
+Kinds = npt.NDArray[np.uint64]
+_PLAIN = np.array([(1 << ORDER) - 1], dtype=np.uint64)  # the twelve rows directly before
 
 
 def lag_products(x: Array, row: Integers, stretch: Integers, own: int = 0) -> tuple[Array, Array]:
@@ -31,7 +39,7 @@ def lag_products(x: Array, row: Integers, stretch: Integers, own: int = 0) -> tu
     x
         ``(k, m)`` or ``(k,)``: residuals of the rows that count; the products of m numbers add.
     row, stretch
-        ``(k,)``: which rows of the log, and of which stretches, as `whitener` takes them.
+        ``(k,)``: which rows of the log, and of which stretches, as `Whitener` takes them.
     own
         How many of the first rows only stand before the others: products whose later row is one of them do not count.
 
@@ -91,8 +99,50 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
     return out
 
 
-def whitener(row: Integers, stretch: Integers, correlation: Array) -> sparse.csr_matrix:
-    """The filter as a matrix ``(k, k)`` that turns such noise into white noise of the same variance.
+class Predictors:
+    """The weights by which rows are predicted from those before, for noise of one autocorrelation ``(65,)``.
+
+    Those once found are kept: gaps of a log are alike.
+    """
+
+    def __init__(self, correlation: Array) -> None:
+        # Rows so far apart that nothing connects them have lags beyond 64.
+        self._correlation = np.zeros((ORDER + 2) * (REACH + 1))
+        self._correlation[: REACH + 1] = correlation
+        self._known = np.zeros(0, dtype=np.uint64)
+        self._weights = np.zeros((0, ORDER + 1))
+
+    def of(self, kinds: Kinds, lags: Integers) -> Array:
+        """Weights ``(u, 13)`` of the row and of those before it: the row less its prediction, over what that leaves.
+
+        Parameters
+        ----------
+        kinds
+            ``(u,)``: which of the 64 rows before are looked at, one bit each; in order.
+        lags
+            ``(12, u)``: how far back those rows are.
+        """
+        place = np.minimum(np.searchsorted(self._known, kinds), max(len(self._known) - 1, 0))
+        new = self._known[place] != kinds if len(self._known) else np.ones(len(kinds), dtype=bool)
+        if new.any():
+            if len(self._known) > MOST_KINDS:
+                self._known, self._weights, new = self._known[:0], self._weights[:0], np.ones(len(kinds), dtype=bool)
+            known = np.concatenate([self._known, kinds[new]])
+            order = np.argsort(known, kind="stable")
+            self._known = known[order]
+            self._weights = np.concatenate([self._weights, self._found(lags[:, new])])[order]
+            place = np.searchsorted(self._known, kinds)
+        return self._weights[place]
+
+    def _found(self, lags: Integers) -> Array:
+        towards = self._correlation[lags]
+        weights = solve_definite(self._correlation[np.abs(lags[:, None] - lags)], towards)
+        left = np.maximum(1.0 - np.sum(weights * towards, axis=0), LEAST)
+        return np.asarray((np.concatenate([np.ones((1, lags.shape[1])), -weights]) / np.sqrt(left)).T)
+
+
+class Whitener:
+    """The filter that turns such noise in certain rows of a log into white noise of the same variance.
 
     Parameters
     ----------
@@ -100,33 +150,43 @@ def whitener(row: Integers, stretch: Integers, correlation: Array) -> sparse.csr
         Which rows of the log count ``(k,)``, in order.
     stretch
         Of which stretch of the log they are ``(k,)``: nothing is remembered where the clock breaks off.
-    correlation
-        Autocorrelation ``(65,)``.
     """
-    count = len(row)
-    index = np.arange(count)[:, None] - np.arange(1, ORDER + 1)  # (k, 12): the rows before
-    absent = index < 0
-    index[absent] = 0
-    lag = row[:, None] - row[index]
-    lag[absent | (lag > REACH) | (stretch[:, None] != stretch[index])] = 0
-    plain = lag[:, -1] == ORDER
-    kinds, of = np.unique(lag[~plain], axis=0, return_inverse=True)
-    kinds = np.concatenate([np.arange(1, ORDER + 1)[None], kinds])
-    kind = np.zeros(count, dtype=np.int64)
-    kind[~plain] = 1 + of.ravel()
-    weights, variance = _predictors(kinds, correlation)
-    table = np.c_[np.ones(len(kinds)), -weights] / np.sqrt(variance)[:, None]
-    columns = np.concatenate([np.arange(count)[:, None], index], axis=1).astype(np.int32)
-    where = np.arange(0, (count + 1) * (ORDER + 1), ORDER + 1, dtype=np.int32)
-    return sparse.csr_matrix((table[kind].ravel(), columns.ravel(), where), shape=(count, count))
 
+    def __init__(self, row: Integers, stretch: Integers) -> None:
+        count = len(row)
+        plain = np.zeros(count, dtype=bool)
+        plain[ORDER:] = (row[ORDER:] - row[:-ORDER] == ORDER) & (stretch[ORDER:] == stretch[:-ORDER])
+        self._broken = np.flatnonzero(~plain)
+        before = self._broken - np.arange(1, ORDER + 1)[:, None]  # (12, b): the rows before
+        absent = before < 0
+        before[absent] = 0
+        lag = row[self._broken] - row[before]
+        absent |= (lag > REACH) | (stretch[self._broken] != stretch[before])
+        # Which of the 64 rows before are looked at, one bit each, says all of a predictor.
+        bits = np.where(absent, np.uint64(0), np.uint64(1) << np.where(absent, 0, lag - 1).astype(np.uint64))
+        self._kinds, first, self._kind = np.unique(bits.sum(axis=0), return_index=True, return_inverse=True)
+        # A row that is not there is so far away from any other that nothing connects them.
+        far = (REACH + 1) * np.arange(2, ORDER + 2)[:, None]
+        self._lags = np.where(absent, far, lag)[:, first]
+        self._columns = np.concatenate([self._broken[None], before]).T.astype(np.int32).ravel()
 
-def _predictors(lags: Integers, correlation: Array) -> tuple[Array, Array]:
-    """Best linear predictors ``(u, 12)`` from rows so far back (0: none), and the variance ``(u,)`` they leave."""
-    there = lags > 0
-    among = correlation[np.abs(lags[:, :, None] - lags[:, None, :])]
-    both: Bools = there[:, :, None] & there[:, None, :]
-    among = np.where(both, among, np.eye(ORDER))
-    towards = np.where(there, correlation[lags], 0.0)
-    weights = np.linalg.solve(among, towards[:, :, None])[:, :, 0]
-    return weights, np.maximum(1.0 - np.sum(weights * towards, axis=1), LEAST)
+    def __call__(self, columns: Array, predictors: Predictors) -> Array:
+        """Whitened columns ``(k, m)`` of those rows."""
+        x = np.ascontiguousarray(columns, dtype=np.float64)
+        width, filtered = x.shape[1], np.empty(x.shape)
+        plain = predictors.of(_PLAIN, np.arange(1, ORDER + 1)[:, None])[0]
+        broken = predictors.of(self._kinds, self._lags)
+        # Rows are as far from each other in memory as in time, so that whole columns are shifted at once.
+        flat, out = x.reshape(-1), filtered.reshape(-1)
+        for at in range(0, flat.size, CACHED):
+            piece = slice(at, min(at + CACHED, flat.size))
+            np.multiply(flat[piece], plain[0], out=out[piece])
+            for lag in range(1, ORDER + 1):
+                shift = lag * width
+                start = max(at, shift)
+                if start < piece.stop:
+                    daxpy(flat, out, n=piece.stop - start, a=plain[lag], offx=start - shift, offy=start)
+        where = np.arange(0, self._columns.size + 1, ORDER + 1, dtype=np.int32)
+        matrix = sparse.csr_matrix((broken[self._kind].ravel(), self._columns, where), (len(self._broken), len(x)))
+        filtered[self._broken] = matrix @ x
+        return filtered

@@ -11,7 +11,7 @@ import numpy as np
 from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
-from clampid.identify import has_inertia, stage_rows, stages_of
+from clampid.identify import has_friction_state, has_inertia, stage_rows, stages_of
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
@@ -46,8 +46,16 @@ class Reopened:
 
     def rows(self, stage: Stage) -> Rows:
         """The rows of a stage."""
-        moves = has_inertia(self.stages[stage].terms, self.effects)
-        return stage_rows([self.campaign], self.layout, stage, self.base, accelerating=moves)
+        terms = self.stages[stage].terms
+        moves = has_inertia(terms, self.effects)
+        return stage_rows(
+            [self.campaign],
+            self.layout,
+            stage,
+            self.base,
+            accelerating=moves,
+            resting=has_friction_state(terms, self.effects),
+        )
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
         """The rows of the table verification, if there is one."""

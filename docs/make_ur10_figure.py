@@ -6,6 +6,7 @@ The two folders are public measurements in the campaign format, which are not pa
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,71 +16,60 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from clampid.catalogue import catalogue
-from clampid.curves import angle_errors
+from clampid.curves import angle_errors, shared_curve
 from clampid.identify import identify
-from experiments.campaign import read_campaign
+from clampid.model import Model
+from clampid.reopen import reopen
+from clampid.report.angle_curves import points_on
+from clampid.report.stage_data import stage_data
+from experiments.campaign import Campaign, read_campaign
 
 IMAGE = Path(__file__).parent / "images" / "ur10_angle_curves.png"
-EFFECTS = ("geometry", "joint_compliance", "joint_angle_curve")
+EFFECTS = ("geometry", "joint_compliance", "shared_angle_curve")
 BLUE, GREY = "#0072B2", "#b0b0b0"
-COLOURS = ("#222222", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
+COLOURS = ("#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
 STEPS = 720
 
 
-def aligned(error: np.ndarray, far: np.ndarray, reference: int = 0) -> list[tuple[np.ndarray, int, int]]:
-    """Each joint's curve turned, and mirrored where that fits better, onto the reference's: curve, sense, steps."""
-    out = []
-    base = np.where(far[:, reference], np.nan, error[:, reference])
-    for j in range(error.shape[1]):
-        own = np.where(far[:, j], np.nan, error[:, j])
-        best = (-2.0, own, 1, 0)
-        for sense in (1, -1):
-            turned = own if sense == 1 else -own[::-1]
-            for shift in range(STEPS):
-                y = np.roll(turned, shift)
-                both = np.isfinite(y) & np.isfinite(base)
-                if both.sum() > STEPS // 6:
-                    r = float(np.corrcoef(y[both], base[both])[0, 1])
-                    best = max(best, (r, y, sense, shift), key=lambda b: b[0])
-        out.append(best[1:])
-        print(
-            f"joint {j + 1}: correlation {best[0]:.2f}, sense {best[2]:+d}, turned by {best[3] * 360 / STEPS:.1f} deg"
-        )
-    return out
-
-
-def main(folders: list[str]) -> None:
-    """Fit both sessions as one robot and draw its joints' errors, each by itself and all on each other."""
-    campaigns = [read_campaign(Path(f)) for f in folders]
-    model = identify(campaigns, EFFECTS, holdout=0.05)
-    angle = -np.pi + 2 * np.pi * np.arange(STEPS) / STEPS
-    q = np.tile(angle[:, None], (1, 6))
-    found = angle_errors(model.stages["poses"], catalogue(), model.layout, campaigns[0].robot, q)
-    degrees, error, two = np.degrees(angle), 1e6 * found.error, 2e6 * found.std
+def draw(model: Model, campaigns: Sequence[Campaign]) -> None:
+    """Each joint's error by itself, and the one curve with what the poses of all joints say of it."""
+    stage = model.stages["poses"]
+    angle = np.linspace(-np.pi, np.pi, STEPS + 1)
+    found = angle_errors(stage, catalogue(), model.layout, campaigns[0].robot, np.tile(angle[:, None], (1, 6)))
+    one = shared_curve(stage, catalogue(), np.linspace(0.0, 2 * np.pi, 2 * STEPS + 1))
+    if one is None:
+        raise SystemExit("no two joints share a curve")
     figure = plt.figure(figsize=(10, 8.4), layout="constrained")
-    panels = figure.subplot_mosaic([[0, 1, 2], [3, 4, 5], ["all"] * 3])
+    panels = figure.subplot_mosaic([[0, 1, 2], [3, 4, 5], ["all"] * 3], height_ratios=[1, 1, 1.7])
+    degrees, error, two = np.degrees(angle), 1e6 * found.error, 2e6 * found.std
     for j in range(6):
-        axes = panels[j]
-        far = found.extrapolated[:, j]
+        axes, far = panels[j], found.extrapolated[:, j]
         axes.fill_between(degrees, error[:, j] - two[:, j], error[:, j] + two[:, j], color=BLUE, alpha=0.25, lw=0)
         axes.plot(degrees, np.where(far, np.nan, error[:, j]), color=BLUE, lw=1)
         axes.plot(degrees, np.where(far, error[:, j], np.nan), color=GREY, lw=1)
         axes.set(title=f"joint {j + 1}", xlim=(-180, 180), ylim=(-1600, 1600), xticks=range(-180, 181, 90))
         if j % 3 == 0:
             axes.set_ylabel("arm less controller, µrad")
-    slow = np.column_stack([f(k * angle) for k in (1, 2) for f in (np.sin, np.cos)] + [np.ones(STEPS)])
-    level = error.copy()
-    for j in range(6):
-        seen = ~found.extrapolated[:, j]
-        level[:, j] -= slow @ np.linalg.lstsq(slow[seen], error[seen, j], rcond=None)[0]
-    for j, (curve, sense, _) in enumerate(aligned(level, found.extrapolated)):
-        label = f"joint {j + 1}{', mirrored' if sense < 0 else ''}"
-        panels["all"].plot(degrees, curve, color=COLOURS[j], lw=1, label=label)
-    title = "all six, each turned by an angle of its own, without their first two harmonics"
-    panels["all"].set(title=title, xlim=(-180, 180), ylabel="µrad", xlabel="joint angle, degrees")
-    panels["all"].legend(ncols=6, fontsize=8, loc="upper center")
+    axes = panels["all"]
+    for session, campaign in enumerate(campaigns):
+        for j, on, value in points_on(one, stage_data(reopen(model, campaign)).get("poses")):
+            label = f"joint {j + 1}{', mirrored' if one.sense[one.joints.index(j)] < 0 else ''}"
+            label = label if session == 0 else "_" + label
+            axes.plot(np.degrees(on), 1e6 * value, ".", ms=3, color=COLOURS[j], label=label)
+    curve, two = 1e6 * one.error, 2e6 * one.std
+    axes.fill_between(np.degrees(one.angle), curve - two, curve + two, color="black", alpha=0.25, lw=0)
+    axes.plot(np.degrees(one.angle), curve, color="black", lw=1)
+    axes.set(title="the one curve", xlim=(0, 360), xticks=range(0, 361, 30), ylabel="µrad")
+    axes.set_xlabel("angle on the curve, s q − phase, degrees")
+    axes.legend(ncols=6, fontsize=8, loc="upper center", markerscale=3)
     IMAGE.parent.mkdir(exist_ok=True)
     figure.savefig(IMAGE, dpi=110)
+
+
+def main(folders: list[str]) -> None:
+    """Fit both sessions as one robot, but for a fifth of the poses, and draw what its joints are off by."""
+    campaigns = [read_campaign(Path(f)) for f in folders]
+    draw(identify(campaigns, EFFECTS, holdout=0.2), campaigns)
 
 
 if __name__ == "__main__":

@@ -213,7 +213,7 @@ def check_target(gamma: float, delta: float, r: float, roll: float = 0.0) -> Non
         Not finite, an angle beyond ±pi, r not positive or beyond 10 m; asks whether degrees or millimetres were meant.
     """
     for name, value in (("gamma", gamma), ("delta", delta), ("r", r), ("roll", roll)):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             raise TargetError(f"{name}: expected a finite number, found {value!r}")
     for name, value in (("gamma", gamma), ("delta", delta), ("roll", roll)):
         if abs(value) > math.pi:

@@ -23,7 +23,7 @@ from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm
 from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
-from offline_ik.errors import TargetError
+from offline_ik.errors import DetectorError, TargetError
 from offline_ik.kernels import Kernel, locate_kernel
 from offline_ik.mount import identified_mount
 from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
@@ -48,11 +48,14 @@ class Detector:
     ------
     CellError
         The sample lies in an obstacle or in the robot's base, or the cell's targets are not the model's.
+    DetectorError
+        The arm has a joint that is not revolute, or fewer than six.
     """
 
     def __init__(self, arm: IdentifiedArm, cell: Cell) -> None:
         self.arm, self.cell = arm, cell
         self.robot: RobotDescription = arm.robot
+        _check_arm(self.robot)
         self.solver = Solver(arm, identified_mount(cell, arm))
         self.lower = self.robot.lower + cell.limit_margin
         self.upper = self.robot.upper - cell.limit_margin
@@ -139,6 +142,7 @@ class Detector:
         near: Sequence[float] | Array | None = None,
         branch: Choice | str = "nearest",
         direction: Direction = None,
+        nearest: bool = True,
     ) -> Answer:
         """Joint and motor angles for a detector position.
 
@@ -155,6 +159,8 @@ class Detector:
         direction
             ``(n,)``: the intended direction of approach of each joint, ±1 or 0 where unknown; ``moved``: as the joints
             move straight from ``near``.
+        nearest
+            Whether to look for the nearest position that can be reached, where the asked one cannot.
 
         Raises
         ------
@@ -179,10 +185,10 @@ class Detector:
                 break
         target = poses[order[0]] if not found else detector_pose(
             self.cell.convention, gamma, delta, r, found[0].roll)  # fmt: skip
-        nearest = None
-        if not found:
-            nearest = nearest_reachable(self, poses[order[0]], 0.0 if roll is None else roll)
-        return self._answer((gamma, delta, r, roll), target, tuple(found), tuple(reasons) if not found else (), nearest)
+        if found:
+            return self._answer((gamma, delta, r, roll), target, tuple(found))
+        closest = nearest_reachable(self, target, roll or 0.0) if nearest else None
+        return self._answer((gamma, delta, r, roll), target, (), tuple(reasons), closest)
 
     def _answer(
         self,
@@ -192,7 +198,8 @@ class Detector:
         reasons: tuple[str, ...] = (),
         nearest: dict[str, float] | None = None,
     ) -> Answer:
-        names = dict(zip(("gamma_rad", "delta_rad", "r_m", "roll_rad"), asked, strict=True))
+        gamma, delta, r, roll = asked
+        names = {"gamma_rad": gamma, "delta_rad": delta, "r_m": r, "roll_rad": roll}
         return Answer(names, target, solutions, reasons, nearest, self._said[0], self._said[1])
 
     @cached_property
@@ -302,6 +309,15 @@ class Detector:
         return np.column_stack([-s * x - c * y, s * y - c * x, -z])
 
 
+def _check_arm(robot: RobotDescription) -> None:
+    """Refuse an arm that cannot hold a detector at any orientation, or whose joints have no turns."""
+    if robot.n < 6:
+        raise DetectorError(f"{robot.name}: expected an arm of at least six joints, found {robot.n}")
+    for joint in robot.joints:
+        if joint.kind != "revolute":
+            raise DetectorError(f"{robot.name}: expected revolute joints only, found {joint.name}, {joint.kind}")
+
+
 def open_detector(
     model: Model | str | Path,
     cell: Cell | str | Path | None = None,
@@ -324,6 +340,8 @@ def open_detector(
     ------
     ModelError, DescriptionError, CellError
         One of them cannot be read, or they do not fit each other.
+    DetectorError
+        The arm is none that can carry a detector: see :class:`Detector`.
     """
     loaded = model if isinstance(model, Model) else load_model(model)
     described = robot if isinstance(robot, RobotDescription) else load_robot(robot or loaded.robot)

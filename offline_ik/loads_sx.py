@@ -1,7 +1,8 @@
 """The loads of :mod:`clampid.stages.loads` as casadi expressions of the posture, for kernels that need them there.
 
-The same formulas from the same screws, symbolically: nothing here knows a parameter of its own. Tests hold every signal
-against the numerical one to 1e-12.
+Torques of weight are those of :mod:`kinematics.symbolic_dynamics`; the moments and forces on base, bearings and links
+are built here from the same screws. Nothing here knows a parameter of its own. Tests hold every signal against the
+numerical one to 1e-12.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from clampid.stages.loads import flange_to_base
 from kinematics.gravity import gravity_parameters
 from kinematics.robot import RobotDescription
 from kinematics.symbolic import exponential_sx
+from kinematics.symbolic_dynamics import symbolic_torques
 
 __all__ = ["Loads"]
 
@@ -40,16 +43,9 @@ class Loads:
     def __init__(self, robot: RobotDescription, gravity: Array, tool: Array, q: Any) -> None:
         self.robot, self.g, self.n = robot, ca.DM(gravity), robot.n
         self.linkage = ca.DM(robot.linkage)
-        chain = self.linkage @ q
-        R, p = ca.SX.eye(3), ca.SX.zeros(3)
-        self.frames: list[tuple[Any, Any]] = [(R, p)]
-        for i in range(self.n):
-            E = exponential_sx(robot.screws[i], chain[i])
-            R, p = R @ E[:3, :3], p + R @ E[:3, 3]
-            self.frames.append((R, p))
+        self.chain = self.linkage @ q
         flange = np.asarray(robot.flange)
-        self.to_base = np.eye(4)
-        self.to_base[1:, 0], self.to_base[1:, 1:] = flange[:3, 3], flange[:3, :3]
+        self.to_base = flange_to_base(robot)
         self.tool = self.to_base @ tool
         self.tool_mass = float(tool[0])
         self.tool_at = flange[:3, :3] @ (tool[1:] / tool[0] if tool[0] else np.zeros(3)) + flange[:3, 3]
@@ -74,20 +70,23 @@ class Loads:
                 return self._bearing(name)
 
     @cached_property
+    def frames(self) -> list[tuple[Any, Any]]:
+        """Motions (rotation, translation in m) of base and links from the zero pose."""
+        R, p = ca.SX.eye(3), ca.SX.zeros(3)
+        found = [(R, p)]
+        for screw, angle in zip(self.robot.screws, ca.vertsplit(self.chain), strict=True):
+            E = exponential_sx(screw, angle)
+            R, p = R @ E[:3, :3], p + R @ E[:3, 3]
+            found.append((R, p))
+        return found
+
+    @cached_property
     def regressor(self) -> Any:
-        """``(n, 4n)`` of the links' (m, m c): see :mod:`kinematics.gravity`."""
-        Y = ca.SX(self.n, 4 * self.n)
-        for i in range(self.n):
-            R, p = self.frames[i]
-            screw = self.robot.screws[i]
-            w = R @ ca.DM(screw[:3])
-            v = R @ ca.DM(screw[3:]) + ca.cross(p, w)
-            gw, gv = ca.cross(self.g, w), ca.dot(self.g, v)
-            for k in range(i, self.n):
-                Rk, tk = self.frames[k + 1]
-                Y[i, 4 * k] = -(gv + ca.dot(gw, tk))
-                Y[i, 4 * k + 1 : 4 * k + 4] = -(Rk.T @ gw).T
-        return ca.densify(self.linkage.T @ Y)
+        """``(n, 4n)`` of the links' (m, m c), controller's joints: see :mod:`kinematics.symbolic_dynamics`."""
+        at_rest = ca.SX(self.n, 1)
+        gravity = np.asarray(self.g).ravel()
+        torques = symbolic_torques(self.robot.screws, self.points[:-1], gravity, self.chain, at_rest, at_rest)
+        return ca.densify(self.linkage.T @ torques.weight)
 
     def _about(self, point: Any, first: int) -> Any:
         """Moment regressor ``(3, 4n)`` about a point of links ``first`` and after."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,17 +22,36 @@ from offline_ik.approach import approach_through
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.pyfai import pyfai_geometry
+from offline_ik.reach import nearest_steps
 from offline_ik.requests import WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
-from offline_ik.wording import answered, solutions_of
+from offline_ik.wording import members_of
 
-__all__ = ["RobotLink", "Session", "Speaker"]
+__all__ = ["RobotLink", "Session", "Speaker", "Steps"]
 
 Array = npt.NDArray[np.float64]
 
 ABSOLUTE_ZERO, HOT = -273.15, 200.0  # °C: what a temperature of a robot may be
-Told = tuple[dict[str, Any], str]
-"""An answer's members, and further ones as text to be spliced in."""
+Steps = Generator[None, None, bytes]
+"""An answer that takes its time: to be advanced until it ends, its value the line."""
+
+
+class Told(NamedTuple):
+    """What a request is answered with.
+
+    Attributes
+    ----------
+    data
+        Members of the answer.
+    text
+        Further members as text to be spliced in.
+    missed
+        The position that cannot be reached, whose nearest one is still to be found.
+    """
+
+    data: dict[str, Any]
+    text: str = ""
+    missed: Answer | None = None
 
 
 class RobotLink(Protocol):
@@ -87,16 +106,31 @@ class Speaker:
 
     def answer(self, line: bytes, session: Session) -> bytes:
         """The answer to one line, newline included; never raises for what a client may send."""
+        found = self.begin(line, session)
+        while not isinstance(found, bytes):
+            try:
+                next(found)
+            except StopIteration as end:
+                found = cast(bytes, end.value)
+        return found
+
+    def begin(self, line: bytes, session: Session) -> bytes | Steps:
+        """As :meth:`answer`, but what takes long comes as steps, between which others can be answered."""
         given: dict[str, str] = {}
         try:
             word, given = parse(line)
-            data, members = self._verbs[word](self, given, session)
+            told = self._verbs[word](self, given, session)
         except CallError as error:
             self.refused += 1
             return _line({"ok": False, **_id(given), "error": str(error)})
         self.answered += 1
-        text = json.dumps({"ok": True, "do": word, **_id(given), **data})
-        return f"{text[:-1]}{members}}}\n".encode()
+        if told.missed is not None:
+            return self._with_nearest(word, given, told, told.missed)
+        return _spliced({"do": word, **_id(given), **told.data}, told.text)
+
+    def _with_nearest(self, word: str, given: Mapping[str, str], told: Told, missed: Answer) -> Steps:
+        nearest = yield from nearest_steps(self.detector, missed.target, missed.asked["roll_rad"] or 0.0)
+        return _spliced({"do": word, **_id(given), **told.data, "nearest": nearest}, told.text)
 
     def refuse(self, reason: str) -> bytes:
         """An answer to what is not even a line."""
@@ -105,20 +139,20 @@ class Speaker:
 
     def _where(self, given: Mapping[str, str], session: Session) -> Told:
         answer = self._located(given, numbers(given, "near"))
-        data = answered(answer)
+        data: dict[str, Any] = {}
         if answer.reachable and switch(given, "approach"):
             way = approach_through(self.detector, answer, near=numbers(given, "near"))
-            answer = way.answer
-            data = {**answered(answer), "approach": way.to_json()}
+            answer, data = way.answer, {"approach": way.to_json()}
         if answer.reachable and switch(given, "pyfai"):
             data["pyfai"] = pyfai_geometry(self.detector.cell.convention, answer.target).to_json()
-        return data, self._convention + solutions_of(answer)
+        return self._told(data, answer)
 
     def _located(self, given: Mapping[str, str], near: Array | None) -> Answer:
         roll = None if given.get("roll") == "free" else number(given, "roll", 0.0)
         return self.detector.locate(
             number(given, "gamma"), number(given, "delta"), number(given, "r"), roll,
             near=near, branch=given.get("branch", "nearest"), direction=None if near is None else "moved",
+            nearest=False,
         )  # fmt: skip
 
     def _path(self, given: Mapping[str, str], session: Session) -> Told:
@@ -128,14 +162,18 @@ class Speaker:
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
-            return {
-                "path": finite(check_path(self.detector, [start, self.detector.check_posture(to, "to")]).to_json())
-            }, self._convention
+            path = check_path(self.detector, [start, self.detector.check_posture(to, "to")])
+            return Told({"path": finite(path.to_json())}, self._convention)
         answer = self._located(given, start)
-        data = answered(answer)
+        data: dict[str, Any] = {}
         if answer.reachable:
             data["path"] = finite(check_path(self.detector, [start, answer.solutions[0].q]).to_json())
-        return data, self._convention + solutions_of(answer)
+        return self._told(data, answer)
+
+    def _told(self, data: dict[str, Any], answer: Answer) -> Told:
+        if answer.reachable:
+            return Told({**data, "nearest": None}, self._convention + members_of(answer))
+        return Told(data, self._convention + members_of(answer), answer)
 
     def _posture(self, session: Session) -> Array:
         if self.link is not None:
@@ -149,7 +187,7 @@ class Speaker:
         if q is None:
             raise RequestError("start: expected q=q1,q2,…")
         session.here = self.detector.check_posture(q, "q")
-        return {"q_rad": session.here.tolist()}, ""
+        return Told({"q_rad": session.here.tolist()})
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Told:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
@@ -157,7 +195,7 @@ class Speaker:
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
         answer = self._located(given, session.here)
-        data = answered(answer)
+        data: dict[str, Any] = {}
         if answer.reachable:
             q = answer.solutions[0].q
             if session.here is not None:
@@ -171,7 +209,7 @@ class Speaker:
             session.here = q
             session.count += 1
         data["number"] = session.count
-        return data, self._convention + solutions_of(answer)
+        return self._told(data, answer)
 
     def _temperature(self, given: Mapping[str, str], session: Session) -> Told:
         found = {k: numbers(given, k) for k in ("link", "motor")}
@@ -183,7 +221,7 @@ class Speaker:
             if len(values) != self.detector.arm.n or not ((values > ABSOLUTE_ZERO) & (values < HOT)).all():
                 raise TargetError(f"{name}: expected {self.detector.arm.n} temperatures in degC, found {given[name]}")
         self.detector = self.detector.at_temperature(found["link"], found["motor"])
-        return self._temperatures(), ""
+        return Told(self._temperatures())
 
     def _temperatures(self) -> dict[str, Any]:
         still = self.detector.still
@@ -197,18 +235,16 @@ class Speaker:
             raise RequestError("move: no robot is linked; this server only computes")
         here = self.detector.check_posture(self.link.posture(), "the robot's posture")
         answer = self._located(given, here)
-        data = answered(answer)
         if not answer.reachable:
-            return {**data, "moving": False}, self._convention + solutions_of(answer)
+            return self._told({"moving": False}, answer)
         path = check_path(self.detector, [here, answer.solutions[0].q])
-        data["path"] = finite(path.to_json())
         if path.safe:
             self.link.move(np.array([answer.solutions[0].q]), self.detector.cell.speed)
-        return {**data, "moving": path.safe}, self._convention + solutions_of(answer)
+        return self._told({"path": finite(path.to_json()), "moving": path.safe}, answer)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell
-        return {
+        state = {
             "robot": self.detector.robot.name,
             "cell": finite(cell.to_json()),
             **self._temperatures(),
@@ -217,14 +253,15 @@ class Speaker:
             "refused": self.refused,
             "at_q_rad": None if session.here is None else session.here.tolist(),
             "link": None if self.link is None else finite(dict(self.link.state())),
-        }, self._convention
+        }
+        return Told(state, self._convention)
 
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
-        return {"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": ["id"]}, ""
+        return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": ["id"]})
 
     def _quit(self, given: Mapping[str, str], session: Session) -> Told:
         session.done = True
-        return {}, ""
+        return Told({})
 
     _verbs: Mapping[str, Callable[[Speaker, Mapping[str, str], Session], Told]] = field(
         init=False,
@@ -245,6 +282,10 @@ class Speaker:
 
 def _id(given: Mapping[str, str]) -> dict[str, str]:
     return {"id": given["id"][:64]} if "id" in given else {}
+
+
+def _spliced(data: Mapping[str, Any], text: str) -> bytes:
+    return f"{json.dumps({'ok': True, **data})[:-1]}{text}}}\n".encode()
 
 
 def _line(data: Mapping[str, Any]) -> bytes:

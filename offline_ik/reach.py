@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Generator
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -13,9 +14,11 @@ from offline_ik.coordinates import detector_angles, detector_pose
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["nearest_reachable", "reachable"]
+__all__ = ["Nearest", "nearest_reachable", "nearest_steps", "reachable"]
 
 Array = npt.NDArray[np.float64]
+Nearest = dict[str, float] | None
+"""``gamma_rad``, ``delta_rad``, ``r_m``, ``distance_m``; None if there is none at all."""
 
 INSIDE = 4e-3  # m by which the nominal arm must reach further: calibrated arms differ by millimetres
 SHELLS = np.geomspace(2e-3, 4.0, 40)  # m
@@ -35,18 +38,29 @@ def reachable(detector: Detector, poses: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(np.any(closes & np.all(within, axis=2), axis=1))
 
 
-def nearest_reachable(detector: Detector, target: Array, roll: float) -> dict[str, float] | None:
-    """The nearest position, looking at the sample, to a pose ``(4, 4)`` that is out of reach.
+def nearest_reachable(detector: Detector, target: Array, roll: float) -> Nearest:
+    """The nearest position to a pose that is out of reach: :func:`nearest_steps` to the end."""
+    steps = nearest_steps(detector, target, roll)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return cast(Nearest, end.value)
+
+
+def nearest_steps(detector: Detector, target: Array, roll: float) -> Generator[None, None, Nearest]:
+    """The nearest position, looking at the sample, to a pose ``(4, 4)`` that is out of reach; in steps of milliseconds.
 
     Shells of growing radius around the asked position find a first one; points drawn in shrinking balls improve it.
 
     Returns
     -------
-    dict
-        ``gamma_rad``, ``delta_rad``, ``r_m``, ``distance_m``; None if there is none at all.
+    Nearest
+        As the generator's value.
     """
     if detector.solver.analytic is None:
         return _by_least_squares(detector, target)
+    yield
     goal = target[:3, 3]
     around = _sphere(DIRECTIONS)
     best: Array | None = None
@@ -56,6 +70,7 @@ def nearest_reachable(detector: Detector, target: Array, roll: float) -> dict[st
         if ok.any():
             best = points[np.argmax(ok)]
             break
+        yield
     if best is None:
         return None
     rng = np.random.default_rng(0)
@@ -70,6 +85,7 @@ def nearest_reachable(detector: Detector, target: Array, roll: float) -> dict[st
             best = points[int(np.argmin(far))]
         else:
             width *= 0.6
+        yield
     return _told(detector, _looking(detector, best[None], roll)[0], goal)
 
 

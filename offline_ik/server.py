@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import ipaddress
 import signal
 from collections import deque
 from collections.abc import Callable
+from typing import cast
 
 from offline_ik.errors import DetectorError
-from offline_ik.protocol import Session, Speaker
+from offline_ik.protocol import Session, Speaker, Steps
 
-__all__ = ["Limits", "Server", "parse_address", "serve"]
+__all__ = ["Limits", "Server", "parse_address", "serve", "settle"]
 
 LINE_BYTES = 4096  # of a request
 PENDING = 64  # requests that a client may have waiting; beyond, it is not read
@@ -81,20 +83,23 @@ class _Client(asyncio.Protocol):
         elif self.skipping:
             self.partial = b""
         self._watch(begun=bool(parts))
-        if not self.working:
+        if self.working:
+            self._pace(self.transport)
+        else:
             self._work()
 
     def eof_received(self) -> bool:
         if self.partial and not self.skipping:
             self.lines.append(self.partial)
             self.partial = b""
-        self.ended = not self.lines
-        if self.lines:
+        open_ = bool(self.lines) or self.working
+        self.ended = not open_
+        if open_:
             self.session.done = False
             self._last = True
             if not self.working:
                 self._work()
-        return bool(self.lines)
+        return open_
 
     _last = False
 
@@ -120,7 +125,12 @@ class _Client(asyncio.Protocol):
             if len(line) > LINE_BYTES:
                 transport.write(speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes"))
             else:
-                transport.write(self.server.reply(line, self.session))
+                found = self.server.reply(line, self.session)
+                if not isinstance(found, bytes):
+                    self.working = True
+                    self.loop.call_soon(self._step, found)
+                    return
+                transport.write(found)
             if self.session.done:
                 transport.close()
                 return
@@ -130,12 +140,26 @@ class _Client(asyncio.Protocol):
         elif not self.lines and self._last:
             transport.close()
             return
+        self._pace(transport)
+
+    def _pace(self, transport: asyncio.Transport | None) -> None:
+        """Read on only while the client keeps up with its answers, and we with its requests."""
         behind = len(self.lines) > PENDING or not self.writable
-        if behind and self.reading:
-            transport.pause_reading()
-        elif not behind and not self.reading:
-            transport.resume_reading()
-        self.reading = not behind
+        if transport is not None and behind == self.reading:
+            transport.pause_reading() if behind else transport.resume_reading()
+            self.reading = not behind
+
+    def _step(self, steps: Steps) -> None:
+        """Advance an answer that takes its time, and let others have theirs in between."""
+        transport = self.transport
+        if transport is None or transport.is_closing():
+            return
+        answer = self.server.advance(steps)
+        if answer is None:
+            self.loop.call_soon(self._step, steps)
+            return
+        transport.write(answer)
+        self._work()
 
     def _watch(self, begun: bool) -> None:
         """Give an incomplete line its time, and no more; ``begun``: another line than the one watched so far."""
@@ -177,13 +201,26 @@ class Server:
         self.failures = 0
         self._server: asyncio.Server | None = None
 
-    def reply(self, line: bytes, session: Session) -> bytes:
+    def reply(self, line: bytes, session: Session) -> bytes | Steps:
         """The answer to a line; an error of the program itself is one client's answer, not everyone's end."""
         try:
-            return self.speaker.answer(line, session)
+            return self.speaker.begin(line, session)
         except Exception as error:  # the outermost boundary of a service that must outlive any request
-            self.failures += 1
-            return self.speaker.refuse(f"internal error: {type(error).__name__}: {error}")
+            return self._failed(error)
+
+    def advance(self, steps: Steps) -> bytes | None:
+        """One step of an answer; None where it has not ended."""
+        try:
+            next(steps)
+        except StopIteration as end:
+            return cast(bytes, end.value)
+        except Exception as error:  # as in reply
+            return self._failed(error)
+        return None
+
+    def _failed(self, error: Exception) -> bytes:
+        self.failures += 1
+        return self.speaker.refuse(f"internal error: {type(error).__name__}: {error}")
 
     async def start(self, host: str, port: int) -> tuple[str, int]:
         """Listen; the address that was taken (port 0 takes a free one)."""
@@ -232,6 +269,12 @@ def is_loopback(host: str) -> bool:
     return False
 
 
+def settle() -> None:
+    """Take what there is now out of the garbage collector's rounds: it stays, and looking at it again costs answers."""
+    gc.collect()
+    gc.freeze()
+
+
 def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) -> None:
     """Serve until interrupted; ``say`` is told the address.
 
@@ -243,6 +286,7 @@ def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) ->
 
     async def run() -> None:
         server = Server(speaker)
+        settle()
         try:
             at = await server.start(host, port)
         except OSError as error:

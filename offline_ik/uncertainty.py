@@ -8,8 +8,7 @@ either side of its gap and friction: that adds (d/2)(d/2)' with d from one side 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -49,10 +48,11 @@ class Uncertainty:
     model_m: float
     approach_m: float
     pixel: float
+    _variance: list[float] = field(init=False, repr=False)
 
-    @cached_property
-    def _variance(self) -> list[float]:
-        return [max(v, 0.0) for v in np.diag(self.covariance).tolist()]
+    def __post_init__(self) -> None:
+        variance = self.covariance.diagonal().tolist()
+        object.__setattr__(self, "_variance", [v if v > 0.0 else 0.0 for v in variance])
 
     @property
     def std_m(self) -> float:
@@ -82,8 +82,8 @@ class Uncertainty:
         distribution of estimates of variance components, its quantile by Wilson and Hilferty (1931), The distribution
         of chi-square.
         """
-        C = self.covariance[:3, :3]
-        trace, squares = sum(self._variance[:3]), float((C * C).sum())
+        (a, ab, ac), (_, b, bc), (_, _, c) = self.covariance[:3, :3].tolist()
+        trace, squares = sum(self._variance[:3]), a * a + b * b + c * c + 2 * (ab * ab + ac * ac + bc * bc)
         if not squares > 0:
             return 0.0
         part = 2.0 / 9.0 * squares / (trace * trace)  # 2 / (9 degrees of freedom)
@@ -158,6 +158,5 @@ class Propagation:
     def combined(self, J: Array, half: Array) -> Uncertainty:
         """From the derivative ``(6, P)`` and half the spread of unknown approaches ``(n, 6)``."""
         model, approach = J @ self.covariance @ J.T, half.T @ half
-        shares = [model[0, 0] + model[1, 1] + model[2, 2], approach[0, 0] + approach[1, 1] + approach[2, 2]]
-        model_m, approach_m = (math.sqrt(max(share, 0.0)) for share in shares)
+        model_m, approach_m = (math.sqrt(max(sum(part.diagonal()[:3].tolist()), 0.0)) for part in (model, approach))
         return Uncertainty(model + approach, model_m, approach_m, self.cell.pixel)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from functools import lru_cache
-from typing import Any
 
 from offline_ik.answer import Answer, Solution
 
-__all__ = ["answered", "solutions_of"]
+__all__ = ["members_of"]
 
 _TEMPLATE = (
     '{"q_rad": [#], "motor_rad": [#], "position_error_m": %.3g, "angle_error_rad": %.3g, '
@@ -18,21 +17,19 @@ _TEMPLATE = (
 )
 
 
-def answered(answer: Answer) -> dict[str, Any]:
-    """What the server says of an answer; the cell is in its state."""
-    return {
-        "reachable": answer.reachable,
-        "reasons": list(answer.reasons),
-        "nearest": answer.nearest,
-        "asked": answer.asked,
-    }
+def members_of(answer: Answer) -> str:
+    """What is said of a position, as JSON members to be spliced in; ``nearest`` is left to who looks for it.
 
-
-def solutions_of(answer: Answer) -> str:
-    """Position and solutions as JSON members, by one template: the encoder would take as long as the solver."""
+    By templates: the encoder would take as long as the solver. The cell is in the server's state.
+    """
+    asked = ", ".join([f'"{name}": {"null" if value is None else repr(value)}' for name, value in answer.asked.items()])
+    reachable, reasons = ("true", "[]") if answer.reachable else ("false", json.dumps(answer.reasons))
     x, y, z = answer.target[:3, 3].tolist()
     solutions = ", ".join(map(_told, answer.solutions))
-    return f', "detector_position_m": [{x:.9f}, {y:.9f}, {z:.9f}], "solutions": [{solutions}]'
+    return (
+        f', "reachable": {reachable}, "reasons": {reasons}, "asked": {{{asked}}}, '
+        f'"detector_position_m": [{x:.9f}, {y:.9f}, {z:.9f}], "solutions": [{solutions}]'
+    )
 
 
 @lru_cache
@@ -44,7 +41,7 @@ def _told(solution: Solution) -> str:
     u = solution.uncertainty
     return _template(len(solution.q)) % (
         *solution.q.tolist(), *solution.motor.tolist(), solution.position_error, solution.angle_error, u.std_m,
-        u.std_rad, u.radius95_m,
-        u.tangential_m, u.radial_m, u.tangential_m / u.pixel, u.model_m, u.approach_m, solution.roll, solution.status,
-        solution.turn, solution.distance, *solution.direction.tolist(), json.dumps(solution.singular),
+        u.std_rad, u.radius95_m, u.tangential_m, u.radial_m, u.tangential_m / u.pixel, u.model_m, u.approach_m,
+        solution.roll, solution.status, solution.turn, solution.distance, *solution.direction.tolist(),
+        json.dumps(solution.singular) if solution.singular else "[]",
     )  # fmt: skip

@@ -69,7 +69,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     layout = estimate.experiment.rows.layout
     out = []
     for effect in effects.values():
-        if estimate.experiment.stage not in effect.stages:
+        if estimate.experiment.stage not in effect.stages or effect.aligns is not None:
             continue
         if effect.beyond is not None and not any(name == effect.beyond for name, _ in active):
             continue

@@ -31,6 +31,7 @@ class StageDiagnosis:
     outliers: list[dict[str, Any]] = field(default_factory=list)
     next_measurement: str | None = None
     omission: list[dict[str, Any]] = field(default_factory=list)
+    exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
     added: list[Term] = field(default_factory=list)
@@ -51,6 +52,7 @@ class StageDiagnosis:
             "outliers": self.outliers,
             "next_measurement": self.next_measurement,
             "omission": self.omission,
+            "exported_shift": self.exported_shift,
             "testability": self.testability,
             "summary": self.summary,
         }

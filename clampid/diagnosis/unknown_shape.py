@@ -108,7 +108,7 @@ def _fit(estimate: Estimate, space: Space, found: Dependence) -> _Fitted | None:
     def module_of(orders: int) -> ModuleType:
         return effect_module(effect_text(name, names, found.place.name, stage=found.stage, orders=orders))
 
-    graded = any(v.basis in ("fourier", "powers") for v in found.variables)
+    graded = any(v.basis not in ("sign", "sliding") for v in found.variables)
     modules = {k: module_of(k) for k in range(1, (FINEST[len(names) - 1] if graded else 1) + 1)}
     effect = modules[max(modules)].EFFECT
     trial = replace(estimate, experiment=replace(estimate.experiment, effects={**known, name: effect}))

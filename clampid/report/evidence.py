@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clampid.report.display import count_text, error_text, number, scale_for, with_std
-from clampid.report.limits import detection_limits, shifted
+from clampid.report.limits import detection_limits, exported, shifted
 from clampid.report.style import Table, as_table
 
 __all__ = ["comparison_table", "evidence", "parameters_text"]
@@ -43,6 +43,7 @@ def evidence(found: Json, unit: str) -> list[Table]:
         rows = [_looked_at(c, unit) for c in looked[:MOST_CONSIDERED]]
         out.append(_full(_LOOKED, rows, f"Looked at and not confirmed.{more}"))
     out += shifted(found.get("omission") or ())
+    out += exported(found.get("exported_shift") or ())
     out += detection_limits(found.get("testability") or ())
     return out + _outliers(found.get("outliers") or (), "Nm" if unit == "sigma" else unit)
 

@@ -8,10 +8,11 @@ from typing import Any
 from clampid.report.display import number, scale_for, with_std
 from clampid.report.style import Table, as_table
 
-__all__ = ["detection_limits", "shifted"]
+__all__ = ["detection_limits", "exported", "shifted"]
 
 Json = Mapping[str, Any]
 MOST_SHIFTED = 8
+MOST_EXPORTED = 12
 
 
 def shifted(omission: Sequence[Json]) -> list[Table]:
@@ -22,6 +23,21 @@ def shifted(omission: Sequence[Json]) -> list[Table]:
         rows.append((str(p.get("name", "")), with_std(shift, std, scale_for(str(p.get("unit", "")), [shift, std]))))
     caption = "What leaving it out had done to the model: how its parameters shift with it, the clearest first."
     return [as_table(("Parameter", "Shift ± standard error#"), rows, caption)] if rows else []
+
+
+def exported(shifts: Sequence[Json]) -> list[Table]:
+    """What the exported table had taken up of the missing effect."""
+    rows = []
+    for p in shifts[:MOST_EXPORTED]:
+        shift, std = float(p["shift"]), float(p["std"])
+        value = with_std(shift, std, scale_for(str(p["unit"]), [shift, std]))
+        rows.append((str(p["row"]), str(p["parameter"]), value))
+    more = f" {len(shifts) - MOST_EXPORTED} more are not shown." if len(shifts) > MOST_EXPORTED else ""
+    caption = (
+        "What leaving it out had done to the exported DH table (Hayati's rows): the numbers without the effect less "
+        f"those with it, as far as they are told from zero, the clearest first.{more}"
+    )
+    return [as_table(("Row", "Number", "Shift ± standard error#"), rows, caption)] if rows else []
 
 
 def detection_limits(testability: Sequence[Json]) -> list[Table]:

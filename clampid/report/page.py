@@ -61,7 +61,7 @@ def page(
         budget_section(stages),
         torque_section(stages),
         drives_section(stages.get("clamped")),
-        angle_curves_section(model, effects, campaign.robot),
+        angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
         parameters_section(model, effects),
         dh_section(model),
         origin_section(model, campaign, effects),

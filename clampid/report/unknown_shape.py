@@ -85,11 +85,11 @@ def _given(curve: Json) -> str:
     parts = []
     for name, value in curve["given"].items():
         if name.startswith("dir"):
-            parts.append(f"{name} {'+' if value > 0 else '−'}1")
+            parts.append(f"{name} = {'+' if value > 0 else '−'}1")
         elif name.startswith("q") and name[1:].isdigit():
-            parts.append(f"{name} {number(float(np.degrees(value)), 2)}°")
+            parts.append(f"{name} = {number(float(np.degrees(value)), 2)}°")
         else:
-            parts.append(f"{name} {number(float(value), 2)}")
+            parts.append(f"{name} = {number(float(value), 2)}")
     return ", ".join(parts) or "shape"
 
 

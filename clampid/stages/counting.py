@@ -1,8 +1,9 @@
 """Which rows of a torque log count, the signals of its motion, and its folds: for logs held whole and by windows alike.
 
-Static friction is indeterminate, so that a motor at rest says nothing. Dry friction takes a distance to build up:
-between rest and clear motion its torque is not known either. Where a motor turns while a joint that it is coupled with
-has not moved in the whole run, the dry friction of that joint's arm side is an unknown constant of the run.
+Static friction is indeterminate, so that a motor at rest says nothing, unless the model has friction's state. Dry
+friction takes a distance to build up: between rest and clear motion its torque is not known either. Where a motor turns
+while a joint that it is coupled with has not moved in the whole run, the dry friction of that joint's arm side is an
+unknown constant of the run.
 """
 
 from __future__ import annotations
@@ -61,6 +62,7 @@ def counting(
     run: Integers,
     wrist: Sequence[int],
     accelerating: bool,
+    resting: bool = False,
 ) -> Bools:
     """Motors' rows ``(N, n)`` that count by their motion; `negligible` inertia is not asked for here.
 
@@ -74,8 +76,12 @@ def counting(
         Joints whose transmission is coupled.
     accelerating
         Use rows in acceleration.
+    resting
+        Use rows of motors at rest; not before a motor's first motion in a run, when nobody knows its friction.
     """
     out = np.abs(signals["motor_speed"]) > np.maximum(facts.rest_motor, facts.clear_motor)
+    if resting:
+        out |= signals["motor_motion"] != 0
     unknown = np.zeros(out.shape, dtype=bool)
     for j in wrist:
         speed = np.abs(signals["joint_speed"][:, j])

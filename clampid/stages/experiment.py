@@ -18,6 +18,7 @@ from kinematics.description import RobotDescription
 __all__ = ["Experiment", "experiment", "parameter_of"]
 
 
+HELD = 1e-9  # sizes: as tightly as numbers allow
 OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
 
 
@@ -100,7 +101,18 @@ class Experiment:
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
         own = [p.prior_std for p in self.parameters]
-        return np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
+        std = np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
+        return np.where(self.held(), HELD * self.sizes(), std)
+
+    def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` a fit keeps where they start."""
+        out = np.zeros(len(self.slots) + self.offsets, dtype=bool)
+        seen: set[tuple[str, str]] = set()
+        for k, (slot, parameter) in enumerate(zip(self.slots, self.parameters, strict=True)):
+            first = (slot.effect, slot.parameter) not in seen
+            out[k] = parameter.held == "everywhere" or (parameter.held == "first" and first)
+            seen.add((slot.effect, slot.parameter))
+        return out
 
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""

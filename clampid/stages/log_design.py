@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
 from clampid.chain import Chain
-from clampid.prewhitening import REACH
+from clampid.prewhitening import REACH, Whitener
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
 from clampid.stages.rows import Array, Integers
@@ -52,6 +53,11 @@ class Channel:
     fold: Integers
     columns: Integers
     both: Array
+
+    @cached_property
+    def whitener(self) -> Whitener:
+        """The filter of all of these rows."""
+        return Whitener(self.row, self.stretch)
 
 
 @dataclass(frozen=True)
@@ -176,7 +182,7 @@ class LogDesign:
             every |= temperatures(pd.DataFrame(dict(w.columns)), self.n)
         if any(name == "torque_rate" for name, _ in kernel.signals):
             every["torque_rate"] = np.gradient(measured, axis=0)
-        predicted, inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
+        inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
         counts = counts[chosen]
         if not self.accelerating:
             counts &= negligible(inertial, facts)
@@ -185,15 +191,15 @@ class LogDesign:
         row = before + w.first + np.arange(len(time))
         fold = folds_of(facts, run, row)
         own = before + w.first + w.start
-        torque = measured[chosen] - predicted
         channels = []
         for c in range(self.n):
             used = np.flatnonzero(counts[:, c])
             at_row = chosen[used]
             columns, extra = self._still(run[at_row], c)
-            width = design[c].shape[1]
-            both = np.empty((len(used), width + len(columns) + 1))
-            both[:, :width], both[:, width:-1], both[:, -1] = design[c][used], extra, torque[used, c]
+            both = design[c][used]
+            both[:, -1] = measured[at_row, c] - both[:, -1]
+            if len(columns):
+                both = np.concatenate([both[:, :-1], extra, both[:, -1:]], axis=1)
             channels.append(
                 Channel(
                     row=row[at_row],

@@ -14,7 +14,8 @@ import casadi as ca
 import numpy as np
 
 from clampid.chain import Chain
-from clampid.compiled import Blocks, compile_function
+from clampid.compiled import Blocks, compile_rows
+from clampid.lanes import Lanes
 from clampid.stages.loads import flange_to_base
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
@@ -42,16 +43,15 @@ class TorqueKernel:
 
     signals: tuple[tuple[str, int], ...]
     touched: tuple[Integers, ...]
-    function: Blocks
+    function: Blocks | Lanes
 
-    def evaluate(self, signals: dict[str, Array]) -> tuple[Array, Array, list[Array]]:
-        """Predicted motor torques at zero parameters and those of inertia ``(N, n)``, Nm; per motor ``(N, p)``."""
+    def evaluate(self, signals: dict[str, Array]) -> tuple[Array, list[Array]]:
+        """Motor torques of inertia ``(N, n)``, Nm; per motor ``(N, p + 1)``: derivatives, and the torque predicted."""
         count, n = len(signals["q"]), len(self.touched)
         columns = [np.reshape(signals[name], (count, width)) for name, width in self.signals]
-        values = self.function(np.zeros(self.function.theta.size), *columns)[0]
-        ends = 2 * n + np.cumsum([0, *(len(t) for t in self.touched)])
-        design = [values[:, a:b] for a, b in pairwise(ends)]
-        return values[:, :n], values[:, n : 2 * n], design
+        values = self.function(np.zeros(0), *columns)[0]
+        ends = n + np.cumsum([0, *(len(t) + 1 for t in self.touched)])
+        return values[:, :n], [values[:, a:b] for a, b in pairwise(ends)]
 
 
 def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel | None:
@@ -87,11 +87,12 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel | None:
         row = jacobian[motor, :]
         columns = np.array(row.sparsity().get_triplet()[1], dtype=np.int64)
         touched.append(columns)
-        rows.append(row[[int(c) for c in columns]].T if len(columns) else ca.SX(0, 1))
-    output = ca.densify(ca.vertcat(predicted + inertia, inertia, *rows))
+        derivative = row[[int(c) for c in columns]].T if len(columns) else ca.SX(0, 1)
+        rows += [derivative, predicted[motor] + inertia[motor]]
+    output = ca.densify(ca.vertcat(inertia, *rows))
     function = ca.Function("torques", [ca.SX(0, 1), ca.vertcat(*inputs.values())], [ca.cse(output)])
     widths = tuple((name, symbol.shape[0]) for name, symbol in inputs.items())
-    return TorqueKernel(widths, tuple(touched), Blocks(compile_function(function)))
+    return TorqueKernel(widths, tuple(touched), compile_rows(function))
 
 
 def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.loads import gravity_signals, inertial_signals
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
+from clampid.stages.presliding import friction_states
 from clampid.stages.rows import Array, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
@@ -53,10 +54,13 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     return rows.measured - predicted, jacobian
 
 
-def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: bool = False) -> Rows:
+def torque_rows(
+    campaigns: Sequence[Campaign], layout: Layout, accelerating: bool = False, resting: bool = False
+) -> Rows:
     """Rows of the tables free_air and wrist of one or several sessions.
 
-    Rows in acceleration are used only where the model has the bodies' and rotors' inertia (``accelerating``).
+    Rows in acceleration are used only where the model has the bodies' and rotors' inertia (``accelerating``), rows of
+    motors at rest only where it has the state of their friction (``resting``).
     """
     import pandas as pd
 
@@ -71,7 +75,9 @@ def torque_rows(campaigns: Sequence[Campaign], layout: Layout, accelerating: boo
     run, time = run.astype(np.int64), joined["time_s"].to_numpy(float)
     motion = _motion_of(parts, facts)
     signals = motion_signals(motion, T, facts, run, time) | temperatures(joined, n)
-    used = counting(signals, T, facts, run, layout.wrist, accelerating)
+    used = counting(signals, T, facts, run, layout.wrist, accelerating, resting)
+    if resting:
+        signals["dry_state"] = friction_states(signals, time, run, facts.motions.logged)
     for s, campaign in enumerate(campaigns):
         chosen = session == s
         if not np.any(chosen):

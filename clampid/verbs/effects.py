@@ -20,7 +20,8 @@ def effects(effects_from: EffectsFrom = None, json: Json = None, quiet: Quiet = 
     rows = []
     for effect in known:
         parameters = [f"{p.name} [{p.unit or '1'}]" for p in effect.parameters]
-        named = ", ".join(parameters) if len(parameters) <= 6 else f"{len(parameters)} parameters [m, rad]"
+        units = ", ".join(sorted({p.unit or "1" for p in effect.parameters}))
+        named = ", ".join(parameters) if len(parameters) <= 6 else f"{len(parameters)} parameters [{units}]"
         name = effect.name if effect.name == effect.family else f"{effect.name} ({effect.family})"
         rows.append((name, ", ".join(effect.stages), named, effect.equation, ", ".join(effect.source)))
     out.table("", ("effect", "acts in", "parameters", "equation", "source"), rows, left=5)

@@ -14,6 +14,7 @@ from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
+    from clampid.model import Model
     from kinematics.robot import RobotDescription
 
 __all__ = ["export"]
@@ -36,6 +37,7 @@ def dh(
     ] = None,
     session: Session = 1,
     robot: Robot = None,
+    effects_from: EffectsFrom = None,
     quiet: Quiet = False,
 ) -> None:
     """The compensated Denavit–Hartenberg table with standard errors, as CSV."""
@@ -46,6 +48,7 @@ def dh(
     from clampid.model import load_model, write_text
 
     loaded = load_model(model)
+    _left_out(loaded, effects_from, out)
     text = table_text(dh_table(loaded, convention, session=session - 1, robot=_robot(robot)))
     if output is None:
         sys.stdout.write(text)
@@ -60,6 +63,7 @@ def urdf(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.urdf", help="Where to.")],
     session: Session = 1,
     robot: Robot = None,
+    effects_from: EffectsFrom = None,
     quiet: Quiet = False,
 ) -> None:
     """The calibrated chain as URDF; its frame world is the instrument's."""
@@ -69,7 +73,9 @@ def urdf(
     from clampid.export import urdf_text
     from clampid.model import load_model, write_text
 
-    write_text(output, urdf_text(load_model(model), session=session - 1, robot=_robot(robot)))
+    loaded = load_model(model)
+    _left_out(loaded, effects_from, out)
+    write_text(output, urdf_text(loaded, session=session - 1, robot=_robot(robot)))
     out.say(f"URDF: {output}; static geometry at 20 degC, read back and equal to the model")
 
 
@@ -113,6 +119,17 @@ def dynamics(
     for line in _told(found):
         out.say(line)
     out.say(f"dynamics: {output}")
+
+
+def _left_out(model: Model, effects_from: Path | None, out: Output) -> None:
+    """Say which effects of the poses a static geometry cannot hold."""
+    from clampid.catalogue import with_user_effects
+
+    effects = with_user_effects(effects_from)
+    terms = model.stages["poses"].terms if "poses" in model.stages else ()
+    others = dict.fromkeys(t.effect for t in terms if t.effect not in effects or effects[t.effect].family != "geometry")
+    if others:
+        out.step(f"not in a static geometry, and left to clampid ik: {', '.join(others)}")
 
 
 def _told(found: Mapping[str, Any]) -> list[str]:

@@ -42,13 +42,17 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         if far and far["share"]:
             joints = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in far["joints"].items())
             share = f"{100 * far['share']:.0f} %"
+            one = f"; {where_text(far['one_curve'])} are on one curve and count together" if "one_curve" in far else ""
             out.say(
-                f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near: {joints}"
+                f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near, where their "
+                f"curve is extrapolated: {joints}{one}"
             )
     if motors:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
 
+    if (data.get("compensation") or {}).get("summary"):
+        out.say(f"poses: {data['compensation']['summary']}")
     if "drives" in data:
         _show_agreement(data["drives"], out)
 
@@ -89,6 +93,8 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
             out.table("", ("parameter", "value"), _values(parameters))
         _show_omission(part.get("omission") or (), out)
+        for found in part.get("simpler", ()):
+            out.say(f"  {found['summary']}; to fit it: clampid add {stage}={found['name']} MODEL CAMPAIGN -o MENDED")
         if part.get("depends_on"):
             out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
         if part.get("next_measurement"):
@@ -122,6 +128,10 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
             values = _values(added["parameters"])
             rows += [(added["effect"], where_text(added["where"]), *named) for named in values]
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
+        if part.get("exported_shift"):
+            from clampid.omission import shift_in_words
+
+            out.say(shift_in_words(part["exported_shift"]))
 
 
 def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from clampid.verbs.options import Json, ModelFile, Quiet
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
 
 __all__ = ["history"]
 
 
-def history(model: ModelFile, json: Json = None, quiet: Quiet = False) -> None:
+def history(model: ModelFile, effects_from: EffectsFrom = None, json: Json = None, quiet: Quiet = False) -> None:
     """Show each round's effects, evidence and error."""
+    from clampid.catalogue import with_user_effects
     from clampid.model import load_model
     from clampid.verbs.show import show_rounds, stage_unit
 
     out = Output(quiet, json)
     ledger = load_model(model).ledger
+    with_user_effects(effects_from)  # a ledger is read without; a file that is wrong is said all the same
     show_rounds(ledger, out)
     rounds = [
         {

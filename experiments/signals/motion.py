@@ -100,10 +100,12 @@ def _order_statistic(below: Integers, edges: Array, rank: float) -> float:
 
 def held_sign(speed: Array, threshold: Array, run: Integers) -> Array:
     """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first."""
-    sign = np.where(np.abs(speed) > threshold, np.sign(speed), 0.0)
-    start = np.r_[True, run[1:] != run[:-1]]
-    index = np.arange(len(sign))
+    start = np.r_[True, run[1:] != run[:-1]][: len(run)]
+    index = np.arange(len(run))
     first = np.maximum.accumulate(np.where(start, index, 0))
-    last = np.maximum.accumulate(np.where(sign != 0.0, index[:, None], -1), axis=0)
-    held = np.take_along_axis(sign, np.maximum(last, 0), axis=0)
-    return np.asarray(np.where(last >= first[:, None], held, 0.0))
+    out = np.empty(speed.shape)
+    for j, column in enumerate(speed.T):
+        own = np.ascontiguousarray(column)
+        last = np.maximum.accumulate(np.where(np.abs(own) > threshold[j], index, -1))
+        out[:, j] = np.where(last >= first, np.sign(own)[last], 0.0)
+    return out

@@ -23,6 +23,7 @@ from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
 from experiments.signals.clock import regular_time, typical_step
+from experiments.signals.definite import solve_definite
 from experiments.signals.typing_ import Array, Bools, Integers
 
 __all__ = ["DEGREE", "kernel", "local_polynomial", "smallest_half"]
@@ -124,11 +125,11 @@ def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, 
     for at in range(0, len(rest), block):
         chosen = slice(at, at + block)
         weights = _weights(known, wanted[rest[chosen]], start[chosen], window, half, order)
-        index = start[chosen, None] + np.arange(window)
+        index = start[chosen] + np.arange(window)[:, None]
         # The value at a row itself is taken off first, and with it what rounding makes of a large constant.
         centre = values[place[rest[chosen]]]
-        near = values[index] - centre[:, None, :]  # (B, window, c)
-        out[rest[chosen]] = (weights[:, None, :] @ near)[:, 0] + (centre if order == 0 else 0.0)
+        near = values[index] - centre  # (window, B, c)
+        out[rest[chosen]] = np.einsum("kb,kbc->bc", weights, near) + (centre if order == 0 else 0.0)
     return out + base if order == 0 else out
 
 
@@ -154,23 +155,23 @@ def _convolved(values: Array, half: int, order: int) -> Array:
 
 
 def _weights(known: Array, wanted: Array, start: Integers, window: int, half: int, order: int) -> Array:
-    """Weights ``(B, window)`` of samples from ``start`` ``(B,)`` on for derivatives at times ``wanted`` ``(B,)``."""
+    """Weights ``(window, B)`` of samples from ``start`` ``(B,)`` on for derivatives at times ``wanted`` ``(B,)``."""
     degree = min(DEGREE, window - 1)
     if order > degree:
-        return np.zeros((len(wanted), window))
-    offset = known[start[:, None] + np.arange(window)] - wanted[:, None]
-    reach = (half + 1.0) / half * np.max(np.abs(offset), axis=1)
+        return np.zeros((window, len(wanted)))
+    offset = known[start + np.arange(window)[:, None]] - wanted
+    reach = (half + 1.0) / half * np.max(np.abs(offset), axis=0)
     reach = np.where(reach > 0.0, reach, 1.0)
-    u = offset / reach[:, None]
+    u = offset / reach
     weight = 1.0 - u**2
-    moment, product = np.empty((2 * degree + 1, len(u))), weight
+    moment, product = np.empty((2 * degree + 1, len(wanted))), weight
     for power in range(2 * degree + 1):
-        moment[power] = product.sum(axis=1)
+        moment[power] = product.sum(axis=0)
         product = product * u
     normal = moment[np.add.outer(np.arange(degree + 1), np.arange(degree + 1))]  # (degree + 1, degree + 1, B)
-    unit = np.broadcast_to(np.eye(degree + 1)[:, order, None], (len(u), degree + 1, 1))
-    chosen = np.linalg.solve(np.moveaxis(normal, -1, 0), unit)[..., 0]  # (B, degree + 1)
-    polynomial = chosen[:, -1:]
+    unit = np.broadcast_to(np.eye(degree + 1)[:, order, None], (degree + 1, len(wanted)))
+    chosen = solve_definite(normal, unit)  # (degree + 1, B)
+    polynomial = chosen[-1]
     for power in range(degree - 1, -1, -1):
-        polynomial = polynomial * u + chosen[:, power, None]
-    return np.asarray(factorial(order) * weight * polynomial / reach[:, None] ** order)
+        polynomial = polynomial * u + chosen[power]
+    return np.asarray(factorial(order) * weight * polynomial / reach**order)

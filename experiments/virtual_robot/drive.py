@@ -40,11 +40,11 @@ def gear_output(drive: Drive, motor: Array, zero: Array) -> Array:
 
 def _disc_error(drive: Drive, q: Array) -> Array:
     """Return by how much the encoders' discs are off, rad, (N, n): straight from mark to mark."""
-    marks = len(drive.disc)
+    joint, marks = np.arange(len(drive.disc)), drive.disc.shape[1]
     turns = (drive.disc_sense * q + drive.disc_turn) / (2 * np.pi) * marks
     before = np.floor(turns).astype(int)
     part = turns - before
-    left, right = drive.disc[before % marks], drive.disc[(before + 1) % marks]
+    left, right = drive.disc[joint, before % marks], drive.disc[joint, (before + 1) % marks]
     return np.asarray(drive.disc_sense * (left + part * (right - left)), dtype=float)
 
 

@@ -60,13 +60,25 @@ def hide_eccentricity(plant: Plant, i: int, m: float, s: Sight, rng: np.random.G
 
 def hide_disc(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Give all joints encoders with one and the same faulty disc, each turned and read from the side as it came."""
-    n, marks = plant.n, len(plant.drive.disc)
-    error, turn, sense = rng.normal(size=marks), rng.uniform(0.0, 2 * np.pi, n), rng.choice([-1.0, 1.0], n)
-    error -= error.mean()
-    error /= np.sqrt(np.mean(error**2))
+    return _with_discs(plant, m, s, rng, 1)
+
+
+def hide_discs(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Give all joints encoders with faulty discs of which no two are alike."""
+    return _with_discs(plant, m, s, rng, plant.n)
+
+
+def _with_discs(plant: Plant, m: float, s: Sight, rng: np.random.Generator, kinds: int) -> tuple[Plant, Numbers]:
+    """Faulty discs of one kind, or of as many as there are joints."""
+    n, marks = plant.n, plant.drive.disc.shape[1]
+    error = rng.normal(size=(kinds, marks))
+    turn, sense = rng.uniform(0.0, 2 * np.pi, n), rng.choice([-1.0, 1.0], n)
+    error -= error.mean(axis=1, keepdims=True)
+    error /= np.sqrt(np.mean(error**2, axis=1, keepdims=True))
 
     def faulty(p: Plant, rms: float) -> Plant:
-        return replace(p, drive=replace(p.drive, disc=rms * error, disc_turn=turn, disc_sense=sense))
+        discs = np.broadcast_to(rms * error, (n, marks))
+        return replace(p, drive=replace(p.drive, disc=discs, disc_turn=turn, disc_sense=sense))
 
     rms = m * SMALL * s.factor(lambda p: faulty(p, SMALL))
     told = {"marks_rms_rad": rms, **{f"turn{j + 1}_rad": float(turn[j]) for j in range(n)}}

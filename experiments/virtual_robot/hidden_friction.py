@@ -32,6 +32,13 @@ def hide_stribeck(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
     return replace(plant, friction=friction), {"stribeck_Nm": amount, "stribeck_speed_rad_s": speed}
 
 
+def hide_creep(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a motor's dry friction creep away at rest."""
+    rate = m * float(rng.uniform(0.8, 1.6))
+    creep = plus(plant.friction.creep, i, rate)
+    return replace(plant, friction=replace(plant.friction, creep=creep)), {"creep_rate_1_s": rate}
+
+
 def hide_ripple(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Let a joint's torque ripple once and, less, twice per revolution of its motor."""
     size = 1.5 * m * float(plant.instrument.torque_sigma[i] / abs(plant.drive.nominal[i, i]))

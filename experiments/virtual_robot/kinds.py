@@ -18,6 +18,7 @@ from experiments.virtual_robot.hidden_drive import (
     hide_compliance,
     hide_coupled_springs,
     hide_disc,
+    hide_discs,
     hide_eccentricity,
     hide_hardening,
     hide_hysteresis,
@@ -37,7 +38,13 @@ from experiments.virtual_robot.hidden_elsewhere import (
     hide_scale,
     hide_slip,
 )
-from experiments.virtual_robot.hidden_friction import hide_friction, hide_lag, hide_ripple, hide_stribeck
+from experiments.virtual_robot.hidden_friction import (
+    hide_creep,
+    hide_friction,
+    hide_lag,
+    hide_ripple,
+    hide_stribeck,
+)
 from experiments.virtual_robot.outside import OUTSIDE_KINDS
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.puts import Put
@@ -148,9 +155,11 @@ KINDS: dict[str, Kind] = {
     "joint_compliance": Kind(hide_compliance, "joint", ("clamped", *POSES), _loaded),
     "gear_eccentricity": Kind(hide_eccentricity, "joint", POSES),
     "encoder_disc": Kind(hide_disc, "joints", POSES),
+    "different_encoder_discs": Kind(hide_discs, "joints", POSES),
     "thermal_expansion": Kind(hide_expansion, "link", POSES, _long),
     "payload": Kind(hide_payload, "tool", EVERYWHERE),
     "stribeck_friction": Kind(hide_stribeck, "joint", TORQUES),
+    "presliding_friction": Kind(hide_creep, "joint", ("free_air", "wrist")),
     "fixture_compliance": Kind(hide_fixture, "fixture", ("clamped",)),
     "base_tilt": Kind(hide_base_tilt, "base", POSES),
     "instrument_scale": Kind(hide_scale, "instrument", POSES),

@@ -67,7 +67,7 @@ class Drive:
     slip_torque: Array  # (n, k) Nm, where they slip
     eccentricity: Array  # (n, 4) rad: sin q, cos q, sin 2q, cos 2q
     rotor: Array  # (n,) kg m² at the motor
-    disc: Array  # (marks,) rad by which the encoders' disc is off at equal angles all round; all drives have its like
+    disc: Array  # (n, marks) rad by which each encoder's disc is off at equal angles all round
     disc_turn: Array  # (n,) rad by which each drive's disc is turned
     disc_sense: Array  # (n,) ±1, on which of its sides it is read
 
@@ -79,6 +79,7 @@ class Friction:
     coulomb: Array  # (n,) Nm at the motor
     viscous: Array  # (n,) Nm s/rad at the motor
     presliding: Array  # (n,) rad at the motor
+    creep: Array  # (n,) 1/s, rate at which the contacts of the gear creep at rest; 0: one contact that does not
     arm: Array  # (n,) Nm at the joint, Coulomb
     stribeck: Array  # (n,) Nm at the motor
     stribeck_speed: Array  # (n,) rad/s at the motor

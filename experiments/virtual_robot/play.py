@@ -33,6 +33,35 @@ def dry_friction(motion: Array, width: Array, start: Array) -> Array:
     return state
 
 
+def creeping_friction(motion: Array, step: float, width: Array, creep: Array, start: Array) -> Array:
+    """Return the state of dry friction of contacts of several widths, which creep while they stick.
+
+    A contact slips where it is wound up to its limit, as in `dry_friction`; those of a quarter, once, twice and four
+    times the width carry equal shares, and the wider creep the slower. Source: generalized Maxwell slip, Al-Bender,
+    Lampaert and Swevers, IEEE Trans. Automatic Control 50 (2005); the creep as an element's own relaxation.
+
+    Parameters
+    ----------
+    motion
+        Position at rows ``step`` s apart, rad, (N, n).
+    width
+        Motion over which the middle contacts slip, rad, (n,).
+    creep
+        Rate at which they creep, 1/s, (n,).
+    start
+        State before the first row, −1 … 1, (n,).
+    """
+    scale = np.array([0.25, 1.0, 2.0, 4.0])[:, None]
+    kept = np.exp(-step * creep / scale)
+    wound = np.diff(motion, axis=0, prepend=motion[:1]) / width
+    now = np.repeat(np.asarray(start, dtype=float)[None], len(scale), axis=0)
+    state = np.empty_like(motion)
+    for i in range(len(motion)):
+        now = np.clip(now * kept + wound[i] / scale, -1.0, 1.0)
+        state[i] = now.mean(axis=0)
+    return state
+
+
 def slipping(compliance: Array, limit: Array, torque: Array) -> Array:
     """Return the angle that slipping elements keep back while the torque changes, rad, (N, n).
 

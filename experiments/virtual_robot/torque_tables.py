@@ -24,7 +24,7 @@ from experiments.virtual_robot.heat import History, read_sensors
 from experiments.virtual_robot.instrument import torque_noise
 from experiments.virtual_robot.outside import outside_angle, outside_torque
 from experiments.virtual_robot.plant import Plant
-from experiments.virtual_robot.play import dry_friction
+from experiments.virtual_robot.play import creeping_friction, dry_friction
 from experiments.virtual_robot.programs import RATE, ClampProgram, Run
 
 SPEED_NOISE = 3e-5  # rad/s, of logged joint speeds
@@ -73,7 +73,7 @@ def log_runs(
             state = dry_friction(back, plant.friction.presliding, state)[-1]
             gear = dry_friction(back @ plant.drive.nominal, _gear_width(plant), gear)[-1]
         motor = motor_angles(plant.drive, q)
-        states = dry_friction(motor, plant.friction.presliding, state)
+        states = _dry_states(plant, motor, state)
         gears = dry_friction(q, _gear_width(plant), gear)
         state, gear = states[-1], gears[-1]
         ideal = gear_output(plant.drive, motor, plant.geometry.zero)
@@ -92,6 +92,17 @@ def log_runs(
         tables.append(pd.DataFrame({"run": np.full(len(time), number), **data}))
         truths.append(shaft)
     return Logged(pd.concat(tables, ignore_index=True), np.vstack(truths))
+
+
+def _dry_states(plant: Plant, motor: Array, start: Array) -> Array:
+    """States of the motors' dry friction along a run (N, n): one contact each, or several that creep."""
+    friction = plant.friction
+    states = dry_friction(motor, friction.presliding, start)
+    creeping = friction.creep > 0.0
+    if creeping.any():
+        crept = creeping_friction(motor, 1 / RATE, friction.presliding, friction.creep, start)
+        states = np.where(creeping, crept, states)
+    return states
 
 
 def _gear_width(plant: Plant) -> Array:

@@ -49,7 +49,7 @@ def tiny(simulated: Simulated) -> Campaign:
 def few_rows(tiny: Campaign) -> dict[Stage, Rows]:
     """A few rows of every stage: every tenth second of a log, three sweeps, all poses."""
     layout = layout_of([tiny])
-    free_air, clamped = stage_rows([tiny], layout, "free_air"), stage_rows([tiny], layout, "clamped")
+    free_air, clamped = stage_rows([tiny], layout, "free_air", resting=True), stage_rows([tiny], layout, "clamped")
     sweeps = np.unique(clamped.fold)[[0, len(np.unique(clamped.fold)) // 2, -1]]
     return {
         "free_air": free_air.take(np.arange(0, len(free_air), 60)),

@@ -32,13 +32,14 @@ DISC = "encoder_disc:3"
 GRID = np.linspace(-np.pi, np.pi, 361)[:-1]
 
 
-def true_curves(seed: int, robot: str = "ur10") -> np.ndarray:
-    """What the hidden disc adds to each joint's angle ``(M, n)``, rad, over a turn."""
-    truth = measure(load_robot(robot), [Hidden.parse(DISC)], seed=seed, poses=2, tables=("poses",)).truth
+def true_curves(seed: int, robot: str = "ur10", hidden: str = DISC) -> np.ndarray:
+    """What the hidden discs add to each joint's angle ``(M, n)``, rad, over a turn."""
+    truth = measure(load_robot(robot), [Hidden.parse(hidden)], seed=seed, poses=2, tables=("poses",)).truth
     drive = truth.plant.drive
-    marks = np.arange(len(drive.disc) + 1) * 2 * np.pi / len(drive.disc)
+    marks = np.arange(drive.disc.shape[1] + 1) * 2 * np.pi / drive.disc.shape[1]
     turned = np.mod(drive.disc_sense * GRID[:, None] + drive.disc_turn, 2 * np.pi)
-    return np.asarray(drive.disc_sense * np.interp(turned, marks, np.r_[drive.disc, drive.disc[0]]))
+    read = [np.interp(turned[:, j], marks, np.r_[disc, disc[0]]) for j, disc in enumerate(drive.disc)]
+    return np.asarray(drive.disc_sense * np.column_stack(read))
 
 
 def slow_part(angle: np.ndarray) -> np.ndarray:

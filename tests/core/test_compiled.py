@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from clampid.compiled import BLOCK, Blocks, compile_function, compiler
+from clampid.compiled import BLOCK, Blocks, compile_function, compile_rows, compiler
+from clampid.lanes import Lanes, lanes_source
 
 
 def function() -> ca.Function:
@@ -57,3 +58,43 @@ def test_without_a_working_compiler_it_runs_uncompiled(cache: Path, command: str
     assert not list(cache.rglob("*.so"))
     theta, rows = np.ones(2), np.ones((4, 3))
     np.testing.assert_allclose(Blocks(f)(theta, rows)[0], expected(theta, rows), rtol=1e-14)
+
+
+def every_operation() -> ca.Function:
+    theta, row = ca.SX.sym("theta", 1), ca.SX.sym("row", 3)
+    a, b, c = row[0], row[1], row[2]
+    parts = (a + b, a - b, a * b, a / c, -a, a**2, 2 * a, 1 / c, ca.sin(a), ca.cos(a), ca.tan(a), ca.exp(a), ca.log(c),
+             ca.sqrt(c), ca.fabs(a), ca.tanh(a), ca.atan(a), theta * a, 0.1 + c, b)  # fmt: skip
+    return ca.Function("every", [theta, row], [ca.vertcat(*parts), ca.vertcat(a * c, 7.0)])
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 1003])
+def test_eight_rows_at_once_give_the_numbers_of_each(cache: Path, count: int):
+    rng = np.random.default_rng(count)
+    rows = np.c_[rng.normal(size=(count, 2)), rng.uniform(0.1, 2.0, size=count)]
+    fast, slow = compile_rows(every_operation()), Blocks(every_operation())
+    assert isinstance(fast, Lanes)
+    for a, b in zip(fast(np.array([0.3]), rows[:, :1], rows[:, 1:]), slow(np.array([0.3]), rows), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-14)
+
+
+def test_what_cannot_be_done_by_eights_is_done_one_by_one(cache: Path):
+    theta, row = ca.SX.sym("theta", 0), ca.SX.sym("row", 2)
+    f = ca.Function("one", [theta, row], [ca.if_else(row[0] > 0, row[1], -row[1])])
+    assert lanes_source(f) is None
+    rows = np.array([[1.0, 2.0], [-1.0, 2.0]])
+    np.testing.assert_allclose(compile_rows(f)(np.zeros(0), rows)[0][:, 0], [2.0, -2.0])
+
+
+def test_columns_that_do_not_fit_are_refused(cache: Path):
+    if compiler() is None:
+        pytest.skip("no C compiler here")
+    with pytest.raises(ValueError, match=r"expected \(1, 3\)"):
+        compile_rows(every_operation())(np.zeros(1), np.zeros((4, 2)))
+
+
+def test_rows_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CLAMPID_COMPILER", "none")
+    theta, rows = np.ones(2), np.ones((4, 3))
+    np.testing.assert_allclose(compile_rows(function())(theta, rows)[0], expected(theta, rows), rtol=1e-14)

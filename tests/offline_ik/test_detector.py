@@ -15,7 +15,7 @@ from offline_ik.branches import parse_choice, status_and_turn
 from offline_ik.cell import default_cell
 from offline_ik.coordinates import detector_angles
 from offline_ik.detector import Detector, open_detector
-from offline_ik.errors import CellError, TargetError
+from offline_ik.errors import CellError, DetectorError, TargetError
 from offline_ik.ortho import ortho_arm
 from offline_ik.uncertainty import Uncertainty
 
@@ -217,6 +217,17 @@ def test_a_sample_inside_the_pedestal_is_refused() -> None:
     cell = default_cell(load_robot(model.robot))
     with pytest.raises(CellError, match="inside base"):
         open_detector(model, replace(cell, convention=cell.convention.with_sample([0.0, 0.0, 0.1])))
+
+
+def test_an_arm_on_a_rail_and_one_of_four_joints_are_refused(detector: Detector) -> None:
+    joints = detector.robot.joints
+    on_rail = replace(detector.robot, joints=(replace(joints[0], kind="prismatic"), *joints[1:]))
+    with pytest.raises(DetectorError, match="revolute joints only"):
+        Detector(replace(detector.arm, robot=on_rail), detector.cell)
+    short = replace(detector.robot, joints=joints[:4], links=detector.robot.links[:4], transmission=np.eye(4),
+                    linkage=np.eye(4))  # fmt: skip
+    with pytest.raises(DetectorError, match="at least six joints, found 4"):
+        Detector(replace(detector.arm, robot=short), detector.cell)
 
 
 def test_an_arm_without_a_spherical_wrist_is_served_as_well() -> None:

@@ -134,5 +134,5 @@ def test_a_million_poses() -> None:
     given_ = conditions()
     T = solver.pose(q, given_)
     found = solver.solve(T, np.zeros_like(q), solver.signs(q), given_)
-    assert (~found.reached).sum() <= 5
-    assert np.abs(solver.pose(found.q, given_) - T)[found.reached].max() < 1e-9
+    assert found.reached.all()
+    assert np.abs(solver.pose(found.q, given_) - T).max() < 1e-9

@@ -103,6 +103,27 @@ def test_rubbish_is_answered_and_every_good_request_between_is(detector: Detecto
     assert serving(detector, talk) == 300
 
 
+def test_a_search_for_the_nearest_position_gives_way_to_others(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer), connected(host, port) as other:
+            assert (await ask(*other, GOOD))["ok"]
+            writer.write(b"where gamma=0.3 delta=0.2 r=3.0 id=far\n" + GOOD + b" id=after\n")
+            far = asyncio.create_task(reader.readline())
+            await asyncio.sleep(0)
+            for _ in range(3):
+                assert (await ask(*other, GOOD))["reachable"]
+            assert not far.done()
+            writer.write_eof()
+            told = json.loads(await far)
+            assert told["id"] == "far"
+            assert not told["reachable"]
+            assert told["nearest"]["distance_m"] > 0.1
+            assert json.loads(await reader.readline())["id"] == "after"
+            assert not await reader.readline()
+
+    serving(detector, talk)
+
+
 def test_a_line_in_pieces_is_one_line_and_an_oversized_one_is_one_error(detector: Detector) -> None:
     async def talk(server: Server, host: str, port: int) -> None:
         async with connected(host, port) as (reader, writer):
@@ -184,7 +205,7 @@ def test_an_error_of_the_program_is_one_answer(detector: Detector, monkeypatch: 
     async def talk(server: Server, host: str, port: int) -> None:
         async with connected(host, port) as (reader, writer):
             with monkeypatch.context() as patched:
-                patched.setattr(server.speaker, "answer", broken)
+                patched.setattr(server.speaker, "begin", broken)
                 assert "internal error" in (await ask(reader, writer, GOOD))["error"]
             assert (await ask(reader, writer, GOOD))["ok"]
             assert server.failures == 1

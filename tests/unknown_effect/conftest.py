@@ -1,4 +1,4 @@
-"""Campaigns of poses alone, each measured once a session."""
+"""Campaigns of logs and poses, each measured once a session."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
         *hidden: str,
         seed: int = 1,
         poses: int = 200,
-        tables: tuple[str, ...] = ("poses", "verification"),
+        tables: tuple[str, ...] = ("free_air", "wrist", "poses", "verification"),
         robot: str = "kuka_kr20_r1810",
     ) -> Campaign:
         folder = tmp_path_factory.mktemp("campaigns") / "arm"

@@ -1,0 +1,78 @@
+"""How effects begin that have no start from nothing: another is fitted in their place, and its curves are aligned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from clampid.alignment import Alignment, alignment_of
+from clampid.effect import Effect, EffectError
+from clampid.fit import Estimate
+from clampid.slots import Layout, Slot, Term
+
+__all__ = ["begun"]
+
+FitTerms = Callable[[Sequence[Term], Mapping[Slot, float]], Estimate]
+
+
+def begun(
+    terms: Sequence[Term],
+    effects: Mapping[str, Effect],
+    layout: Layout,
+    start: Mapping[Slot, float],
+    fit_terms: FitTerms,
+) -> tuple[tuple[Term, ...], dict[Slot, float]]:
+    """Terms and start values with which a fit can begin.
+
+    An effect that aligns another's curves and has no start value yet gets its joints, and takes the other's place
+    there; joints that were not named and do not share the curve have, or keep, one of their own.
+
+    Parameters
+    ----------
+    start
+        What is known of the values.
+    fit_terms
+        Fits some terms to the rows.
+
+    Raises
+    ------
+    EffectError
+        No two joints, or not those named, have the same curve.
+    """
+    terms, start = tuple(terms), dict(start)
+    known = {slot.effect for slot in start}
+    for name in dict.fromkeys(t.effect for t in terms):
+        effect = effects[name]
+        if effect.aligns is None or name in known:
+            continue
+        named = [t.place for t in terms if t.effect == name and t.place is not None]
+        places = named or list(layout.allowed(effect))
+        rest = tuple(t for t in terms if t.effect not in (name, effect.aligns))
+        apart = _places(terms, effect.aligns, layout, effects)
+        curves = tuple(Term(effect.aligns, p) for p in dict.fromkeys([*places, *apart]))
+        estimate = fit_terms((*rest, *curves), start)
+        found = alignment_of(estimate, effect, places)
+        shared = [] if found is None else [f"joint{j + 1}" for j in found.joints]
+        if found is None or not shared or (named and set(shared) != set(named)):
+            raise EffectError(_refusal(name, effect.aligns, places, found))
+        own = [p for p in dict.fromkeys([*apart, *places]) if p not in shared]
+        terms = (*rest, *(Term(name, p) for p in shared), *(Term(effect.aligns, p) for p in own))
+        start |= estimate.values() | found.values(effect)
+    return terms, start
+
+
+def _places(terms: Sequence[Term], name: str, layout: Layout, effects: Mapping[str, Effect]) -> list[str]:
+    """Where an effect is active."""
+    own = [t.place for t in terms if t.effect == name]
+    return list(layout.allowed(effects[name])) if None in own else [p for p in own if p is not None]
+
+
+def _refusal(name: str, own: str, places: Sequence[str], found: Alignment | None) -> str:
+    """Why the joints do not share a curve."""
+    where = ", ".join(places)
+    if found is None:
+        return f"{name}: expected two joints or more that could share a curve, found {where or 'none'}"
+    odds = ", ".join(f"joint{j + 1} {value:.1f}" for j, value in sorted(found.refused.items()))
+    return (
+        f"{name}: these rows do not say that the angle errors of {where} are one curve (logarithm of the odds to share "
+        f"one: {odds}); {own} gives each joint a curve of its own"
+    )

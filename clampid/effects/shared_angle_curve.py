@@ -1,0 +1,87 @@
+"""One angle error, periodic in the revolution and of any shape, at several joints: parts of one make, as mounted.
+
+Encoders with the same disc err by the same curve, each turned by an angle of its own and read from one side or the
+other. How a disc sits on its joint adds what comes once and twice per revolution, and no two parts are quite the same.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from clampid.algebra import cos, sin
+from clampid.effect import Effect, Parameter
+
+LOW = (1, 2)
+"""Harmonics of a joint's own: eccentric and oval seats. The disc's are not told apart from them."""
+
+SHARED = range(3, 49)
+"""Shapes down to 4 degrees, as at single joints."""
+
+_SMEAR = tuple(1.0 - (k / SHARED.stop) ** 2 for k in SHARED)
+SHARE = tuple(share / sum(s**2 for s in _SMEAR) ** 0.5 for share in _SMEAR)
+"""Sizes of the harmonics by the rms of the curve: the reading head smears the finer ones; without that fading what is
+known of one angle would ring on."""
+
+ERROR = 3e-4
+"""rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the rms of the whole curve."""
+
+SEAT = 1.2e-4
+"""rad: the middle of the same range; 4 micrometres of eccentricity on a disc of 30 mm radius."""
+
+
+ANYWHERE = 1.8
+"""rad: the standard deviation of an angle of which nothing is known."""
+
+
+def error(p: Any, x: Any) -> Any:
+    """Dq = s g(s q - phase) + own(q); g and own are sums over k of a_k sin ku + b_k cos ku."""
+    u = p.sense * x.q - p.phase
+    curve, seat, rest = 0.0, 0.0, 0.0
+    for k in LOW:
+        seat = seat + getattr(p, f"own_a{k}") * sin(k * x.q) + getattr(p, f"own_b{k}") * cos(k * x.q)
+    for k in SHARED:
+        curve = curve + getattr(p, f"a{k}") * sin(k * u) + getattr(p, f"b{k}") * cos(k * u)
+        rest = rest + getattr(p, f"own_a{k}") * sin(k * x.q) + getattr(p, f"own_b{k}") * cos(k * x.q)
+    return p.sense * curve + seat + p.deviation * rest
+
+
+def _sines(prefix: str, k: int, unit: str, size: float, per: Literal["robot", "joint"]) -> tuple[Parameter, ...]:
+    whose = "of the joint alone, " if per == "joint" else ""
+    bounds = (-50.0 * size, 50.0 * size)
+    return tuple(
+        Parameter(f"{prefix}{a}{k}", unit, size, per, bounds, f"{f} part, {whose}{k} per turn", spread=1.0)
+        for a, f in (("a", "sine"), ("b", "cosine"))
+    )
+
+
+EFFECT = Effect(
+    name="shared_angle_curve",
+    family="gear_eccentricity",
+    acts={"joint_angle": error},
+    parameters=(
+        Parameter(
+            "sense", "", 1.0, "joint", (-1.0, 1.0), "how the part is mounted: +1 or -1; 0: another part",
+            shape=True, grid=(0.0, 1.0, -1.0), held="everywhere",
+        ),
+        Parameter(
+            "phase", "rad", ANYWHERE, "joint", meaning="where the curve begins, counted from the first joint's",
+            shape=True, grid=(0.0,), held="first",
+        ),
+        *(p for k in LOW for p in _sines("own_", k, "rad", SEAT / len(LOW) ** 0.5, "joint")),
+        *(p for k, share in zip(SHARED, SHARE, strict=True) for p in _sines("own_", k, "", share, "joint")),
+        Parameter(
+            "deviation", "rad", ERROR, bounds=(0.0, 0.05), meaning="how far parts of one make differ, rms over a turn",
+            shape=True, grid=(0.3 * ERROR,), held="everywhere",
+        ),
+        *(p for k, share in zip(SHARED, SHARE, strict=True) for p in _sines("", k, "rad", ERROR * share, "robot")),
+    ),
+    needs=("q",),
+    stages=("poses",),
+    equation=(
+        "dq = s g(s q - phase) + own(q), g(u) = sum_k a_k sin k u + b_k cos k u, k = 3 ... 48, in all about 0.3 mrad; "
+        "own(q) the same with k = 1, 2 of about 0.1 mrad, and from 3 on in units of the deviation"
+    ),
+    source=("UniversalModel", "Landgraf2021"),
+    aligns="joint_angle_curve",
+    meaning="one periodic curve for several joints, each with its phase and sense",
+)  # fmt: skip

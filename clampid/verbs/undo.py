@@ -1,0 +1,38 @@
+"""``clampid undo``: takes back the last round of a model."""
+
+from __future__ import annotations
+
+from clampid.verbs.inputs import read_checked
+from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet
+from clampid.verbs.options import Output as OutputFile
+from clampid.verbs.output import Output, output_file
+
+__all__ = ["undo"]
+
+
+def undo(
+    model: ModelFile,
+    campaigns: Campaigns,
+    output: OutputFile,
+    effects_from: EffectsFrom = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Take back the last round: fit again without what it added."""
+    out = Output(quiet, json)
+    output_file(output)
+
+    from clampid.model import load_model, save_model
+    from clampid.undo import undo as step_back
+    from clampid.verbs.show import show_rounds
+
+    loaded = load_model(model)
+    with out.working("reading"):
+        read = read_checked(campaigns, out)
+    with out.working("fitting again"):
+        before, gone = step_back(loaded, read, user_effects=effects_from)
+    save_model(before, output)
+    out.say(f"{gone.stage}: without {', '.join(gone.added)}")
+    show_rounds(before.ledger, out)
+    out.say(f"model: {output}")
+    out.result({"model": str(output), "stage": gone.stage, "removed": list(gone.added)})

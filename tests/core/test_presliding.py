@@ -1,0 +1,112 @@
+"""Dry friction with a state: the states along a log, and a model that knows the friction of a motor at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from clampid.accuracy import noise_floor
+from clampid.add import add
+from clampid.catalogue import catalogue
+from clampid.compare import compare
+from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
+from clampid.fitted_stage import fit_stage
+from clampid.identify import identify, stage_rows, standard_effects
+from clampid.layout import layout_of
+from clampid.slots import Term
+from clampid.stages.experiment import experiment
+from clampid.stages.presliding import dry_states, recurrence
+from experiments.campaign import Campaign
+
+STATES = [(s, t) for s in PRESLIDING_LENGTHS for t in RELAXATION_TIMES]
+
+
+def _states(turned: list[float], step: float = 0.01) -> np.ndarray:
+    """States ``(N, S x K)`` of one motor that turns by these angles, rad, one every ``step`` seconds."""
+    moved = np.array(turned)[:, None]
+    time = step * np.arange(len(turned))
+    return dry_states(moved, time, np.zeros(len(turned), dtype=np.int64))[:, 0]
+
+
+def test_long_motion_ends_at_its_sign():
+    z = _states([0.0, *[1.0] * 5, *[-1.0] * 5])
+    np.testing.assert_allclose(z[5], 1.0, atol=0.01)
+    np.testing.assert_allclose(z[-1], -1.0, atol=0.01)
+
+
+@pytest.mark.parametrize(("length", "time"), STATES)
+def test_reversal_builds_up_as_dahl_has_it(length: float, time: float):
+    travels = length * np.array([0.1, 0.5, 1.0, 3.0])
+    column = STATES.index((length, time))
+    for travel in travels:  # so fast that nothing relaxes
+        z = _states([0.0, 1.0, -travel], step=1e-9)[-1, column]
+        assert z == pytest.approx(-1.0 + 2.0 * np.exp(-travel / length), abs=1e-6)
+
+
+@pytest.mark.parametrize(("length", "time"), STATES)
+def test_rest_relaxes_exponentially(length: float, time: float):
+    z = _states([0.0, 1e3, *[0.0] * 50], step=0.02)[:, STATES.index((length, time))]
+    np.testing.assert_allclose(z[2:] / z[1], np.exp(-0.02 * np.arange(1, 51) / time), rtol=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    turned=st.lists(st.floats(-0.05, 0.05), min_size=1, max_size=60),
+    parts=st.integers(2, 5),
+)
+def test_states_are_bounded_odd_and_independent_of_the_sampling(turned: list[float], parts: int):
+    z = _states([0.0, *turned])
+    assert np.all(np.abs(z) <= 1.0)
+    np.testing.assert_allclose(_states([0.0, *(-np.array(turned))]), -z, atol=1e-15)
+    finer = _states([0.0, *np.repeat(np.array(turned) / parts, parts)], step=0.01 / parts)
+    np.testing.assert_allclose(finer[::parts], z, atol=1e-12)
+
+
+@settings(max_examples=40, deadline=None)
+@given(count=st.integers(1, 200), seed=st.integers(0, 2**32 - 1))
+def test_recurrence_in_blocks_is_the_recurrence(count: int, seed: int):
+    rng = np.random.default_rng(seed)
+    decay, gain = rng.uniform(0.0, 1.0, (count, 3)), rng.normal(size=(count, 3))
+    expected, now = np.empty((count, 3)), np.zeros(3)
+    for i in range(count):
+        expected[i] = now = decay[i] * now + gain[i]
+    np.testing.assert_allclose(recurrence(decay, gain), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_runs_know_nothing_of_each_other():
+    turned = np.array([0.0, 1.0, 1.0, 5.0, 0.0])[:, None]
+    z = dry_states(turned, np.arange(5.0), np.array([0, 0, 0, 1, 1]))
+    np.testing.assert_array_equal(z[3:], 0.0)
+
+
+def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campaign]):
+    """The hidden law is another one, of several contacts that slip; judged by a run that no fit has seen."""
+    campaign = simulated(seed=11, tables=("free_air",), hidden=("presliding_friction@joint2",))
+    effects, layout = catalogue(), layout_of([campaign])
+    rows = stage_rows([campaign], layout, "free_air", resting=True)
+    standard = standard_effects([campaign])["free_air"]
+    seen = (rows.fold == 1) & rows.used[:, 1]
+    excess = []
+    for terms in (standard, (*standard, Term("presliding_friction", "joint2"))):
+        fitted = fit_stage(rows, effects, terms, {}, held=((1,),))
+        residual, _ = experiment(rows, effects, fitted.model.slots).residual(fitted.model.theta)
+        sigma = noise_floor(rows, residual).sigma[1]
+        excess.append(np.mean(residual[seen, 1] ** 2) / sigma**2 - 1.0)
+    assert excess[0] > 1.0  # friction held at rest: as much error again as there is noise
+    assert excess[1] < 0.2 * excess[0]
+    values = {s.parameter: v for s, v in fitted.model.values().items() if s.effect == "presliding_friction"}
+    assert values["c"] == pytest.approx(1.0, abs=0.2)
+    assert 0.4 < values["t"] < 4.0  # contacts that creep at 0.8 to 1.6 /s, the wider ones slower
+
+
+def test_added_effect_lets_rows_at_rest_count(simulated: Callable[..., Campaign]):
+    campaign = simulated(seed=11, tables=("free_air",), hidden=("presliding_friction@joint2",))
+    model = identify(campaign)
+    mended, found = add(model, campaign, ["presliding_friction@joint2"])
+    assert found.stages["free_air"].after.rms < found.stages["free_air"].before.rms
+    rows = [compare(m, campaign).tables["free_air"]["rows"] for m in (model, mended)]
+    assert rows[1] > 1.2 * rows[0]

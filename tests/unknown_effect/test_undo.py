@@ -1,0 +1,102 @@
+"""One step back, and what the omission had done to the exported table."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clampid.add import add
+from clampid.effect_new import effect_new
+from clampid.export import dh_table
+from clampid.identify import identify
+from clampid.model import Model, ModelError, load_model, save_model
+from clampid.omission import exported_shift, shift_in_words
+from clampid.undo import undo
+from experiments.campaign import Campaign
+
+POSES = ("poses", "verification")
+
+
+@pytest.fixture(scope="module")
+def arm(simulated) -> Campaign:
+    return simulated("gear_eccentricity@joint2:3", seed=3, poses=80, tables=POSES, robot="ur10")
+
+
+@pytest.fixture(scope="module")
+def first(arm: Campaign) -> Model:
+    return identify(arm)
+
+
+def assert_same(found: Model, wanted: Model) -> None:
+    """The same slots, values to a thousandth of their standard errors, the same ledger."""
+    assert found.ledger == wanted.ledger
+    assert found.layout == wanted.layout
+    assert found.user_effects == wanted.user_effects
+    assert set(found.stages) == set(wanted.stages)
+    for stage, model in wanted.stages.items():
+        assert found.stages[stage].slots == model.slots
+        assert found.stages[stage].terms == model.terms
+        off = (found.stages[stage].theta - model.theta) / model.std
+        np.testing.assert_allclose(off, 0.0, atol=1e-3)
+
+
+def test_undo_gives_the_model_before(arm: Campaign, first: Model, tmp_path: Path):
+    once, _ = add(first, arm, ["gear_eccentricity@joint2"])
+    own = effect_new("mine", ["q3"], "joint3", orders=2, path=tmp_path / "mine.py")
+    twice, _ = add(once, arm, ["mine"], user_effects=own)
+    save_model(twice, tmp_path / "model.json")
+    back, gone = undo(load_model(tmp_path / "model.json"), arm)
+    assert gone.added == ("mine@joint3",)
+    assert_same(back, once)
+    assert_same(undo(back, arm)[0], first)
+
+
+def test_there_is_a_first_round(arm: Campaign, first: Model):
+    with pytest.raises(ModelError, match="nothing to undo"):
+        undo(first, arm)
+    with pytest.raises(ModelError, match="nothing to undo"):
+        undo(replace(first, ledger=()), arm)
+
+
+def test_undo_needs_the_campaign_of_the_model(arm: Campaign, first: Model, simulated):
+    once, _ = add(first, arm, ["gear_eccentricity@joint2"])
+    other = simulated(seed=8, poses=40, tables=POSES, robot="ur10")
+    with pytest.raises(ModelError, match="expected a campaign that the model was fitted on"):
+        undo(once, other)
+
+
+def test_undo_of_torques_fits_the_poses_again(simulated):
+    campaign = simulated("torque_offset@joint3", seed=4, poses=60, tables=("free_air", "wrist", "poses"))
+    first = identify(campaign)
+    mended, _ = add(first, campaign, ["free_air=torque_offset"])
+    assert_same(undo(mended, campaign)[0], first)
+
+
+def test_the_shift_of_the_exported_table_is_the_difference_of_two_exports(arm: Campaign, first: Model):
+    mended, addition = add(first, arm, ["gear_eccentricity@joint2"])
+    shifts = addition.to_json()["stages"]["poses"]["exported_shift"]
+    again = exported_shift(first, mended, arm.robot)
+    assert [(e["row"], e["parameter"]) for e in shifts] == [(e["row"], e["parameter"]) for e in again]
+    old, new = dh_table(first, "hayati"), dh_table(mended, "hayati")
+    assert shifts
+    for entry in shifts:
+        assert abs(entry["shift"]) > 2 * entry["std"] > 0
+        column = f"{entry['parameter']}_{entry['unit']}"
+        values = [float(t.loc[t["row"] == entry["row"], column].iloc[0]) for t in (old, new)]
+        assert entry["shift"] == pytest.approx(values[0] - values[1], abs=1e-12)
+    # A wave of the second joint's angle is taken for its offset and for the links about it.
+    assert any(entry["row"] in ("1", "2", "3") for entry in shifts[:3])
+    assert exported_shift(first, first, arm.robot) == []
+
+
+def test_the_sentence_has_units_and_errors():
+    shifts = [
+        {"row": "3", "parameter": "d", "shift": 4.53e-5, "std": 3.1e-6, "unit": "m"},
+        {"row": "base", "parameter": "rx", "shift": -2.2e-6, "std": 2.7e-7, "unit": "rad"},
+    ]
+    said = "Leaving it out had shifted the exported table: d of row 3 by 45 ± 3.1 µm, rx of base by -2.20 ± 0.27 µrad."
+    assert shift_in_words(shifts) == said
+    assert shift_in_words([]) == ""

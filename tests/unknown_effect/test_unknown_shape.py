@@ -1,0 +1,193 @@
+"""What no effect explains: its shape with a band that holds, and the way from the verdict to a compensated command."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from clampid.catalogue import catalogue
+from clampid.compare import compare
+from clampid.diagnose import diagnose
+from clampid.diagnosis.probes import probes
+from clampid.diagnosis.score import score, space_of
+from clampid.diagnosis.unknown_shape import _width, shape_of
+from clampid.export import calibrated_chain
+from clampid.fit import fit
+from clampid.fitted_stage import fit_stage
+from clampid.identify import identify, stage_rows
+from clampid.layout import layout_of
+from clampid.model import load_model, save_model
+from clampid.slots import Term
+from experiments.simulate import hidden_file
+from offline_ik.arm import Conditions, IdentifiedArm, arm_of
+
+NEAR = 1.15  # of the noise floor: what a smooth shape leaves of a sharp one, and what its factors cost
+AMPLITUDE = 2e-4  # rad
+
+
+def test_a_band_of_one_point_is_the_usual_one():
+    assert _width(np.array([[2.0]]), 0) == pytest.approx(1.96, abs=0.05)
+
+
+@given(points=st.integers(2, 30), seed=st.integers(0, 3))
+def test_a_band_of_independent_points_holds_them_all(points: int, seed: int):
+    exact = stats.norm.isf((1 - 0.95 ** (1 / points)) / 2)
+    assert _width(np.eye(points), seed) == pytest.approx(exact, abs=0.12)
+
+
+def test_points_that_nothing_is_known_of_do_not_count():
+    assert _width(np.zeros((3, 2)), 0) == 0.0
+    assert _width(np.array([[1.0], [0.0]]), 0) == pytest.approx(1.96, abs=0.05)
+
+
+@pytest.fixture(scope="module")
+def clean(simulated):
+    """Rows of poses with nothing hidden, fitted with geometry: a pattern to put errors upon."""
+    campaign = simulated(poses=120, tables=("poses",))
+    rows = stage_rows([campaign], layout_of([campaign]), "poses")
+    return fit_stage(rows, catalogue(), [Term("geometry")], {}).estimate
+
+
+def lever_of(estimate, joint: int) -> np.ndarray:
+    """What a unit of a joint's angle does to each point ``(N, 3)``, by turning it a little."""
+    rows = estimate.experiment.rows
+    q = rows.signals["q"].copy()
+    q[:, joint - 1] += 1e-6
+    turned = estimate.experiment.with_rows(replace(rows, signals={**rows.signals, "q": q}))
+    return -(turned.residual(estimate.theta)[0] - estimate.residual)[:, :3] / 1e-6
+
+
+@pytest.mark.slow
+def test_the_band_holds_the_true_curve_as_often_as_it_says(clean):
+    """Forty robots with the same error of joint 3 and noise of their own: about two may lie outside."""
+    rows, lever = clean.experiment.rows, lever_of(clean, 3)
+    q3 = rows.signals["q"][:, 2]
+    outside = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        predicted = rows.measured - clean.residual
+        each = 2e-5 * rng.standard_normal((int(rows.unit.max()) + 1, 3))[rows.unit]  # shared by a pose's points
+        error = (AMPLITUDE * np.sin(3 * q3))[:, None] * lever + each + rng.normal(0.0, 5e-5, (len(rows), 3))
+        trial = fit(clean.experiment.with_rows(replace(rows, measured=predicted + error)))
+        space = space_of(trial)
+        probe = next(s for s in score(space, probes(trial)) if s.candidate.label == "harmonics of q3 at joint3@joint3")
+        shape = shape_of(trial, space, probe, ["q3"], 0)
+        (curve,) = shape["curves"]
+        x, low, high = (np.array(curve[k]) for k in ("x", "low", "high"))
+        truth = AMPLITUDE * (np.sin(3 * x) - np.sin(3 * q3).mean())
+        outside += bool(np.any((truth < low) | (truth > high)))
+        assert shape["at"] == "joint3"
+        assert shape["depends_on"] == ["q3"]
+    assert stats.binom.sf(outside - 1, 40, 0.05) > 0.01, outside
+
+
+def run(*arguments: str | Path, cwd: Path) -> str:
+    """The command as a user types it."""
+    done = subprocess.run(
+        [Path(sys.executable).with_name("clampid"), *map(str, arguments)],
+        cwd=cwd, capture_output=True, text=True, timeout=600, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def flanges(arm: IdentifiedArm, q: np.ndarray) -> np.ndarray:
+    """Where the flange is for a command's arm ``(N, 3)``, base frame."""
+    symbol = ca.SX.sym("q", arm.n)
+    position = arm.expression(symbol, ca.SX(ca.DM(Conditions.still(arm.n).vector)), np.eye(4))[0]
+    return np.asarray(ca.Function("flange", [symbol], [position])(q.T)).T
+
+
+def test_from_a_verdict_to_a_command(simulated, tmp_path: Path):
+    """Something that no effect of the catalogue explains is found, drawn, made an effect, fitted, and compensated."""
+    campaign = simulated("outside_third_harmonic")
+    save_model(identify(campaign), tmp_path / "model.json")
+    run("diagnose", "model.json", campaign.path, "--json", "found.json", "-q", cwd=tmp_path)
+    found = json.loads((tmp_path / "found.json").read_text())["stages"]["poses"]
+    assert (found["verdict"], found["depends_on"]) == ("unknown", ["q3"])
+    shape = found["shape"]
+    assert (shape["at"], shape["depends_on"]) == ("joint3", ["q3"])
+    assert shape["command"] in found["summary"]
+    truth = json.loads(hidden_file(campaign.path).read_text())[0]["parameters"]["amplitude_rad"]
+    curve = shape["curves"][0]
+    x, value, low, high = (np.array(curve[k]) for k in ("x", "value", "low", "high"))
+    wave = truth * (np.sin(3 * x) - np.mean(np.sin(3 * campaign.tables["poses"]["q3_rad"])))
+    assert np.all((low <= wave) & (wave <= high))
+    assert np.mean(high - low) < 0.5 * np.ptp(value)
+
+    run(*shlex.split(shape["command"])[1:], cwd=tmp_path)
+    own = f"{shape['name']}.py"
+    wrote = run(
+        "add", shape["name"], "model.json", campaign.path, "-o", "mended.json", "--effects-from", own, "-q",
+        "--json", "-", cwd=tmp_path,
+    )  # fmt: skip
+    part = json.loads(wrote)["stages"]["poses"]
+    assert part["heldout_rms_before"] > 1.5 * part["noise_floor"]
+    assert part["heldout_rms_after"] < NEAR * part["noise_floor"]
+    run("diagnose", "mended.json", campaign.path, "--json", "after.json", "-q", cwd=tmp_path)
+    assert json.loads((tmp_path / "after.json").read_text())["stages"]["poses"]["verdict"] == "adequate"
+    assert "unknown_joint3@joint3" in run("history", "mended.json", cwd=tmp_path)
+
+    # The model names its file; from another folder it is found beside the model.
+    mended, file = load_model(tmp_path / "mended.json"), tmp_path / own
+    poses = compare(mended, campaign).tables["poses"]
+    assert poses["heldout"]["rms"] == pytest.approx(part["heldout_rms_after"], rel=0.01)
+
+    # Compensation: the arm's prediction holds the error, and commands are turned by it.
+    arm = arm_of(mended, user_effects=file)
+    q = np.tile(np.array([0.3, -0.5, 0.0, 0.4, 0.8, 0.2]), (9, 1))
+    q[:, 2] = np.linspace(-1.5, 2.0, 9)
+    shift = flanges(arm, q) - flanges(arm.without("unknown_joint3"), q)
+    chain = calibrated_chain(mended)
+    bent = q + np.eye(6)[2] * (truth * np.sin(3 * q[:, 2]))[:, None]
+    moved = (chain.flange(bent)[:, :3, 3] - chain.flange(q)[:, :3, 3]) @ chain.base[:3, :3]
+    left = np.linalg.norm((shift - shift.mean(axis=0)) - (moved - moved.mean(axis=0)), axis=1)
+    assert left.max() < 0.25 * np.linalg.norm(moved, axis=1).max()
+    run("ik", "mended.json", "--gamma", "0.3", "--delta", "0.4", "--r", "0.6", "-q", cwd=tmp_path)
+    run("export", "dh", "mended.json", "-o", "table.csv", cwd=tmp_path)
+
+
+OTHERS = {
+    "outside_posture_product": (("q1", "q5"), "joint4"),
+    "outside_q4_direction": (("q4", "dir4"), "joint5"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("hidden", OTHERS)
+def test_a_shape_over_two_variables_brings_the_error_to_the_noise(hidden: str, seed: int, simulated, tmp_path: Path):
+    """An engineer who suspects on what it depends: what the effect file brings, on poses that no fit saw."""
+    from clampid.add import add
+    from clampid.effect_new import effect_new
+
+    campaign = simulated(hidden, seed=seed)
+    variables, at = OTHERS[hidden]
+    own = effect_new("suspect", variables, at, path=tmp_path / "suspect.py")
+    _, addition = add(identify(campaign), campaign, ["suspect"], user_effects=own)
+    part = addition.to_json()["stages"]["poses"]
+    assert part["heldout_rms_before"] > 1.5 * part["noise_floor"]
+    assert part["heldout_rms_after"] < NEAR * part["noise_floor"]
+
+
+def test_a_diagnosis_looks_for_an_effect_of_ones_own(simulated, tmp_path: Path):
+    """Handed to diagnose, it is a candidate like any other, and goes by its own name."""
+    from clampid.effect_new import effect_new
+
+    campaign = simulated("outside_third_harmonic")
+    own = effect_new("third_wave", ["q3"], "joint3", path=tmp_path / "third_wave.py")
+    found = diagnose(identify(campaign), campaign, user_effects=own).stages["poses"]
+    assert found.verdict == "missing"
+    assert [(c["effect"], c["where"]) for c in found.candidates] == [("third_wave", ["joint3"])]
+    assert found.shape is None
