@@ -19,7 +19,6 @@ from clampid.gauge import independent_geometry
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
-from clampid.observability import observability, projected
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
