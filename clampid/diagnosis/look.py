@@ -107,6 +107,8 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             continue
         if other.candidate.name == best.candidate.name and (theirs & mine):
             continue
+        if other.candidate.family == best.candidate.family and other.candidate.places == best.candidate.places:
+            continue  # variants of one effect at one place are one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
         if other.candidate.prior is not None and other.bic < best.bic - SAME:

@@ -47,6 +47,7 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
                 f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near, where their "
                 f"curve is extrapolated: {joints}{one}"
             )
+        _show_placing(name, table, out)
     if motors:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
@@ -57,10 +58,40 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         _show_agreement(data["drives"], out)
 
 
+def _show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:
+    """ISO 9283 where something was repeated, and errors about a sample."""
+    from experiments.metrics import MEANING
+
+    found = table.get("iso9283", {})
+    for key, meaning in MEANING.items():
+        if key in found:
+            part = found[key]
+            mean, most = (error_text(part[k], "m") for k in ("mean", "max"))
+            out.say(f"{name}: {key}, {meaning}: mean {mean}, at most {most} ({part['poses']:.0f} repeated places)")
+    if "sample" in table:
+        parts = (
+            f"{words} {error_text(table['sample'][key]['rms'], 'm')} rms, at most "
+            f"{error_text(table['sample'][key]['max'], 'm')}"
+            for key, words in (("radial", "radially"), ("along", "along the sphere"))
+        )
+        out.say(f"{name}: about the sample, held out: {'; '.join(parts)}")
+
+
+def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
+    """What a missing effect had put wrong: by how much, and in standard errors of the mended value."""
+    rows = []
+    for p in shifted:
+        off = with_error(p["shift"], p["std"], p["unit"])
+        rows.append((p["name"], off, f"{abs(p['shift']) / p['std']:.1f}"))
+    if rows:
+        out.table("spoiled by what was missing", ("parameter", "too large by", "in standard errors"), rows)
+
+
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
     """Springs and clearances as the clamped sweeps have them and as the poses want them."""
     units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
     units |= {"nonlinear_stiffness.h": "rad/Nm^3", "cross_coupled_stiffness.x": "rad/Nm"}
+    units |= {"soft_near_zero.a": "rad/Nm", "soft_near_zero.s": "Nm"}
     rows = []
     for p in data["parameters"]:
         unit = units[p["parameter"]]
@@ -81,6 +112,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
             out.table("", ("parameter", "value"), _values(parameters))
+        _show_omission(part.get("omission") or (), out)
         for found in part.get("simpler", ()):
             out.say(f"  {found['summary']}; to fit it: clampid add {stage}={found['name']} MODEL CAMPAIGN -o MENDED")
         if part.get("depends_on"):

@@ -60,6 +60,9 @@ CASES = {
         Case("stribeck_friction", TORQUES, ("free_air",)),
         Case("torque_offset", TORQUES, ("free_air",)),
         Case("fixture_compliance", ("clamped",), ("clamped",)),
+        Case("nonlinear_stiffness", ("clamped",), ("clamped",)),
+        Case("hysteresis", ("clamped",), ("clamped",)),
+        Case("cross_coupled_stiffness", ("clamped",), ("clamped",)),
         Case("backlash", (*TORQUES, *POSES), ("poses",), lacking=True),
         Case("joint_compliance", (*TORQUES, *POSES), ("poses",), lacking=True),
     )
