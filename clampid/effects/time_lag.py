@@ -8,7 +8,7 @@ from clampid.effect import Effect, Parameter
 
 
 def torque(p: Any, x: Any) -> Any:
-    """tau(t - dt) = tau(t) - dt dtau/dt: the rate of the torque that gravity gives."""
+    """tau(t - dt) = tau(t) - dt dtau/dt, of gravity: the measured torque's own rate would be that of its noise."""
     return -p.dt * x.torque_rate
 
 
@@ -19,7 +19,7 @@ EFFECT = Effect(
     parameters=(Parameter("dt", "s", 0.02, bounds=(-1.0, 1.0), meaning="how late the torques are logged"),),
     needs=("torque_rate",),
     stages=("free_air",),
-    equation="d tau_motor = -dt d(tau_motor)/dt",
+    equation="d tau_motor = -dt d(tau_motor)/dt, of the weight described",
     source=("Armstrong1994",),
     at="log",
 )

@@ -18,7 +18,10 @@ __all__ = [
     "gravity_signals",
     "inertia_torque",
     "inertial_signals",
+    "weight_rate",
 ]
+
+RATE_STEP = 1e-4  # s: of the difference; its error goes with the square of the angle turned in it
 
 
 def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
@@ -34,6 +37,12 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     if robot.has_masses:
         torque = torque + found["regressor"] @ gravity_parameters(robot.links)
     return {**found, "gravity_torque": torque}
+
+
+def weight_rate(campaign: Campaign, q: Array, qd: Array) -> Array:
+    """How fast the weight's torques at the motors change ``(N, n)``, Nm/s, at ``q``, ``qd`` ``(N, n)``, rad, rad/s."""
+    ahead, behind = (gravity_signals(campaign, q + s * RATE_STEP * qd)["gravity_torque"] for s in (1.0, -1.0))
+    return np.asarray((ahead - behind) / (2.0 * RATE_STEP) @ np.asarray(campaign.robot.transmission).T)
 
 
 def gravity_regressors(robot: RobotDescription, gravity: Array, q: Array) -> dict[str, Array]:

@@ -180,8 +180,6 @@ class LogDesign:
         chosen = np.flatnonzero(counts.any(axis=1))
         if any(name.endswith("_temperature") for name, _ in kernel.signals):
             every |= temperatures(pd.DataFrame(dict(w.columns)), self.n)
-        if any(name == "torque_rate" for name, _ in kernel.signals):
-            every["torque_rate"] = np.gradient(measured, axis=0)
         inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
         counts = counts[chosen]
         if not self.accelerating:

@@ -25,7 +25,9 @@ from kinematics.symbolic_dynamics import symbolic_torques
 
 __all__ = ["TorqueKernel", "torque_kernel"]
 
-COMPUTED = ("regressor", "tool_regressor", "link_inertia_regressor", "gravity_torque", "inertia_torque")
+COMPUTED = (
+    "regressor", "tool_regressor", "link_inertia_regressor", "gravity_torque", "inertia_torque", "torque_rate"
+)  # fmt: skip
 POSTURE = ("q", "joint_speed", "joint_acceleration")
 
 
@@ -121,4 +123,6 @@ def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:
         "link_inertia_regressor": motion[:, by_inertia],
         "gravity_torque": gravity,
         "inertia_torque": inertia,
+        "torque_rate": ca.sparsify(ca.DM(np.asarray(robot.transmission)))
+        @ ca.jtimes(gravity, row["q"], row["joint_speed"]),
     }

@@ -13,7 +13,7 @@ import numpy as np
 from clampid.chain import Chain
 from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
-from clampid.stages.loads import gravity_signals, inertial_signals
+from clampid.stages.loads import gravity_signals, inertial_signals, weight_rate
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
 from clampid.stages.presliding import friction_states
 from clampid.stages.rows import Array, Integers, Rows
@@ -83,7 +83,7 @@ def torque_rows(
         if not np.any(chosen):
             continue
         q, qd, qdd = (v[chosen] for v in motion)
-        own = gravity_signals(campaign, q)
+        own = gravity_signals(campaign, q) | {"torque_rate": weight_rate(campaign, q, qd)}
         for name, values in inertial_signals(campaign, q, qd, qdd).items():
             own[name] = own[name] + values if name in own else values
         for name, values in own.items():
@@ -91,7 +91,6 @@ def torque_rows(
     if not accelerating:
         used &= negligible(signals["inertia_torque"] @ T.T, facts)
     measured = joined[joint_columns("tau", "Nm", n)].to_numpy(float)
-    signals["torque_rate"] = np.gradient(measured, axis=0)
     stretch = segments(run, time, np.ones(len(run), dtype=bool))
     _, unit = np.unique(np.c_[stretch, np.floor(time / _block_seconds(time, run))], axis=0, return_inverse=True)
     return Rows(
