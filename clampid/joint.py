@@ -272,5 +272,5 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -
         whitened=point.white,
         residual=point.residual,
         prior_precision=precision,
-        prior_mean=mean,
+        prior_mean=np.where(alone.experiment.held(), theta, mean),
     )
