@@ -18,6 +18,7 @@ from clampid.fit import fit
 from clampid.fitted_stage import fit_stage
 from clampid.identify import TABLES_OF, held_out_folds
 from clampid.model import Model, ModelError, StageModel
+from clampid.placing import placing
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import experiment
@@ -69,6 +70,7 @@ def compare(
     refit_fraction: float = 0.2,
     seed: int = 0,
     user_effects: Path | None = None,
+    sample: Sequence[float] | None = None,
 ) -> Comparison:
     """Hold a model against a campaign.
 
@@ -78,6 +80,9 @@ def compare(
         ``base``, ``tool`` or both: only these are fitted to the campaign's poses, on a share of whole poses; the rest
         is
         held out.
+    sample
+        x, y, z, m, robot base frame: a point about which held-out errors of poses are split into radial ones and those
+        along the sphere.
 
     Raises
     ------
@@ -102,9 +107,11 @@ def compare(
                     f"the model was not fitted on {campaign.name}, so that nothing says where its instrument and "
                     "targets stand: use --refit base,tool"
                 )
-            tables["poses"] = _refitted(opened, refit, refit_fraction, seed)
+            tables["poses"] = _refitted(opened, refit, refit_fraction, seed, sample)
         else:
-            tables |= _as_fitted(opened, stage, seed)
+            tables |= _as_fitted(opened, stage, seed, sample)
+    if sample is not None and "poses" not in tables:
+        raise ValueError(f"sample: expected a campaign with poses, {campaign.name} has none that the model predicts")
     drives: tuple[Agreement, ...] = ()
     drives_p = None
     own = None if refit else _independent_drives(opened)
@@ -132,7 +139,7 @@ def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | Non
     return alone[0], alone[1]
 
 
-def _as_fitted(opened: Reopened, stage: Stage, seed: int) -> dict[str, dict[str, Any]]:
+def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float] | None) -> dict[str, dict[str, Any]]:
     """Every table of a stage at the model's own values."""
     model = opened.stages[stage]
     rows = opened.rows(stage)
@@ -166,6 +173,8 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int) -> dict[str, dict[str,
         chosen = tested & (np.isin(test.table, [table, "verification"]))
         far = _extrapolated(opened, test, chosen) if stage == "poses" else None
         out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor, far)
+        if stage == "poses":
+            out[table] |= placing(rows, residual, test, test_residual, chosen, sample)
     return out
 
 
@@ -227,7 +236,9 @@ def _motor(rows: Rows, residual: Array, chosen: Bools, motor: int) -> dict[str, 
     return {"rms_Nm": float(np.sqrt(np.mean(r**2))), "r2": r2}
 
 
-def _refitted(opened: Reopened, refit: Sequence[str], share: float, seed: int) -> dict[str, Any]:
+def _refitted(
+    opened: Reopened, refit: Sequence[str], share: float, seed: int, sample: Sequence[float] | None
+) -> dict[str, Any]:
     """The poses with only base, tool or both fitted anew on a share of whole poses; the rest is held out."""
     model, rows = opened.stages["poses"], opened.rows("poses")
     held = held_out_folds(rows, 1.0 - share, seed)
@@ -247,7 +258,10 @@ def _refitted(opened: Reopened, refit: Sequence[str], share: float, seed: int) -
     test = experiment(rows, opened.effects, slots)
     residual = predicted(test, estimate.theta)
     floor = noise_floor(rows, residual)
-    return _table(rows, residual, ~out, rows, residual, out, floor, _extrapolated(opened, rows, out))
+    far = _extrapolated(opened, rows, out)
+    return _table(rows, residual, ~out, rows, residual, out, floor, far) | placing(
+        rows, residual, rows, residual, out, sample
+    )
 
 
 def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:

@@ -90,7 +90,9 @@ SIGNALS: Mapping[str, Signal] = {
     "link_inertia_regressor": Signal(("n", "6n"), "1/s^2", "d tau_joint / d (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) of links"),
     "tool_regressor": Signal(("n", 4), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of the tool, flange frame"),
     "base_moment": Signal((3,), "Nm", "moment of the weight of all that moves, about the base's origin, base frame"),
-    "transverse_moment": Signal(("n", 3), "Nm", "moment across each joint's axis, base axes at the zero pose"),
+    "transverse_moment": Signal(
+        ("n", 3), "Nm", "moment across each joint's axis, in the link behind it, base axes at the zero pose"
+    ),
     "link_moment": Signal(("n", 3), "Nm", "moment that each link's far end carries, base axes at the zero pose"),
     "link_force": Signal(("n", 3), "N", "force that each link's far end carries, base axes at the zero pose"),
     "wrench": Signal((6,), "Nm, N", "moment and force of the clamped flange on the fixture, base frame"),

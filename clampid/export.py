@@ -5,8 +5,9 @@ The calibrated chain (see :mod:`clampid.stages.poses`) is::
     x = X_0 M_0 prod_i exp([xi_i] q_i) M_i F
 
 with F the flange's nominal home pose. Moving every M_i through the exponentials behind it gives screws
-xi'_i = Ad(M_1 … M_{i-1}) xi_i and a home pose M_1 … M_n F: a chain as any other. It holds what is static at 20 °C;
-effects that depend on posture, load, direction or temperature are no part of a table. Where a linkage couples joints,
+xi'_i = Ad(M_1 … M_{i-1}) xi_i and a home pose M_1 … M_n F: a chain as any other. It holds what is static at one
+temperature of all links, 20 °C unless another is stated; effects that depend on posture, load or direction are no part
+of a table (errors of joint angles have a table of their own). Where a linkage couples joints,
 q are the joint values of the chain and not the controller's.
 """
 
@@ -21,9 +22,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clampid.catalogue import with_user_effects
+from clampid.curves import angle_errors
 from clampid.model import Model, ModelError, write_text
 from clampid.slots import Slot
 from clampid.stages.pose_kernel import link_points
+from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
 from kinematics.description import load_robot
 from kinematics.dh import Convention, DHRow, DHTable
@@ -42,6 +46,7 @@ __all__ = [
     "FRAME_COLUMNS",
     "ROW_COLUMNS",
     "CalibratedChain",
+    "angle_table",
     "calibrated_chain",
     "dh_table",
     "read_dh",
@@ -51,9 +56,14 @@ __all__ = [
 
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")))
+SAID = ("temperature_C", "difference_m")
+COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")), *SAID)
 """Columns of the table; a column that does not belong to a row is empty there."""
 
+REFERENCE = 20.0  # °C, at which links have the length of the geometry
+EXPANSION = "thermal_expansion"
+ANGLES = np.deg2rad(5.0)  # between rows of a table of angle errors
+POSTURES = 200
 STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
 EXACT = 1e-9  # m and rad: what an export may differ from the model, read back
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
@@ -85,9 +95,14 @@ class CalibratedChain:
 
 
 def calibrated_chain(
-    model: Model, *, session: int = 0, robot: RobotDescription | None = None, theta: Array | None = None
+    model: Model,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    theta: Array | None = None,
+    temperature: float = REFERENCE,
 ) -> CalibratedChain:
-    """The static geometry of a model at 20 °C.
+    """The static geometry of a model at one temperature of all links.
 
     Parameters
     ----------
@@ -97,11 +112,13 @@ def calibrated_chain(
         The nominal robot, if the model's name for it is not that of a bundled one.
     theta
         Other values for the slots of the stage ``poses``.
+    temperature
+        °C; another than 20 needs expansion to have been identified.
 
     Raises
     ------
     ModelError
-        The model has no geometry from a table of poses, or no such session.
+        The model has no geometry from a table of poses, no such session, or no expansion for another temperature.
     """
     stage = model.stages.get("poses")
     if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
@@ -111,6 +128,11 @@ def calibrated_chain(
     reference = model.sessions[session].base_reference
     if reference is None:
         raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
+    if temperature != REFERENCE and not any(slot.effect == EXPANSION for slot in stage.slots):
+        raise ModelError(
+            f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "
+            f"is that of the temperatures of its poses, exported as {REFERENCE:g} degC"
+        )
     nominal = load_robot(model.robot) if robot is None else robot
     values = dict(zip(stage.slots, stage.theta if theta is None else theta, strict=True))
     here = model.layout.sessions[session]
@@ -118,11 +140,14 @@ def calibrated_chain(
     def twist(prefix: str, place: str) -> Array:
         return np.array([values.get(Slot("geometry", prefix + axis, place), 0.0) for axis in _AXES])
 
+    vectors = link_vectors(nominal)
     base = np.asarray(reference) @ _motion(twist("base_", here), np.zeros(3))
     moved, screws = np.eye(4), np.empty((nominal.n, 6))
     for i, pivot in enumerate(link_points(nominal)):
         screws[i] = adjoint(moved) @ nominal.screws[i]
         far_end = twist("", f"link{i + 1}")
+        alpha = values.get(Slot(EXPANSION, "alpha", f"link{i + 1}"), 0.0)
+        far_end[3:] += alpha * (temperature - REFERENCE) * vectors[i]
         if i + 1 == nominal.n:
             far_end = far_end + twist("flange_", here)
         moved = moved @ _motion(far_end, pivot)
@@ -136,12 +161,18 @@ def _motion(twist: Array, pivot: Array) -> Array:
 
 
 def dh_table(
-    model: Model, convention: Convention, *, session: int = 0, robot: RobotDescription | None = None
+    model: Model,
+    convention: Convention,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
 ) -> pd.DataFrame:
     """The compensated Denavit–Hartenberg table with standard errors.
 
     Rows ``1`` … ``n`` have A_i = Rz(sign q_i + theta_offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); rows ``base`` and ``tool``
-    a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame.
+    a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame. Column
+    ``difference_m`` says by how much the table, read back, differs at most from the model over the joints' ranges.
 
     Parameters
     ----------
@@ -151,31 +182,35 @@ def dh_table(
         Whose base and flange, from 0.
     robot
         The nominal robot, if the model's name for it is not that of a bundled one.
+    temperature
+        Of all links, °C; see `calibrated_chain`.
 
     Raises
     ------
     ModelError
-        The model has no geometry.
+        The model has no geometry, or no expansion for that temperature.
     DHError
         Standard rows would lose more than a micrometre, or a joint is helical.
     """
     nominal = load_robot(model.robot) if robot is None else robot
-    chain = calibrated_chain(model, session=session, robot=nominal)
+    chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     numbers, signs = _numbers(chain, convention)
     stage = model.stages["poses"]
-    free = [k for k, slot in enumerate(stage.slots) if slot.effect == "geometry"]
+    warm = (EXPANSION,) if temperature != REFERENCE else ()
+    free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
     columns = []
     for k in free:
         step = STEP * np.eye(len(stage.slots))[k]
         sides = []
         for theta in (stage.theta + step, stage.theta - step):
-            moved = calibrated_chain(model, session=session, robot=nominal, theta=theta)
+            moved = calibrated_chain(model, session=session, robot=nominal, theta=theta, temperature=temperature)
             sides.append(_numbers(moved, convention)[0])
         columns.append(_difference(sides[0], sides[1], nominal.n) / (2 * STEP))
     J = np.array(columns).T
     std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, stage.covariance[np.ix_(free, free)], J), 0.0))
     frame = _frame(numbers, std, signs)
-    _verify(frame, chain, STANDARD if convention == "standard" else EXACT)
+    difference = _verify(frame, chain, STANDARD if convention == "standard" else EXACT)
+    frame["temperature_C"], frame["difference_m"] = temperature, difference
     return frame
 
 
@@ -245,7 +280,7 @@ def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
     for k, end in enumerate(("base", "tool")):
         part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
         records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
-    frame = pd.DataFrame(records, columns=list(COLUMNS))
+    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in SAID])
     return frame.astype({"sign": "Int64"})
 
 
@@ -256,20 +291,77 @@ def _named(columns: tuple[str, ...], numbers: Array, std: Array) -> dict[str, ob
     return out
 
 
+def _ranges(robot: RobotDescription) -> tuple[Array, Array]:
+    """Lowest and highest joint values ``(n,)``; half a turn either way where a joint has no limits."""
+    return (
+        np.where(np.isfinite(robot.lower), robot.lower, -np.pi),
+        np.where(np.isfinite(robot.upper), robot.upper, np.pi),
+    )
+
+
 def _postures(robot: RobotDescription) -> Array:
-    return np.random.default_rng(0).uniform(-np.pi, np.pi, (200, robot.n))
+    """Joint values over the whole ranges ``(POSTURES, n)``."""
+    return np.random.default_rng(0).uniform(*_ranges(robot), (POSTURES, robot.n))
 
 
-def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> None:
-    """Read the table back and hold it against the chain."""
+def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> float:
+    """Read the table back and hold it against the chain: by how much they differ at most, m."""
     q = _postures(chain.robot)
     difference = float(np.abs(dh_forward(read_dh(table_text(frame)), q) - chain.flange(q)).max())
     if not difference <= allowed:
         raise DHError(f"the table, read back, differs by {difference:.2g} m from the model, more than {allowed:g} m")
+    return difference
 
 
-def urdf_text(model: Model, *, session: int = 0, robot: RobotDescription | None = None) -> str:
+def angle_table(
+    model: Model, *, robot: RobotDescription | None = None, effects_from: Path | None = None
+) -> pd.DataFrame:
+    """Errors of joint angles over their ranges, which no table of constant numbers can hold.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``joint``, ``q_rad`` as the controller reports it, ``error_rad`` (arm less controller: add it before a table of
+        Denavit–Hartenberg parameters is used), ``std_error_rad``, and ``extrapolated``, 1 where no pose was near.
+
+    Raises
+    ------
+    ModelError
+        The model has no such errors.
+    """
+    import pandas as pd
+
+    nominal = load_robot(model.robot) if robot is None else robot
+    stage = model.stages.get("poses")
+    if stage is None:
+        raise ModelError("expected a model with a stage poses, found none")
+    parts = []
+    known = with_user_effects(effects_from)
+    for j, (low, high) in enumerate(zip(*_ranges(nominal), strict=True)):
+        q = np.zeros((round((high - low) / ANGLES) + 1, nominal.n))
+        q[:, j] = np.linspace(low, high, len(q))
+        found = angle_errors(stage, known, model.layout, nominal, q)
+        if found.active[j]:
+            columns = {
+                "q_rad": q,
+                "error_rad": found.error,
+                "std_error_rad": found.std,
+                "extrapolated": found.extrapolated,
+            }
+            part = pd.DataFrame({name: values[:, j] for name, values in columns.items()})
+            part.insert(0, "joint", j + 1)
+            parts.append(part.astype({"extrapolated": int}))
+    if not parts:
+        raise ModelError("expected a model with errors of joint angles (such as gear_eccentricity), found none")
+    return pd.concat(parts, ignore_index=True)
+
+
+def urdf_text(
+    model: Model, *, session: int = 0, robot: RobotDescription | None = None, temperature: float = REFERENCE
+) -> str:
     """The calibrated chain as URDF; its frame ``world`` is the instrument's.
+
+    The file says its temperature and by how much it, read back, differs at most from the model over the joints' ranges.
 
     Raises
     ------
@@ -280,7 +372,7 @@ def urdf_text(model: Model, *, session: int = 0, robot: RobotDescription | None 
     """
     import tempfile
 
-    chain = calibrated_chain(model, session=session, robot=robot)
+    chain = calibrated_chain(model, session=session, robot=robot, temperature=temperature)
     text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.urdf"
@@ -290,4 +382,9 @@ def urdf_text(model: Model, *, session: int = 0, robot: RobotDescription | None 
     difference = float(np.abs(forward(back.screws, back.flange, q) - chain.flange(q)).max())
     if not difference <= EXACT:
         raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
-    return text
+    head, _, rest = text.partition("\n")
+    said = (
+        f"<!-- clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
+        f"from the model, over {POSTURES} postures in the joints' ranges -->"
+    )
+    return f"{head}\n{said}\n{rest}"

@@ -448,7 +448,7 @@ def _outliers(rows: Rows, residual: Array) -> Bools:
         used = rows.used[:, inside].all(axis=1) if inside else np.zeros(len(rows), dtype=bool)
         if used.sum() < 20:
             continue
-        white = residual[:, inside] / rows.sigma[:, inside]
+        white = rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside]
         scale = NORMAL * np.median(np.abs(white[used]))
         size = np.linalg.norm(white, axis=1) / max(scale, 1e-12)
         limit = np.sqrt(stats.chi2.isf(OUTLIER_RATE / used.sum(), len(inside)))

@@ -18,11 +18,12 @@ from clampid.fit import Estimate, fit
 from clampid.gauge import independent_geometry
 from clampid.model import StageModel
 from clampid.nulls import null_directions
+from clampid.observability import observability, projected
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["FittedStage", "fit_stage"]
+__all__ = ["FittedStage", "active_slots", "fit_stage"]
 
 
 @dataclass(frozen=True)
@@ -84,14 +85,14 @@ def fit_stage(
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
 
     def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
-        first = experiment(fitted_rows, effects, _active_slots(rows, effects, chosen))
+        first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
         if told is not None:
             return fit(first, (told,), values)
         priors, carried = carried_over(rows, before)
         return fit(first, priors, {**carried, **values})
 
     terms, start = begun(terms, effects, rows.layout, start or {}, begin)
-    trial = experiment(fitted_rows, effects, _active_slots(rows, effects, terms))
+    trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
     if told is not None:
         estimate = fit(trial, (told,), start)
@@ -109,7 +110,7 @@ def fit_stage(
     return FittedStage(_model_of(estimate, rows, terms, held, told), estimate, reference, rows, contradicted)
 
 
-def _active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
+def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
     """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
     geometry = independent_geometry(rows, effects) if any(t.effect == "geometry" for t in terms) else ()
     rest = slots_of_terms([t for t in terms if t.effect != "geometry"], effects, rows.layout, rows.stage)
@@ -133,4 +134,11 @@ def _model_of(
         null_directions=null_directions(estimate),
         base=base_parameters(estimate),
         told=told,
+        observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
+
+
+def _information(estimate: Estimate) -> Array:
+    """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
+    scaled = estimate.whitened.jacobian * estimate.experiment.sizes()
+    return projected(scaled.T @ scaled, len(estimate.slots))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from clampid.bootstrap import bootstrap as by_poses
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
@@ -172,6 +174,7 @@ def identify(
     seed: int = 0,
     joint: bool = False,
     user_effects: Path | None = None,
+    bootstrap: int = 0,
 ) -> Model:
     """Fit a model to one or several campaigns of one robot.
 
@@ -182,6 +185,8 @@ def identify(
         the standard set.
     holdout
         Share of whole poses, runs and sweeps that no fit sees.
+    bootstrap
+        How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
     joint
         Fit all tables at once, with the parameters that they share; else stage by stage, where a stage takes over what
         those before it found.
@@ -226,6 +231,9 @@ def identify(
         stage = part.model.stage
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor, evidence))
     stages = {part.model.stage: part.model for part in parts}
+    for part in parts:
+        if bootstrap and isinstance(part, FittedStage) and part.model.stage == "poses":
+            stages["poses"] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
     sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)
     return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path, joint)

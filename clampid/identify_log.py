@@ -19,6 +19,7 @@ from clampid.log_sample import sampled_columns
 from clampid.model import StageModel
 from clampid.moments import covariance_of
 from clampid.nulls import assumed_of, named_directions
+from clampid.observability import observability, projected
 from clampid.priors import description_priors
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
@@ -153,6 +154,7 @@ class LogStage:
             null_directions=named_directions(information, size, slots, prior.precision[inside], assumed),
             base=self._base(fit, own, prior.precision[:count, :count]),
             told=told,
+            observability=observability(projected(information, count), fit.moments.count),
         )
 
     def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:

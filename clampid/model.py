@@ -16,6 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from clampid.base_names import BaseParameter, base_json, read_base
+from clampid.bootstrap import Bootstrap
 from clampid.effect import STAGES, Stage
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
@@ -66,6 +67,10 @@ class StageModel:
         What these data cannot tell, in words.
     base
         The combinations of masses, first moments and inertias that torques can tell; of ``free_air`` only.
+    observability
+        Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.observability`.
+    bootstrap
+        Standard errors and intervals by drawing whole poses anew, where that was asked for.
     told
         Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
         counting any row twice; else None.
@@ -81,6 +86,8 @@ class StageModel:
     outliers: tuple[tuple[int, str, int], ...] = ()
     null_directions: tuple[str, ...] = ()
     base: tuple[BaseParameter, ...] = ()
+    observability: Mapping[str, float] = field(default_factory=dict)
+    bootstrap: Bootstrap | None = None
     told: Prior | None = None
 
     @property
@@ -241,8 +248,22 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
         "not_identifiable": list(stage.null_directions),
         "base_parameters": [base_json(parameter) for parameter in stage.base],
+        "observability": dict(stage.observability),
+        "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
         "told": None if stage.told is None else _told_json(stage.told),
     }
+
+
+def _bootstrap_json(found: Bootstrap) -> dict[str, Any]:
+    numbers = {"std": found.std, "low": found.low, "high": found.high}
+    return {"count": found.count, **{name: values.tolist() for name, values in numbers.items()}}
+
+
+def _read_bootstrap(data: Mapping[str, Any] | None) -> Bootstrap | None:
+    if data is None:
+        return None
+    std, low, high = (np.array(data[name], dtype=float) for name in ("std", "low", "high"))
+    return Bootstrap(int(data["count"]), std, low, high)
 
 
 def _told_json(told: Prior) -> dict[str, Any]:
@@ -280,6 +301,8 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             outliers=tuple((int(o["session"]), str(o["table"]), int(o["row"])) for o in part["outliers"]),
             null_directions=tuple(part["not_identifiable"]),
             base=tuple(read_base(p) for p in part.get("base_parameters", ())),
+            observability={name: float(v) for name, v in part.get("observability", {}).items()},
+            bootstrap=_read_bootstrap(part.get("bootstrap")),
             told=_read_told(part.get("told")),
         )
     sessions = tuple(

@@ -40,7 +40,7 @@ class Noise:
     Attributes
     ----------
     sigma
-        ``(N, m)``: standard deviation of each number, all of its noise, SI.
+        ``(N, m)``: standard deviation of each number, all of its noise, SI; along the rows' axes of noise.
     autocorrelations
         Per channel that of its noise, lag 0 to 64; empty for white noise.
     """
@@ -50,6 +50,7 @@ class Noise:
 
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
+        residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
         parts_r, parts_j, entries, channels = [], [], [], []
         for c in range(residual.shape[1]):
             used = rows.used[:, c]
@@ -109,7 +110,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
         inside = [c for c in group if c < residual.shape[1]]
         used = rows.used[:, inside]
         if inside and used.any():
-            white = (residual[:, inside] / rows.sigma[:, inside])[used]
+            white = (rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside])[used]
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
     if rows.stage == "poses":
         return Noise(sigma)

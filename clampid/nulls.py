@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.fit import Estimate
+from clampid.observability import projected
 from clampid.slots import Slot
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools
@@ -56,9 +57,7 @@ def named_directions(
     """
     count = len(slots)
     size = sizes[:count]
-    if len(sizes) > count:  # what the offsets could take up is not information on the slots
-        A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
-        information = A - B @ np.linalg.pinv(C, rcond=1e-10) @ B.T
+    information = projected(information, count)  # what the offsets could take up is not information on the slots
     prior = precision[:count, :count] * np.outer(size, size)
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
@@ -72,14 +71,19 @@ def named_directions(
     out += [f"{name} at {', '.join(places)}: these rows do not depend on it" for name, places in groups.items()]
     values, vectors = np.linalg.eigh(information[np.ix_(~silent, ~silent)])
     labels = [s.label for s, alone in zip(slots, silent, strict=True) if not alone]
+    told: dict[frozenset[int], int] = {}  # which parameters share an open direction, and how many such there are
     for value, vector in zip(values, vectors.T, strict=True):
-        if value >= WEAK or len(out) >= limit:
+        if value >= WEAK or len(out) + len(told) >= limit:
             break
         main = np.argsort(-np.abs(vector))
-        parts = [k for k in main[:4] if abs(vector[k]) > 0.25] or [int(main[0])]
+        parts = frozenset(int(k) for k in main[:4] if abs(vector[k]) > 0.25) or frozenset([int(main[0])])
+        told[parts] = told.get(parts, 0) + 1
+    for parts, directions in told.items():
+        words = " and ".join(labels[k] for k in sorted(parts))
         if len(parts) == 1:
-            out.append(f"{labels[parts[0]]}: not known to within its reasonable size")
+            out.append(f"{words}: not known to within its reasonable size")
+        elif directions >= len(parts):
+            out.append(f"{words}: none of them is known to within its reasonable size")
         else:
-            words = " and ".join(labels[k] for k in parts)
             out.append(f"{words}: only a combination of them is known")
     return tuple(out)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from clampid.bootstrap import Bootstrap
 from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
@@ -16,7 +17,7 @@ from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_rows import pose_rows
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 
 __all__ = ["Reopened", "reopen"]
@@ -70,12 +71,13 @@ class Reopened:
             return ()
         return (kept[self.session],) if len(kept) > self.session else ()
 
-    def refit(self, stage: Stage) -> FittedStage:
-        """Fit the stage's active effects to this campaign, from the model's values."""
+    def refit(self, stage: Stage, rows: Rows | None = None) -> FittedStage:
+        """Fit the stage's active effects to this campaign (or its rows already read), from the model's values."""
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
+        rows = self.rows(stage) if rows is None else rows
         start, held = model.values(), self.held(stage)
-        return fit_stage(self.rows(stage), self.effects, model.terms, before, start, held, model.told)
+        return fit_stage(rows, self.effects, model.terms, before, start, held, model.told)
 
 
 def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -> Reopened:
@@ -149,5 +151,11 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         outliers=tuple(o for o in stage.outliers if o[0] == session),
         null_directions=stage.null_directions,
         base=stage.base,
+        observability=stage.observability,
+        bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
         told=stage.told,
     )
+
+
+def _taken(found: Bootstrap, chosen: Integers) -> Bootstrap:
+    return replace(found, std=found.std[chosen], low=found.low[chosen], high=found.high[chosen])

@@ -6,7 +6,8 @@ No base frame is known beforehand: spread, distances and the best rigid fit of n
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from dataclasses import dataclass
+from itertools import combinations, permutations
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +40,10 @@ TARGETS_WRONG_M = 0.01
 ORIENTATION_WRONG_RAD = 0.05
 # Gauss–Newton converges in three or four steps from the closed-form frame; dropping bad rows takes a few more.
 _ITERATIONS = 8
+# Names of more targets than these are only looked at for two that are swapped: their orders are too many.
+_ALL_ORDERS = 4
+# A target nearer to the last joint's axis than the wrist's own errors is not moved by that joint.
+ON_AXIS_M = 0.005
 
 
 def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
@@ -59,6 +64,8 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
     for table in ("poses", "verification"):
         if table not in campaign.tables:
             continue
+        if table == "poses":
+            yield from _enough(campaign)
         measured = campaign.tables[table][list(POSITION)].to_numpy(dtype=np.float64)  # (rows, 3)
         poses = _nominal_poses(campaign, table)
         points = target_points(campaign, table)
@@ -70,6 +77,36 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
         yield from _target_distances(campaign, table, measured)
         if table not in angles_wrong:
             yield from _rigid_fit(campaign, table, poses, measured)
+
+
+def _enough(campaign: Campaign) -> Iterator[Finding]:
+    """Whether there are enough poses for the geometry, and whether the last joint moves any target."""
+    frame, robot = campaign.tables["poses"], campaign.robot
+    names = sorted(set(frame["target"].astype(str)))
+    if QUATERNION[0] in frame or "flange" in names:
+        return
+    count, poses = len(names), frame["pose"].nunique()
+    # A stop shows three numbers of one point, five of two, six of more; distances between targets show once.
+    shown = {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
+    unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + 3 * count
+    least = -(-(unknown - shown[1]) // shown[0])
+    if poses < 2 * least:
+        few = "fewer than" if poses < least else "hardly more than"
+        yield Finding(
+            "warning", "poses", "pose", None,
+            f"{poses} poses are {few} the {least} that the geometry of {robot.n} joints and {count} "
+            f"target{'s' if count > 1 else ''} takes at the least ({unknown} numbers): what is fitted to them says "
+            f"little of other poses; {2 * least} and more tell their own errors",
+        )  # fmt: skip
+    axis, point = np.asarray(robot.joints[-1].axis), np.asarray(robot.joints[-1].point)
+    places = np.array([robot.flange[:3, :3] @ campaign.targets[name] + robot.flange[:3, 3] for name in names])
+    off = np.linalg.norm(np.cross(places - point, axis), axis=1)
+    if robot.joints[-1].kind == "revolute" and off.max() < ON_AXIS_M:
+        yield Finding(
+            "warning", "poses", "target", None,
+            f"{', '.join(names)}: within {1e3 * ON_AXIS_M:g} mm of joint {robot.n}'s axis, which hardly moves "
+            f"{'them' if count > 1 else 'it'}: zero offset, clearance and compliance of joint {robot.n} cannot be seen",
+        )  # fmt: skip
 
 
 def _nominal_poses(campaign: Campaign, table: str) -> FloatArray:
@@ -132,25 +169,28 @@ def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> I
 def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray) -> Iterator[Finding]:
     """Judge what the best base frame and tool offset leave of the difference between nominal and measured points."""
     points = target_points(campaign, table)
-    residual, base = _fit(poses, points, measured)  # (rows,), (3, 3)
+    fit = _fit(poses, points, measured)
+    residual = fit.distance
     size = float(np.median(residual))
     if size > CLEARLY_WRONG_M:
         far = f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame"
-        if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0])[0]) < 0.2 * size:
+        if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0]).distance) < 0.2 * size:
             message = f"{far}; they fit when mirrored: an axis has a wrong sign, or two are swapped"
             yield Finding("error", table, "x_m", None, message)
             return
         swap = _swapped_targets(campaign, table, poses, measured, 0.2 * size)
-        reason = (
-            f"they fit with targets {swap[0]} and {swap[1]} swapped" if swap else "wrong robot, joint order or sign?"
-        )
+        reason = f"they fit with {swap}" if swap else "wrong robot, joint order or sign?"
         yield Finding("warning", table, "target" if swap else "x_m", None, f"{far}; {reason}")
         return
     if QUATERNION[0] in campaign.tables[table]:
-        yield from _orientations(table, campaign.tables[table], poses, base)
+        yield from _orientations(table, campaign.tables[table], poses, fit.base)
     bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
     if bad.size:
         worst = int(bad[np.argmax(residual[bad])])
+        mistaken = _mistaken_targets(campaign, table, poses, measured, bad, fit)
+        if mistaken:
+            yield Finding("error", table, "target", int(bad[0]) + 1, mistaken)
+            return
         message = (
             f"{bad.size} of {len(residual)} positions are far from where the others say they should be (worst "
             f"{residual[worst] * 1e3:.0f} mm, row {worst + 1}): probably mismeasured or mislabelled"
@@ -160,20 +200,60 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
 
 def _swapped_targets(
     campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray, good: float
-) -> tuple[str, str] | None:
-    """Find two targets whose names, swapped, make the points fit; distances do not show it if all are equal."""
+) -> str | None:
+    """How targets' names must be exchanged to make the points fit; distances do not show it if all are equal."""
     known = {"flange": np.zeros(3), **campaign.targets}
     labels = [str(name) for name in campaign.tables[table]["target"]]
-    for first, second in combinations(sorted(set(labels)), 2):
-        swap = {first: second, second: first}
+    names = sorted(set(labels))
+    swaps: list[dict[str, str]] = [{a: b, b: a} for a, b in combinations(names, 2)]
+    if len(names) <= _ALL_ORDERS:
+        swaps += [dict(zip(names, order, strict=True)) for order in permutations(names)]
+    for swap in swaps:
         points = np.stack([known[swap.get(name, name)] for name in labels])
-        if np.median(_fit(poses, points, measured)[0]) < good:
-            return first, second
+        if np.median(_fit(poses, points, measured).distance) < good:
+            moved = [name for name in swap if swap[name] != name]
+            if len(moved) == 2:
+                return f"targets {moved[0]} and {moved[1]} swapped"
+            return "targets renamed: " + ", ".join(f"{name} is {swap[name]}" for name in moved)
     return None
 
 
-def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance (rows,) [m] of measured from nominal points, and the base's turn (3, 3); bad rows do not pull the fit.
+def _mistaken_targets(
+    campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray, bad: npt.NDArray[np.intp], fit: _Fit
+) -> str | None:
+    """In words, at which poses points lie where other targets should be; None unless that explains all of them."""
+    frame = campaign.tables[table]
+    names = sorted(set(frame["target"].astype(str)))
+    known = {"flange": np.zeros(3), **campaign.targets}
+    found: dict[str, None] = {}
+    for row in bad:
+        there = np.array([fit.place(poses[row], known[name]) for name in names])
+        off = np.linalg.norm(there - measured[row], axis=1)
+        best, own = names[int(np.argmin(off))], str(frame["target"].iloc[row])
+        if off.min() > CLEARLY_WRONG_M / 2 or best == own:
+            return None
+        found[f"{own} lies where {best} should"] = None
+    stops = list(dict.fromkeys(int(p) for p in frame["pose"].iloc[bad]))
+    listed = ", ".join(map(str, stops[:10])) + (f" and {len(stops) - 10} more" if len(stops) > 10 else "")
+    return f"targets are swapped at pose{'s' if len(stops) > 1 else ''} {listed}: {', '.join(list(found)[:6])}"
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How nominal points lie on measured ones: distance (rows,) [m], base's turn, shift, offset of all targets."""
+
+    distance: FloatArray
+    base: FloatArray
+    shift: FloatArray
+    offset: FloatArray
+
+    def place(self, pose: FloatArray, point: FloatArray) -> FloatArray:
+        """Where a point of the flange at a pose (4, 4) should be measured (3,)."""
+        return np.asarray(self.base @ (pose[:3, 3] + pose[:3, :3] @ (point + self.offset)) + self.shift)
+
+
+def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> _Fit:
+    """Lay nominal points on measured ones; bad rows do not pull the fit.
 
     Fitted are the base frame and one offset common to all targets, since neither is known to better than centimetres
     on a real cell: first the frame in closed form, then both by Gauss–Newton.
@@ -198,7 +278,7 @@ def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> tuple[F
         base = Rotation.from_rotvec(step[:3]).as_matrix() @ base
         shift, offset = shift + step[3:6], offset + step[6:]
     distance = np.linalg.norm(measured - (nominal + turn @ offset) @ base.T - shift, axis=1)
-    return np.asarray(distance), base
+    return _Fit(np.asarray(distance), base, shift, offset)
 
 
 def _orientations(table: str, frame: pd.DataFrame, poses: FloatArray, base: FloatArray) -> Iterator[Finding]:

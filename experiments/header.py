@@ -35,6 +35,12 @@ WORST_POSITION_STD_M = 5e-3
 WORST_ORIENTATION_STD_RAD = 0.1
 
 _KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables")
+_TRACKER = {
+    "range_std_m": (WORST_POSITION_STD_M, False),
+    "range_std_m_m": (1e-3, True),
+    "angle_std_rad": (WORST_ORIENTATION_STD_RAD, False),
+}
+"""Keys of a tracker's errors, with the worst that such an instrument may have, and whether they may be left out."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +71,37 @@ class Instrument:
         One sigma per axis [m], or None if not stated.
     orientation_std
         One sigma per axis [rad], or None if not stated.
+    tracker
+        How the error of a laser tracker grows with distance, or None if not stated; then it stands in for
+        ``position_std``.
     """
 
     name: str
     position_std: float | None
     orientation_std: float | None
+    tracker: Tracker | None = None
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """A laser tracker's or total station's errors, one sigma: range a + b r, and both angles, so across it angle r.
+
+    The frame's origin is where its beams start. Source: ISO 10360-10:2021, and every maker's data sheet, state range
+    and angles apart.
+
+    Attributes
+    ----------
+    range_std
+        a [m].
+    range_rate
+        b [m/m].
+    angle_std
+        Of each angle [rad].
+    """
+
+    range_std: float
+    range_rate: float
+    angle_std: float
 
 
 @dataclass(frozen=True)
@@ -212,7 +244,7 @@ def _targets(raw: Mapping[str, Any], path: Path) -> Mapping[str, FloatArray]:
 
 def _instrument(raw: Mapping[str, Any], path: Path) -> Instrument:
     section = _section(raw, "instrument", path)
-    _refuse_misspelt(section, ("name", "position_std_m", "orientation_std_rad"), path, "instrument")
+    _refuse_misspelt(section, ("name", "position_std_m", "orientation_std_rad", *_TRACKER), path, "instrument")
     name = section.get("name", "unknown")
     if not isinstance(name, str):
         raise fault(path, expected="text", found=repr(name), column="instrument.name")
@@ -225,7 +257,28 @@ def _instrument(raw: Mapping[str, Any], path: Path) -> Instrument:
             unit = key.rsplit("_", 1)[-1]
             expected = f"one sigma in {unit}, above 0 and not above {limit:g} {unit} (is it in another unit?)"
             raise fault(path, expected=expected, found=f"{sigma:g}", column=f"instrument.{key}")
-    return Instrument(name, sigmas["position_std_m"], sigmas["orientation_std_rad"])
+    return Instrument(name, sigmas["position_std_m"], sigmas["orientation_std_rad"], _tracker(section, path))
+
+
+def _tracker(section: Mapping[str, Any], path: Path) -> Tracker | None:
+    """The errors of range and angles; range and angles only make sense together."""
+    if not any(key in section for key in _TRACKER):
+        return None
+    numbers = []
+    for key, (limit, optional) in _TRACKER.items():
+        if key not in section and not optional:
+            given = ", ".join(k for k in _TRACKER if k in section)
+            raise fault(path, expected=f"instrument.{key} with {given}", found="none", column=f"instrument.{key}")
+        value = _number(section, key, f"instrument.{key}", path) if key in section else 0.0
+        if not (0.0 if optional else 1e-12) <= value <= limit:
+            raise fault(
+                path,
+                expected=f"one sigma above 0 and not above {limit:g} (is it in another unit?)",
+                found=f"{value:g}",
+                column=f"instrument.{key}",
+            )
+        numbers.append(value)
+    return Tracker(*numbers)
 
 
 def _tables(raw: Mapping[str, Any], path: Path) -> Mapping[str, str]:

@@ -8,7 +8,7 @@ from scipy import linalg
 from clampid.fit import Estimate
 from clampid.noise import Noise, Whitened
 from clampid.nulls import null_directions
-from clampid.planning.indices import observability
+from clampid.observability import observability
 from clampid.priors import description_priors
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array

@@ -30,6 +30,7 @@ RADIUS = 0.08  # m, of the arm's capsules
 CLEARANCE = 0.02  # m, kept from everything
 ALONG = 0.1  # rad between the configurations of a move that are looked at
 ALWAYS = 0.5  # parts of the arm that touch in more of all postures are neighbours
+BEAM = 0.01  # m, radius of a line of sight
 TINY = 1e-6  # m: shorter parts have no body of their own
 UPRIGHT = 0.7  # cosine of the tilt up to which a base plane is a floor
 
@@ -172,6 +173,30 @@ class Scene:
         steps = max(2, int(np.ceil(np.max(np.abs(end - start)) / ALONG)) + 1)
         return bool(self.clear(start + np.linspace(0.0, 1.0, steps)[:, None] * (end - start)).all())
 
+    def unhidden(self, q: Array, points: Array, station: Array) -> Bools:
+        """Whether neither obstacles nor the arm stand between an instrument and tracked points ``(N,)``.
+
+        Parameters
+        ----------
+        q
+            ``(N, n)`` rad.
+        points
+            ``(N, t, 3)`` m, base frame.
+        station
+            ``(3,)`` m, base frame.
+
+        The hand that carries the targets is left out: what it hides is said by where the targets look.
+        """
+        turn, centre = self.placed(q)
+        out = np.ones(len(q), dtype=bool)
+        solids = [obstacle.solid for obstacle in self.obstacles]
+        inner = np.flatnonzero(self._lengths[: self.cell.robot.n - 1] > TINY)
+        for i in range(len(q)):
+            arm = [(self._shapes[k], coal.Transform3s(turn[i, k], centre[i, k])) for k in inner]
+            rays = [_ray(station, point) for point in points[i]]
+            out[i] = all(_distance(*ray, *solid) > 0 for ray in rays for solid in (*solids, *arm))
+        return out
+
     def _distance_kept(self, turn: Array, centre: Array) -> bool:
         poses = [coal.Transform3s(R, c) for R, c in zip(turn, centre, strict=True)]
         shapes = self._shapes
@@ -197,10 +222,7 @@ class Scene:
             if length < TINY:
                 rotations.append(np.eye(3))
                 continue
-            z = (b - a) / length
-            x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
-            x /= np.linalg.norm(x)
-            rotations.append(np.column_stack([x, np.cross(z, x), z]))
+            rotations.append(_along((b - a) / length))
         return np.array(rotations), (self._ends[:-1] + self._ends[1:]) / 2
 
     @cached_property
@@ -214,6 +236,20 @@ class Scene:
             if b - a > 1 and np.mean(close) < ALWAYS:
                 pairs.append((int(a), int(b)))
         return tuple(pairs)
+
+
+def _along(z: Array) -> Array:
+    """A rotation ``(3, 3)`` whose third column is the unit vector ``z``."""
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _ray(start: Array, end: Array) -> tuple[Any, Any]:
+    """The line of sight between two points, as a thin capsule."""
+    length = float(np.linalg.norm(end - start))
+    turn = _along((end - start) / length) if length > TINY else np.eye(3)
+    return coal.Capsule(BEAM, length), coal.Transform3s(turn, (start + end) / 2)
 
 
 def _distance(one: Any, at: Any, other: Any, there: Any) -> float:

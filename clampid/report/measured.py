@@ -32,6 +32,12 @@ def measured_section(model: Model, campaign: Campaign) -> Section:
     stated = []
     if instrument.position_std is not None:
         stated.append(f"{number(instrument.position_std * 1e6)} µm per axis")
+    if instrument.tracker is not None:
+        t = instrument.tracker
+        stated = [
+            f"{number(t.range_std * 1e6)} µm and {number(t.range_rate * 1e6)} µm/m along the beam, "
+            f"{number(t.angle_std * 1e6)} µrad in its angles"
+        ]
     if instrument.orientation_std is not None:
         stated.append(f"{number(instrument.orientation_std * 1e6)} µrad")
     targets = ", ".join(f"{k} ({', '.join(number(1e3 * float(x)) for x in v)}) mm" for k, v in campaign.targets.items())

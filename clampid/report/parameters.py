@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from clampid.effect import Effect
 from clampid.model import Model, StageModel
+from clampid.observability import index_words
 from clampid.report.display import Scale, number, scale_for, stage_title, with_std
 from clampid.report.stage_data import in_order
 from clampid.report.style import Figure, Section, Table, as_table
@@ -34,6 +35,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
             blocks.append(_base(stage_model))
         notes += [f"{stage_title(stage)}: {name} is drawn as curves, not listed number by number." for name in many]
         blocks += [_pivot(stage_model, effects, indices) for indices in _groups(stage_model, effects)]
+        if stage_model.observability:
+            notes.append(f"{stage_title(stage)}: {index_words(stage_model.observability)}")
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
     text = "Value ± one standard error."
     if open_ones:

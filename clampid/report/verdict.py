@@ -8,7 +8,7 @@ from typing import Any
 from clampid.effect import Stage
 from clampid.model import Model, Round
 from clampid.report.display import error_text, stage_title
-from clampid.report.evidence import comparison_table, evidence, parameters_text
+from clampid.report.evidence import comparison_table, evidence, parameters_text, placing_table
 from clampid.report.rounds import rounds_of, unit_of
 from clampid.report.stage_data import in_order
 from clampid.report.style import Figure, Section, Table, as_table
@@ -88,7 +88,8 @@ def verdict_section(diagnosis: Json | None, comparison: Json | None) -> Section 
         blocks += [stage_title(stage), *evidence(stages[stage], unit_of(stage))]
     tables: Json = (comparison or {}).get("tables") or {}
     if tables:
-        blocks += ["Model against measurement", comparison_table(tables)]
+        placing = placing_table(tables)
+        blocks += ["Model against measurement", comparison_table(tables), *(() if placing is None else (placing,))]
     notes = (
         "p, alone: asymptotic score test of the candidate by itself. p, family-wise: sign-flip maximum over all "
         "candidates at once; only this one decides. “Adequate” means that nothing was found beyond the noise, not "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from clampid.slots import Layout
 from clampid.stages.loads import bearing_signals, gravity_signals
 from clampid.stages.rows import Array, Rows
 from clampid.stages.temperatures import temperatures
-from experiments.campaign import Campaign
+from experiments.campaign import Campaign, Instrument
 from kinematics.poe import forward
 
 __all__ = ["align", "join_rows", "pose_rows", "quaternion_to_rotation"]
@@ -65,7 +66,7 @@ def _one(
     rotated = all(c in frame.columns for c in ("qw", "qx", "qy", "qz"))
     measured, rotation = position, np.tile(np.eye(3), (count, 1, 1))
     instrument = campaign.instrument
-    sigma = np.full((count, 3), instrument.position_std or DEFAULT_POSITION_STD)
+    sigma, axes = _position_noise(instrument, position)
     used = np.ones((count, 3), dtype=bool)
     if rotated:
         quaternion = frame[["qw", "qx", "qy", "qz"]].to_numpy(float)
@@ -123,13 +124,44 @@ def _one(
             "rotation": rotation,
             "base_reference": np.tile(reference, (count, 1, 1)),
             "time": time,
+            **axes,
         },
-        per_row=("target", "rotation", "base_reference", "time"),
+        per_row=("target", "rotation", "base_reference", "time", *axes),
     )
+
+
+def _position_noise(instrument: Instrument, position: Array) -> tuple[Array, dict[str, Array]]:
+    """Standard deviations ``(N, 3)``, m, of positions ``(N, 3)``, instrument frame, and their axes if not x, y, z.
+
+    A tracker's are along the beam, a + b r, and across it, r times that of its angles.
+    """
+    tracker = instrument.tracker
+    if tracker is None:
+        return np.full(position.shape, instrument.position_std or DEFAULT_POSITION_STD), {}
+    r = np.linalg.norm(position, axis=1, keepdims=True)
+    beam = position / np.maximum(r, 1e-9)
+    # Any two axes across the beam do: both angles have the same error.
+    across = np.cross(beam, np.eye(3)[np.argmin(np.abs(beam), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    sigma = np.hstack([tracker.range_std + tracker.range_rate * r, *[tracker.angle_std * r] * 2])
+    return np.maximum(sigma, 1e-9), {"noise_axes": np.stack([beam, across, np.cross(beam, across)], axis=-1)}
+
+
+def _with_axes(parts: Sequence[Rows]) -> Sequence[Rows]:
+    """The parts, axes of noise in all of them if one has any: x, y, z where none are given."""
+    if not any("noise_axes" in p.constants for p in parts):
+        return parts
+    out = []
+    for p in parts:
+        axes = p.constants.get("noise_axes", np.tile(np.eye(3), (len(p), 1, 1)))
+        names = tuple(dict.fromkeys((*p.per_row, "noise_axes")))
+        out.append(replace(p, constants={**p.constants, "noise_axes": axes}, per_row=names))
+    return out
 
 
 def join_rows(parts: Sequence[Rows]) -> Rows:
     """Several blocks of pose rows as one, each with its own poses and visits."""
+    parts = _with_axes(parts)
     width = max(p.measured.shape[1] for p in parts)
 
     def widen(a: Array, fill: float) -> Array:

@@ -31,7 +31,8 @@ class Rows:
     measured
         ``(N, m)``: points and rotations in the instrument's frame, or motor torques.
     sigma
-        ``(N, m)``: standard deviation of each measured number, as far as known before any fit.
+        ``(N, m)``: standard deviation of each measured number, as far as known before any fit; where ``constants`` have
+        ``noise_axes`` ``(N, 3, 3)`` (columns: unit vectors), of positions along these, in which errors are independent.
     used
         ``(N, m)``: False where a number does not count (a motor at rest, no orientation, an outlier).
     unit
@@ -124,6 +125,15 @@ class Rows:
         table = np.zeros((int(run.max(initial=0)) + 1, self.robot.n))
         table[keys[:, 0], keys[:, 1]] = offsets
         return np.asarray(table[run])
+
+    def in_noise_axes(self, values: Array) -> Array:
+        """The same numbers ``(N, m, …)``, positions turned to the axes that ``sigma`` is along."""
+        axes = self.constants.get("noise_axes")
+        if axes is None:
+            return values
+        out = values.copy()
+        out[:, :3] = np.einsum("nji,nj...->ni...", axes, values[:, :3])
+        return out
 
     def without(self, bad: Bools) -> Rows:
         """The same rows, those marked ``(N,)`` no longer used."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from clampid.verbs.errors import CallError
-from clampid.verbs.inputs import read_checked
+from clampid.verbs.inputs import numbers_of, read_checked
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, OneCampaign, Quiet, Seed
 from clampid.verbs.output import Output, output_file
 
@@ -25,6 +25,10 @@ def compare(
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write the report, with a diagnosis.", show_default=False)
     ] = None,
+    sample: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Split errors about this point, m, base frame.", show_default=False),
+    ] = None,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
     json: Json = None,
@@ -38,6 +42,9 @@ def compare(
             raise CallError(f"--refit: expected base, tool or both, found {part!r}")
     if not 0.0 < refit_fraction < 1.0:
         raise CallError(f"--refit-fraction: expected a share between 0 and 1, found {refit_fraction:g}")
+    centre = numbers_of("--sample", sample)
+    if centre is not None and len(centre) != 3:
+        raise CallError(f"--sample: expected x, y, z in m, found {sample!r}")
     if report is not None:
         output_file(report)
 
@@ -50,7 +57,13 @@ def compare(
         (read,) = read_checked([campaign], out)
     with out.working("comparing"):
         comparison = hold_against(
-            loaded, read, refit=parts, refit_fraction=refit_fraction, seed=seed, user_effects=effects_from
+            loaded,
+            read,
+            refit=parts,
+            refit_fraction=refit_fraction,
+            seed=seed,
+            user_effects=effects_from,
+            sample=centre,
         )
     data = {**comparison.to_json(), "model": str(model), "campaign": str(campaign)}
     show_comparison(data, out)

@@ -26,6 +26,9 @@ Robot = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="The nominal robot's description, where it is not a bundled one."),
 ]
+Temperature = Annotated[
+    float, typer.Option(metavar="DEGC", help="Of all links; another than 20 needs an identified expansion.")
+]
 
 
 @export.command()
@@ -36,6 +39,7 @@ def dh(
         Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="Where to; stdout without it.")
     ] = None,
     session: Session = 1,
+    temperature: Temperature = 20.0,
     robot: Robot = None,
     effects_from: EffectsFrom = None,
     quiet: Quiet = False,
@@ -49,12 +53,39 @@ def dh(
 
     loaded = load_model(model)
     _left_out(loaded, effects_from, out)
-    text = table_text(dh_table(loaded, convention, session=session - 1, robot=_robot(robot)))
+    table = dh_table(loaded, convention, session=session - 1, robot=_robot(robot), temperature=temperature)
+    text = table_text(table)
     if output is None:
         sys.stdout.write(text)
         return
     write_text(output, text)
-    out.say(f"table: {output}; static geometry at 20 degC, read back and equal to the model")
+    off = float(table["difference_m"].iloc[0])
+    out.say(f"table: {output}; static geometry at {temperature:g} degC, read back within {off:.1e} m of the model")
+
+
+@export.command()
+def angles(
+    model: ModelFile,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="Where to; stdout without it.")
+    ] = None,
+    robot: Robot = None,
+    effects_from: EffectsFrom = None,
+    quiet: Quiet = False,
+) -> None:
+    """Errors of joint angles over their ranges, to be added before a DH table is used, as CSV."""
+    out = Output(quiet)
+    _writable(output)
+
+    from clampid.export import angle_table, table_text
+    from clampid.model import load_model, write_text
+
+    text = table_text(angle_table(load_model(model), robot=_robot(robot), effects_from=effects_from))
+    if output is None:
+        sys.stdout.write(text)
+        return
+    write_text(output, text)
+    out.say(f"angle errors: {output}; arm less controller, with standard errors")
 
 
 @export.command()
@@ -62,6 +93,7 @@ def urdf(
     model: ModelFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.urdf", help="Where to.")],
     session: Session = 1,
+    temperature: Temperature = 20.0,
     robot: Robot = None,
     effects_from: EffectsFrom = None,
     quiet: Quiet = False,
@@ -75,8 +107,9 @@ def urdf(
 
     loaded = load_model(model)
     _left_out(loaded, effects_from, out)
-    write_text(output, urdf_text(loaded, session=session - 1, robot=_robot(robot)))
-    out.say(f"URDF: {output}; static geometry at 20 degC, read back and equal to the model")
+    text = urdf_text(loaded, session=session - 1, robot=_robot(robot), temperature=temperature)
+    write_text(output, text)
+    out.say(f"URDF: {output}; static geometry at {temperature:g} degC, read back and equal to the model")
 
 
 @export.command()

@@ -47,6 +47,7 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
                 f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near, where their "
                 f"curve is extrapolated: {joints}{one}"
             )
+        _show_placing(name, table, out)
     if motors:
         heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
@@ -55,6 +56,25 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         out.say(f"poses: {data['compensation']['summary']}")
     if "drives" in data:
         _show_agreement(data["drives"], out)
+
+
+def _show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:
+    """ISO 9283 where something was repeated, and errors about a sample."""
+    from experiments.metrics import MEANING
+
+    found = table.get("iso9283", {})
+    for key, meaning in MEANING.items():
+        if key in found:
+            part = found[key]
+            mean, most = (error_text(part[k], "m") for k in ("mean", "max"))
+            out.say(f"{name}: {key}, {meaning}: mean {mean}, at most {most} ({part['poses']:.0f} repeated places)")
+    if "sample" in table:
+        parts = (
+            f"{words} {error_text(table['sample'][key]['rms'], 'm')} rms, at most "
+            f"{error_text(table['sample'][key]['max'], 'm')}"
+            for key, words in (("radial", "radially"), ("along", "along the sphere"))
+        )
+        out.say(f"{name}: about the sample, held out: {'; '.join(parts)}")
 
 
 def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:

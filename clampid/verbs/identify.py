@@ -22,6 +22,9 @@ def identify(
     holdout: Annotated[
         float, typer.Option(metavar="SHARE", help="Share of whole poses, runs and sweeps that no fit sees.")
     ] = 0.0,
+    bootstrap: Annotated[
+        int, typer.Option(metavar="N", help="Draw whole poses anew N times, for standard errors of poses.")
+    ] = 0,
     seed: Seed = 0,
     joint: Annotated[
         bool, typer.Option("--joint", help="All tables in one fit, with the parameters that they share.")
@@ -35,6 +38,8 @@ def identify(
     output_file(output)
     if not 0.0 <= holdout < 1.0:
         raise CallError(f"--holdout: expected a share from 0 to below 1, found {holdout:g}")
+    if bootstrap < 0 or bootstrap == 1:
+        raise CallError(f"--bootstrap: expected 0 or 2 and more draws, found {bootstrap}")
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects
@@ -46,7 +51,9 @@ def identify(
     with out.working("reading"):
         read = read_checked(campaigns, out)
     with out.working("identifying"):
-        model = fit_model(read, chosen, holdout=holdout, seed=seed, joint=joint, user_effects=effects_from)
+        model = fit_model(
+            read, chosen, holdout=holdout, seed=seed, joint=joint, user_effects=effects_from, bootstrap=bootstrap
+        )
     save_model(model, output)
     show_model(model, with_user_effects(effects_from), out)
     data = {"model": str(output), **model_json(model)}

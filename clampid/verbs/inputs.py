@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from experiments.campaign import Campaign
     from experiments.finding import Finding
 
-__all__ = ["finding_text", "read_checked", "split_effects", "split_terms"]
+__all__ = ["finding_text", "numbers_of", "read_checked", "split_effects", "split_terms"]
 
 
 def read_checked(folders: Sequence[Path], out: Output) -> list[Campaign]:
@@ -50,6 +50,22 @@ def finding_text(finding: Finding) -> str:
     if finding.column is not None:
         where += f", column {finding.column}"
     return f"{where}: {finding.message}"
+
+
+def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
+    """Numbers separated by commas; None where the option was not given.
+
+    Raises
+    ------
+    CallError
+        One of them is no number.
+    """
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
 
 
 def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[str] | None:

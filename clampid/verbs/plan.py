@@ -11,11 +11,13 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.grouped import grouped
+from clampid.verbs.inputs import numbers_of
 from clampid.verbs.options import Json, Quiet, Seed
 from clampid.verbs.output import Output, output_file
-from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of, numbers_of
+from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of
 
 if TYPE_CHECKING:
+    from clampid.planning.sight import Sight
     from clampid.stages.rows import Array
     from experiments.plans.model import Expected, Plan
 
@@ -150,6 +152,90 @@ def clamping(
         out.say(f"on the clamp at most {force:.0f} N of {max_force:g} N and {moment:.0f} Nm of {max_moment:g} Nm")
 
 
+@plan.command()
+@grouped
+def poses(
+    output: PlanFile,
+    where: Surroundings,
+    count: Annotated[int, typer.Option("--poses", help="How many poses.")] = 60,
+    replicates: Annotated[int, typer.Option(help="How many of them are visited three times more.")] = 6,
+    verification: Annotated[int, typer.Option(help="How many more poses, for verification only.")] = 20,
+    box: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z,X,Y,Z", help="Targets inside this box, m, base frame.", show_default=False),
+    ] = None,
+    sphere: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,R,R[,AX,AY,AZ,RAD]",
+            show_default=False,
+            help="Targets between two radii about a point and within an angle of an axis, m, base frame.",
+        ),
+    ] = None,
+    verification_sphere: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,R,R[,AX,AY,AZ,RAD]",
+            show_default=False,
+            help="Verification on a grid on such a part, the flange's z axis towards its centre.",
+        ),
+    ] = None,
+    instrument: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Where it stands, m, base frame.", show_default=False)
+    ] = None,
+    view: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z,RAD", help="Cone that it sees, base frame.", show_default=False)
+    ] = None,
+    facing: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z,RAD", help="Cone that targets answer in, flange.", show_default=False)
+    ] = None,
+    sight_tolerance: Annotated[float, typer.Option(metavar="RAD", help="Taken off both cones.")] = 0.05,
+    approach: Annotated[float, typer.Option(metavar="RAD", help="Last move of every joint to a pose.")] = 0.05,
+    spread: Annotated[float, typer.Option(metavar="SHARE", help="Share of the poses taken for being far apart.")] = 0.3,
+    measure_time: Annotated[float, typer.Option(metavar="S", help="For each tracked point.")] = 3.0,
+    effects: Effects = None,
+    acceleration: Acceleration = None,
+    seed: Seed = 0,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
+    """Poses to measure: seen, clear, chosen for what they tell, approached from both sides, in a short order."""
+    out = _begin(output, json, quiet)
+    with _refusals():
+        from clampid.planning.poses import PoseWishes, balance_of, plan_poses
+        from clampid.planning.region import box_of, sphere_part_of
+
+        if box is not None and sphere is not None:
+            raise CallError("--box and --sphere: expected one of them, found both")
+        inside = numbers_of("--box", box) or numbers_of("--sphere", sphere)
+        grid = numbers_of("--verification-sphere", verification_sphere)
+        cell, limits, assumed = where.cell(acceleration)
+        wishes = PoseWishes(
+            count, replicates, verification, names_of(effects),
+            None if inside is None else box_of(inside) if box is not None else sphere_part_of(inside),
+            _sight(instrument, view, facing, sight_tolerance),
+            None if grid is None else sphere_part_of(grid), spread, approach, measure_time,
+        )  # fmt: skip
+        with out.working("choosing poses"):
+            made = plan_poses(cell, limits, wishes, scene=where.scene(cell), seed=seed, assumed=assumed)
+        own = sum(visit.table == "poses" for visit in made.visits)
+        balance = balance_of(made)
+        what = f"{count} poses in {own} visits, {len(made.visits) - own} for verification"
+        _finish(made, output, out, what, approaches=balance.to_json())
+        out.say(balance.words)
+
+
+def _sight(instrument: str | None, view: str | None, facing: str | None, tolerance: float) -> Sight | None:
+    from clampid.planning.sight import sight_of
+
+    station = numbers_of("--instrument", instrument)
+    if station is None:
+        if view is not None or facing is not None:
+            raise CallError("--view, --facing: expected --instrument X,Y,Z with them, found none")
+        return None
+    return sight_of(station, numbers_of("--view", view), numbers_of("--facing", facing), tolerance)
+
+
 def _joints(text: str | None, n: int) -> tuple[int, ...] | None:
     numbers = numbers_of("--joints", text)
     if numbers is None:
@@ -190,7 +276,7 @@ def _refusals() -> Iterator[None]:
         raise CallError(str(error)) from error
 
 
-def _finish(made: Plan, output: Path, out: Output, what: str) -> None:
+def _finish(made: Plan, output: Path, out: Output, what: str, **more: Any) -> None:
     """Write the plan, and say what it is and what it will tell."""
     from experiments.plans.write import write_plan
 
@@ -200,13 +286,14 @@ def _finish(made: Plan, output: Path, out: Output, what: str) -> None:
         out.say(f"assumed: {sentence}")
     if made.expected is not None:
         _tell(made.expected, out)
-    out.result(_as_json(made, output))
+    out.result(_as_json(made, output) | more)
 
 
 def _tell(expected: Expected, out: Output) -> None:
     """What a plan will tell, for people."""
-    named = ", ".join(f"{name} {value:.3g}" for name, value in expected.indices.items() if name != "parameters")
-    out.say(f"observability of {expected.indices['parameters']:.0f} combinations of parameters: {named}")
+    from clampid.observability import index_words
+
+    out.say(index_words(expected.indices))
     out.table(
         "", ("parameter", "unit", "expected error", "usual size", ""),
         [(p.name, p.unit, f"{p.std:.2g}", f"{p.size:.2g}", "" if p.identified else "not identified")

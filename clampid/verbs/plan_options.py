@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from clampid.verbs.errors import CallError
+from clampid.verbs.inputs import numbers_of
 
 if TYPE_CHECKING:
     from clampid.planning.logs import TorqueNoise
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from experiments.plans.limits import Limits
     from experiments.plans.model import Cell
 
-__all__ = ["Acceleration", "Surroundings", "TorqueReadings", "names_of", "numbers_of"]
+__all__ = ["Acceleration", "Surroundings", "TorqueReadings", "names_of"]
 
 Acceleration = Annotated[
     str | None,
@@ -95,22 +95,6 @@ class TorqueReadings:
         from clampid.planning.logs import torque_noise_of
 
         return torque_noise_of(cell, self.torque_noise, self.rated)
-
-
-def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
-    """Numbers separated by commas; None where the option was not given.
-
-    Raises
-    ------
-    CallError
-        One of them is no number.
-    """
-    if text is None:
-        return None
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
 
 
 def names_of(text: str | None) -> tuple[str, ...] | None:

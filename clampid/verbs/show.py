@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from clampid.verbs.output import Output
 from clampid.verbs.units import error_text, quantity
 
@@ -50,6 +52,8 @@ def base_rows(base: Iterable[BaseParameter]) -> list[tuple[str, ...]]:
 
 def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None:
     """Every stage's parameters with standard errors, and what the data leave open."""
+    from clampid.observability import index_words
+
     columns = ("parameter", "at", "value", "± std", "unit", "")
     for name, stage in model.stages.items():
         out.table(name, columns, parameter_rows(stage, effects), left=2)
@@ -57,6 +61,10 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
             rows = ", ".join(f"{table} row {row}" for _, table, row in stage.outliers[:10])
             more = f" and {len(stage.outliers) - 10} more" if len(stage.outliers) > 10 else ""
             out.say(f"{name}: rejected as outliers: {rows}{more}")
+        if stage.bootstrap is not None:
+            out.say(f"{name}: {bootstrap_words(stage)}")
+        if stage.observability:
+            out.say(f"{name}: {index_words(stage.observability)}")
         for sentence in stage.null_directions:
             out.say(f"{name}: {NOT_KNOWN}: {sentence}")
         if stage.base:
@@ -67,6 +75,19 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
     if model.joint:
         out.say("all tables in one fit, with the parameters that they share")
     show_rounds(model.ledger, out)
+
+
+def bootstrap_words(stage: StageModel) -> str:
+    """How standard errors by drawing poses anew compare with those of the formula."""
+    known = [k for k, told in enumerate(stage.identified) if told]
+    if stage.bootstrap is None or not known:
+        return "no parameter is known well enough for a bootstrap to say anything"
+    ratio = stage.bootstrap.std[known] / stage.std[known]
+    least, most = (stage.slots[known[k]].label for k in (int(ratio.argmin()), int(ratio.argmax())))
+    return (
+        f"{stage.bootstrap.count} draws of whole poses: standard errors are {ratio.min():.2f} ({least}) to "
+        f"{ratio.max():.2f} ({most}) times those above, {float(np.median(ratio)):.2f} times in the middle"
+    )
 
 
 def contradictions(model: Model) -> list[str]:
@@ -133,6 +154,16 @@ def show_rounds(rounds: Iterable[Round], out: Output) -> None:
     out.table("rounds", ("", "stage", "effects", "rms", "held out", "noise floor"), rows, left=3)
 
 
+def _bootstrap_json(stage: StageModel) -> dict[str, Any] | None:
+    """Standard errors and 95 % intervals by drawing poses anew, SI."""
+    found = stage.bootstrap
+    if found is None:
+        return None
+    rows = zip(stage.slots, found.std.tolist(), found.low.tolist(), found.high.tolist(), strict=True)
+    parameters = [{"name": slot.label, "std": std, "low": low, "high": high} for slot, std, low, high in rows]
+    return {"count": found.count, "parameters": parameters}
+
+
 def model_json(model: Model) -> dict[str, Any]:
     """What ``identify`` and ``auto`` tell programs beside the model file."""
     from clampid.base_names import base_json
@@ -146,6 +177,8 @@ def model_json(model: Model) -> dict[str, Any]:
             "parameters": len(stage.slots),
             "not_identifiable": [s.label for s, known in zip(stage.slots, stage.identified, strict=True) if not known],
             "open": list(stage.null_directions),
+            "observability": dict(stage.observability),
+            "bootstrap": _bootstrap_json(stage),
             "base_parameters": [base_json(p) for p in stage.base],
             "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
             "held_out": [list(folds) for folds in stage.held_out],

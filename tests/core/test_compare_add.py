@@ -66,6 +66,23 @@ def test_compare_poses(eccentric: Campaign, eccentric_model: Model):
     assert json.loads(json.dumps(out, allow_nan=False)) == out
 
 
+def test_compare_says_how_poses_are_reached(eccentric: Campaign, eccentric_model: Model):
+    sample = (1.2, 0.1, 0.9)
+    poses = compare(eccentric_model, eccentric, sample=sample).to_json()["tables"]["poses"]
+    table, iso = eccentric.tables["poses"], poses["iso9283"]
+    sides = [f"dir{i + 1}" for i in range(6)]
+    again = table.groupby(["pose", "target", *sides]).filter(lambda g: len(g) > 1)
+    assert iso["RP"]["poses"] == again.groupby(["pose", "target", *sides]).ngroups
+    # Repeatability of three coordinates of noise s: mean distance from the middle of two is s sqrt(3/2) times 0.92.
+    assert 0.3 * poses["noise_floor"] < iso["RP"]["mean"] < 3 * poses["noise_floor"]
+    assert iso["vAP"]["mean"] > iso["RP"]["mean"]
+    held = poses["heldout"]
+    assert poses["universal"]["P_mean"] == pytest.approx(held["mean"])
+    assert poses["universal"]["P_max"] == pytest.approx(held["max"])
+    both = poses["sample"]["radial"]["rms"] ** 2 + poses["sample"]["along"]["rms"] ** 2
+    assert np.sqrt(both) == pytest.approx(held["rms"], rel=1e-9)
+
+
 def test_compare_torques(torques: Campaign, torque_model: Model):
     out = compare(torque_model, torques).to_json()["tables"]
     assert set(out) == {"free_air", "wrist"}

@@ -11,6 +11,7 @@ from clampid.catalogue import catalogue
 from clampid.gauge import independent_geometry
 from clampid.identify import stage_rows
 from clampid.layout import layout_of
+from clampid.nulls import named_directions
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows
@@ -93,3 +94,14 @@ def test_what_is_left_out_adds_nothing(robot: str):
     more = columns(rest)
     assert np.linalg.norm(more - basis @ (basis.T @ more)) < 1e-6 * np.linalg.norm(more)
     assert np.linalg.svd(columns(kept) / np.linalg.norm(columns(kept), axis=0), compute_uv=False)[-1] > 1e-5
+
+
+def test_two_open_directions_of_two_parameters_are_said_once() -> None:
+    slots = [Slot("backlash", "gap", f"joint{j}") for j in (1, 2, 3)]
+    turn = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    information = turn.T @ np.diag([0.1, 0.2, 50.0]) @ turn
+    said = named_directions(information, np.ones(3), slots, np.eye(3), np.zeros(3, dtype=bool))
+    assert said == ("backlash.gap@joint1 and backlash.gap@joint2: none of them is known to within its reasonable size",)
+    one = turn.T @ np.diag([0.1, 20.0, 50.0]) @ turn
+    said = named_directions(one, np.ones(3), slots, np.eye(3), np.zeros(3, dtype=bool))
+    assert said == ("backlash.gap@joint1 and backlash.gap@joint2: only a combination of them is known",)

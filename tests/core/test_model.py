@@ -14,8 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from clampid.catalogue import catalogue
 from clampid.identify import identify
 from clampid.model import FORMAT, Model, ModelError, load_model, save_model, write_text
+from clampid.slots import find_parameter
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]
@@ -142,3 +144,17 @@ def test_written_whole_or_not_at_all(model: Model, tmp_path: Path, monkeypatch: 
 def test_folders_are_made(tmp_path: Path):
     write_text(tmp_path / "a" / "b" / "c.txt", "µ\n")
     assert (tmp_path / "a" / "b" / "c.txt").read_text(encoding="utf-8") == "µ\n"
+
+
+def test_observability_of_a_fit_is_that_of_its_whitened_jacobian(simulated: Simulated) -> None:
+    campaign = simulated(seed=6, poses=60, tables=("poses",))
+    stage = identify(campaign, {"poses": ("geometry",)}).stages["poses"]
+    found = stage.observability
+    # Without prior, the covariance of well-known parameters is the inverse of the information, up to the noise's scale.
+    known = np.array(stage.identified)
+    assert found["parameters"] == known.sum() == len(stage.slots)
+    sizes = [find_parameter(slot, catalogue()).size for slot in stage.slots]
+    s = 1 / np.sqrt(np.linalg.eigvalsh(stage.covariance / np.outer(sizes, sizes)))
+    assert found["O2"] == pytest.approx(s.min() / s.max(), rel=1e-2)
+    assert found["O3"] == pytest.approx(s.min(), rel=0.1)
+    assert found["O4"] == pytest.approx(found["O3"] * found["O2"])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from clampid.chain import Deviations
-from clampid.export import COLUMNS, calibrated_chain, dh_table, read_dh, table_text, urdf_text
+from clampid.export import COLUMNS, angle_table, calibrated_chain, dh_table, read_dh, table_text, urdf_text
 from clampid.export import _numbers as numbers
 from clampid.model import Model, ModelError
+from clampid.slots import Slot, Term
 from clampid.stages.poses import predict
 from clampid.stages.rows import Array, Rows
 from kinematics.description import load_robot, robot_names
@@ -137,3 +138,66 @@ def test_a_model_without_geometry_is_refused(make_model: Make) -> None:
         dh_table(replace(model, stages={}), "hayati")
     with pytest.raises(ModelError, match="session 2: the model has sessions 1 to 1"):
         dh_table(model, "hayati", session=1)
+
+
+def with_slots(model: Model, slots: dict[Slot, float]) -> Model:
+    """Give the model further parameters, known to a millionth."""
+    stage = model.stages["poses"]
+    count = len(stage.slots) + len(slots)
+    covariance = 1e-12 * np.eye(count)
+    covariance[: len(stage.slots), : len(stage.slots)] = stage.covariance
+    more = replace(
+        stage,
+        terms=(*stage.terms, *(Term(name) for name in dict.fromkeys(s.effect for s in slots))),
+        slots=(*stage.slots, *slots),
+        theta=np.r_[stage.theta, list(slots.values())],
+        covariance=covariance,
+        identified=(*stage.identified, *([True] * len(slots))),
+    )
+    return model.with_stage(more)
+
+
+def test_at_a_temperature_links_have_grown_along_their_length(make_model: Make) -> None:
+    alpha = 2.3e-5
+    slots = {Slot("thermal_expansion", "alpha", f"link{i + 1}"): alpha for i in range(6)}
+    bare = make_model("kuka_kr20_r1810", size=0.0)
+    model = with_slots(bare, slots)
+    cold, warm = calibrated_chain(model), calibrated_chain(model, temperature=45.0)
+    robot = load_robot("kuka_kr20_r1810")
+    # A chain of equal expansion is the same chain in larger units, but for what stands before the first joint.
+    scale, first = 1 + 25 * alpha, robot.joints[0].point
+    q = postures(6)
+    inside = np.linalg.inv(cold.base)
+    before, after = ((inside @ chain.flange(q))[:, :3, 3] - first for chain in (cold, warm))
+    np.testing.assert_allclose(after, scale * before, atol=1e-12)
+    table = dh_table(model, "hayati", temperature=45.0)
+    assert (table["temperature_C"] == 45.0).all()
+    np.testing.assert_allclose(dh_forward(read_dh(table_text(table)), q), warm.flange(q), atol=1e-9)
+    assert "at 45 degC" in urdf_text(model, temperature=45.0)
+    with pytest.raises(ModelError, match="temperature 45 degC: expected a model with thermal_expansion"):
+        calibrated_chain(bare, temperature=45.0)
+
+
+def test_files_say_by_how_much_they_differ_when_read_back(make_model: Make) -> None:
+    model = make_model("kuka_kr20_r1810")
+    for convention, allowed in (("hayati", 1e-9), ("standard", 1e-6)):
+        table = dh_table(model, convention)  # type: ignore[arg-type]
+        stated = float(table["difference_m"].iloc[0])
+        q = postures(6)
+        off = np.abs(dh_forward(read_dh(table_text(table)), q) - calibrated_chain(model).flange(q)).max()
+        assert 0 < stated < allowed
+        assert off < 20 * stated
+    assert "differs by at most" in urdf_text(model).splitlines()[1]
+
+
+def test_angle_errors_are_listed_joint_by_joint(make_model: Make) -> None:
+    model = with_slots(make_model("ur10"), {Slot("gear_eccentricity", "a1", "joint3"): 2e-4})
+    table = angle_table(model)
+    assert set(table["joint"]) == {3}
+    q = table["q_rad"].to_numpy()
+    np.testing.assert_allclose(table["error_rad"], 2e-4 * np.sin(q), atol=1e-15)
+    np.testing.assert_allclose(table["std_error_rad"], 1e-6 * np.abs(np.sin(q)), atol=1e-12)
+    robot = load_robot("ur10")
+    assert (q.min(), q.max()) == (robot.lower[2], robot.upper[2])
+    with pytest.raises(ModelError, match="errors of joint angles"):
+        angle_table(make_model("ur10"))

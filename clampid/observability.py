@@ -1,4 +1,4 @@
-"""Observability indices of a set of measurements: five ways to condense the singular values of the scaled Jacobian.
+"""Observability indices of measurements, planned or fitted: five ways to condense the scaled Jacobian.
 
 With s_1 ≥ … ≥ s_L the singular values and m the number of measured values::
 
@@ -17,10 +17,12 @@ selection for robot calibration, ICRA 2008.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["observability"]
+__all__ = ["index_words", "observability", "projected"]
 
 Array = npt.NDArray[np.float64]
 
@@ -40,12 +42,24 @@ def observability(information: Array, rows: int) -> dict[str, float]:
     values = np.linalg.eigvalsh(information) if information.size else np.zeros(0)
     s = np.sqrt(values[values >= 1.0])[::-1]
     if not len(s):
-        return {"O1": 0.0, "O2": 0.0, "O3": 0.0, "O4": 0.0, "O5": 0.0, "parameters": 0}
+        return {"O1": 0.0, "O2": 0.0, "O3": 0.0, "O4": 0.0, "O5": 0.0, "parameters": 0.0}
     return {
         "O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(max(rows, 1))),
         "O2": float(s[-1] / s[0]),
         "O3": float(s[-1]),
         "O4": float(s[-1] ** 2 / s[0]),
         "O5": float(1.0 / np.sum(1.0 / s)),
-        "parameters": len(s),
+        "parameters": float(len(s)),
     }
+
+
+def projected(information: Array, count: int) -> Array:
+    """Information ``(count, count)`` on the first parameters, what the others could take up taken off (Schur)."""
+    A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
+    return A - B @ np.linalg.pinv(C, rcond=1e-10) @ B.T if C.size else A
+
+
+def index_words(indices: Mapping[str, float]) -> str:
+    """The five indices, as `observability` gives them, in a line for people."""
+    named = ", ".join(f"{name} {value:.3g}" for name, value in indices.items() if name != "parameters")
+    return f"observability of {indices['parameters']:.0f} combinations of parameters: {named}"

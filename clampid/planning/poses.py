@@ -1,0 +1,436 @@
+"""Plans poses to measure: where the targets are seen, chosen for what they tell, in an order that takes little time.
+
+Among configurations that are in the region, in sight and clear, some are taken for being far apart in joint space, so
+that what nobody asked about shows, and the others for the determinant of the information (D-optimal). Every pose is
+approached by a short move whose signs are balanced, so that backlash can be told from posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from clampid.planning.choose import choose
+from clampid.planning.directions import balanced, confounded, covariates_of
+from clampid.planning.expected import expected_of
+from clampid.planning.pose_bench import PoseBench
+from clampid.planning.reach import reaching
+from clampid.planning.region import Region, SpherePart
+from clampid.planning.sampling import DIGITS, configurations
+from clampid.planning.scene import Scene
+from clampid.planning.sight import Sight
+from clampid.planning.tour import short_tour
+from clampid.stages.rows import Array, Bools, Integers
+from clampid.threads import single_threaded
+from experiments.plans.errors import PlanError
+from experiments.plans.limits import Limits, course_of
+from experiments.plans.model import Cell, Plan, Visit
+from experiments.plans.validate import validate_plan
+
+__all__ = ["Balance", "PoseWishes", "balance_of", "plan_poses"]
+
+POOL = 20  # candidates for each pose
+FEWEST_CANDIDATES = 200
+SIDES = 32  # of a pose that are tried
+STARTS = 80  # configurations from which each place of the grid is looked for
+FORBIDDEN = 1e4  # s, of a way that touches something
+RETURNS = (-1.0, 1.0, -1.0)  # of a replicate: from the other side, from the same, from the other
+
+
+@dataclass(frozen=True)
+class PoseWishes:
+    """What poses are wanted.
+
+    Attributes
+    ----------
+    poses
+        How many.
+    replicates
+        How many of them are visited three times more, twice from the other side.
+    verification
+        How many more are measured for verification only.
+    effects
+        What is asked; None: the stage's standard set.
+    region
+        Where all tracked points shall be; None: anywhere.
+    sight
+        What the instrument sees; None: everything.
+    part
+        Where the verification poses shall be, the flange's z axis towards the centre; None: like the others.
+    spread
+        Share of the poses that is taken for being far apart.
+    approach
+        rad (m): how far every joint moves to come to a pose from its side.
+    measure_time
+        s for each tracked point.
+    """
+
+    poses: int = 60
+    replicates: int = 6
+    verification: int = 20
+    effects: tuple[str, ...] | None = None
+    region: Region | None = None
+    sight: Sight | None = None
+    part: SpherePart | None = None
+    spread: float = 0.2
+    approach: float = 0.05
+    measure_time: float = 3.0
+
+
+@dataclass(frozen=True)
+class Balance:
+    """How the poses of a plan are approached.
+
+    Attributes
+    ----------
+    plus, minus
+        ``(n,)``: visits to which each joint comes upwards and downwards.
+    confounded
+        ``(n,)``: share of a joint's directions that posture and order explain, 0 … 1.
+    """
+
+    plus: Array
+    minus: Array
+    confounded: Array
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        each = ", ".join(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True))
+        return (
+            f"visits approached upwards/downwards, joint by joint: {each}; posture and order explain at most "
+            f"{self.confounded.max():.0%} of a joint's directions"
+        )
+
+    def to_json(self) -> dict[str, list[float]]:
+        """For programs."""
+        return {"up": self.plus.tolist(), "down": self.minus.tolist(), "confounded": self.confounded.tolist()}
+
+
+def balance_of(plan: Plan) -> Balance:
+    """How a plan's visits of the table poses are approached."""
+    visits = [v for v in plan.visits if v.table == "poses"]
+    signs, q = np.array([v.direction for v in visits]), np.array([v.q for v in visits])
+    return Balance((signs > 0).sum(axis=0), (signs < 0).sum(axis=0), confounded(signs, covariates_of(q)))
+
+
+@single_threaded
+def plan_poses(
+    cell: Cell,
+    limits: Limits,
+    wishes: PoseWishes | None = None,
+    *,
+    scene: Scene | None = None,
+    seed: int = 0,
+    assumed: Sequence[str] = (),
+) -> Plan:
+    """Plan a campaign of poses.
+
+    Parameters
+    ----------
+    cell, limits
+        What it is for.
+    wishes
+        Which poses.
+    scene
+        What the arm must not touch, and what may stand in the line of sight; only the floor by default.
+    seed
+        Of the candidates.
+    assumed
+        What had to be assumed so far, for the plan.
+
+    Raises
+    ------
+    PlanError
+        A number is out of range, or region, sight and scene leave too few configurations.
+    EffectError
+        An effect is unknown or does not act in poses.
+    """
+    wanted = wishes or PoseWishes()
+    _check(wanted)
+    return _Search(cell, limits, wanted, scene or Scene.floor_only(cell), seed).plan(tuple(assumed))
+
+
+def _check(wishes: PoseWishes) -> None:
+    for name, value, least in (
+        ("poses", wishes.poses, 2),
+        ("replicates", wishes.replicates, 0),
+        ("verification poses", wishes.verification, 0),
+    ):
+        if value < least:
+            raise PlanError(f"{name}: expected {least} or more, found {value}")
+    if wishes.replicates > wishes.poses:
+        raise PlanError(f"replicates: expected at most the {wishes.poses} poses, found {wishes.replicates}")
+    if not 0.0 <= wishes.spread <= 1.0:
+        raise PlanError(f"spread: expected a share from 0 to 1, found {wishes.spread:g}")
+    if not 0.0 < wishes.approach < 1.0:
+        raise PlanError(f"approach: expected rad above 0 and below 1, found {wishes.approach:g}")
+    if not wishes.measure_time >= 0.0:
+        raise PlanError(f"measuring time: expected seconds from 0, found {wishes.measure_time:g}")
+
+
+class _Search:
+    """The poses, their order and their approaches, found one after the other."""
+
+    def __init__(self, cell: Cell, limits: Limits, wishes: PoseWishes, scene: Scene, seed: int) -> None:
+        self.cell, self.limits, self.wishes, self.scene, self.seed = cell, limits, wishes, scene, seed
+        self.rng = np.random.default_rng(seed)
+        station = np.zeros(3) if wishes.sight is None else wishes.sight.station
+        self.said: tuple[str, ...] = ()
+        self._ways: dict[tuple[tuple[float, ...], ...], bool] = {}
+        self.bench = PoseBench(cell, wishes.effects, station)
+        margin = 1.5 * wishes.approach  # so that every pose can be approached from either side
+        # Of joints that turn more than once, one turn tells the same as all, and ways in between are shorter.
+        turning = np.linalg.norm(np.asarray(cell.robot.screws)[:, :3], axis=1) > 0
+        middle = (limits.lower + limits.upper) / 2
+        half = np.where(turning, np.minimum((limits.upper - limits.lower) / 2, np.pi), np.inf)
+        self.inner = replace(
+            limits,
+            lower=np.maximum(limits.lower, middle - half) + margin,
+            upper=np.minimum(limits.upper, middle + half) - margin,
+        )
+        if np.any(self.inner.lower >= self.inner.upper):
+            j = int(np.argmax(self.inner.lower >= self.inner.upper))
+            raise PlanError(f"approach: joint {j + 1} has no room to be approached from both sides by {margin:g} rad")
+
+    def plan(self, assumed: tuple[str, ...]) -> Plan:
+        wishes = self.wishes
+        pool = self._pool()
+        picked = self._choose(pool)
+        q = pool[picked]
+        q = q[self._toured(q, None)]
+        again = self._replicates(q)
+        signs = self._approached(q, again)
+        visits = self._visits("poses", q, signs, np.arange(len(q)), [1] * len(q))
+        for number, side in enumerate(RETURNS, 2) if len(again) else ():
+            order = again[::-1] if number % 2 else again
+            visits += self._visits("poses", q, side * signs, order, [number] * len(order), visits[-1].q)
+        words: tuple[str, ...] = ()
+        if wishes.verification:
+            others, words = self._verification(np.delete(pool, picked, axis=0), q)
+            others = others[self._toured(others, visits[-1].q)]
+            own = self._approached(others, np.zeros(0, dtype=np.int64))
+            visits += self._visits("verification", others, own, np.arange(len(others)), [1] * len(others), visits[-1].q)
+        return self._finished(visits, (*assumed, *self.scene.assumed, *self.said, *words))
+
+    def allowed(self, q: Array) -> Bools:
+        """Whether configurations ``(N, n)`` are in the region, in sight and clear ``(N,)``; cheap tests first."""
+        points, rotation = self.bench.points(q)
+        out = np.ones(len(q), dtype=bool)
+        if self.wishes.region is not None:
+            out &= self.wishes.region.contains(points).all(axis=1)
+        return self._seen(q, points, rotation, out)
+
+    def _seen(self, q: Array, points: Array, rotation: Array, out: Bools) -> Bools:
+        """In sight and clear, of those marked ``(N,)``."""
+        sight = self.wishes.sight
+        if sight is not None:
+            out = out & sight.sees(points, rotation)
+        index = np.flatnonzero(out)
+        out[index] &= self.scene.clear(q[index])
+        if sight is not None:
+            index = np.flatnonzero(out)
+            out[index] &= self.scene.unhidden(q[index], points[index], sight.station)
+        for i in np.flatnonzero(out):
+            out[i] = self._side(q[i]) is not None
+        return out
+
+    def _pool(self) -> Array:
+        wishes = self.wishes
+        count = max(POOL * wishes.poses, FEWEST_CANDIDATES) + wishes.verification
+        where = [] if wishes.region is None else [f"with all targets in the {wishes.region.words}"]
+        where += [] if wishes.sight is None else [f"seen by the {wishes.sight.words}"]
+        why = ", ".join([*where, "clear of floor and obstacles"])
+        pool = configurations(self.inner, count, self.allowed, self.seed, why=why)
+        least = wishes.poses + (0 if wishes.part else wishes.verification)
+        if len(pool) < least:
+            raise PlanError(f"expected at least {least} configurations that are {why}, found {len(pool)}")
+        return pool
+
+    def _choose(self, pool: Array) -> list[int]:
+        """Numbers of the poses in the pool: some far apart in joint space, the others D-optimal."""
+        wishes = self.wishes
+        apart = _far_apart(self._scaled(pool), round(wishes.spread * wishes.poses))
+        signs = self.rng.choice([-1.0, 1.0], pool.shape)
+        return choose(self.bench.factors(pool, signs), self.bench.prior, wishes.poses, start=apart, passes=2)
+
+    def _scaled(self, q: Array) -> Array:
+        """Joint angles as shares of their ranges."""
+        return np.asarray((q - self.limits.lower) / (self.limits.upper - self.limits.lower))
+
+    def _toured(self, q: Array, before: Array | None) -> Integers:
+        """An order of configurations ``(N, n)`` that takes little time, on ways that touch nothing.
+
+        Raises
+        ------
+        PlanError
+            More than half of the poses have no clear way to them.
+        """
+        places = q if before is None else np.vstack([before, q])
+        cost, first = self._times(places), before is not None
+        kept = np.arange(len(places))
+        while len(kept) > 1:
+            order = kept[short_tour(cost[np.ix_(kept, kept)], 0, fixed=first)]
+            legs = [(a, b) for a, b in pairwise(order) if not self._way_clear(places, int(a), int(b))]
+            if not legs:
+                break
+            stuck = [b for a, b in legs if cost[a, b] >= FORBIDDEN]  # no way round it was found
+            if stuck:
+                kept = np.setdiff1d(kept, max(stuck, key=lambda k: int((cost[k] >= FORBIDDEN).sum())))
+            for a, b in legs:
+                cost[a, b] = cost[b, a] = FORBIDDEN
+        lost = len(places) - len(kept)
+        if len(kept) - first < (len(q) + 1) // 2:
+            raise PlanError(
+                f"expected a way through {len(q)} poses clear of floor, arm and obstacles, found none through more "
+                f"than {len(kept) - first}; expected fewer obstacles or a smaller region"
+            )
+        if lost:
+            self.said += (f"{lost} of {len(q)} poses have no clear way to them, and are left out",)
+        return np.asarray(order[1:] - 1 if first else order)
+
+    def _way_clear(self, places: Array, a: int, b: int) -> bool:
+        """Whether the move between two places is clear; looked at once."""
+        ends = (tuple(places[min(a, b)]), tuple(places[max(a, b)]))
+        if ends not in self._ways:
+            self._ways[ends] = self.scene.way_clear(places[a], places[b])
+        return self._ways[ends]
+
+    def _times(self, q: Array) -> Array:
+        """Times of the moves between configurations ``(N, N)``, s."""
+        N = len(q)
+        out = np.zeros((N, N))
+        for i in range(N - 1):
+            knots = np.empty((2 * (N - 1 - i), q.shape[1]))
+            knots[0::2], knots[1::2] = q[i], q[i + 1 :]
+            course = course_of(self.cell.robot, self.limits, knots)
+            out[i, i + 1 :] = out[i + 1 :, i] = course.duration[0::2]
+        return out
+
+    def _approached(self, q: Array, again: Integers) -> Array:
+        """Signs ``(N, n)`` from which the poses, in this order, are approached: balanced, on ways that are clear.
+
+        Those that are visited ``again`` are visited from both sides equally often, and so are balanced in themselves.
+        """
+        start = [self._side(pose) for pose in q]
+        found = [np.ones(q.shape[1]) if side is None else side for side in start]  # none is None: see _seen
+        out, once = np.array(found), np.setdiff1d(np.arange(len(q)), again)
+        covariates = covariates_of(q)[once]
+        out[once] = balanced(out[once], covariates, lambda k, signs: self._open(q[once[k]], signs))
+        return out
+
+    def _side(self, q: Array) -> Array | None:
+        """Signs ``(n,)`` from which a pose ``(n,)`` can be approached, or None."""
+        n = len(q)
+        for number in self.rng.permutation(2 ** (n - 1))[:SIDES]:  # the opposite ones are tried with them
+            signs = np.array([1.0 - 2.0 * (int(number) >> k & 1) for k in range(n)])
+            if self._open(q, signs):
+                return np.asarray(signs * self.rng.choice([-1.0, 1.0]))
+        return None
+
+    def _open(self, q: Array, signs: Array) -> bool:
+        """Whether a pose can be come to from a side and from the opposite one; the pose itself is clear."""
+        via = q - self.wishes.approach * np.outer([1.0, -1.0], signs)
+        return bool(self.scene.clear(via).all())
+
+    def _replicates(self, q: Array) -> Integers:
+        """Which poses ``(r,)`` are visited again, spread over the run, in an order that takes little time."""
+        count = min(self.wishes.replicates, len(q))
+        spread = ((np.arange(count) + 0.5) * len(q) / max(count, 1)).astype(np.int64)
+        return np.asarray(spread[self._toured(q[spread], q[-1])] if count else spread)
+
+    def _verification(self, left: Array, chosen: Array) -> tuple[Array, tuple[str, ...]]:
+        """Poses for verification ``(v, n)``, and what has to be said of them."""
+        part, count = self.wishes.part, self.wishes.verification
+        if part is None:
+            apart = _far_apart(self._scaled(np.vstack([chosen, left])), len(chosen) + count, len(chosen))
+            return left[np.array(apart[len(chosen) :]) - len(chosen)], ()
+        found = [q for place in part.grid(count) for q in self._reaching(place, part)]
+        if not found:
+            raise PlanError(
+                f"verification: expected configurations on the {part.words}, in sight and clear, found none"
+            )
+        if len(found) == count:
+            return np.array(found), ()
+        return np.array(found), (f"{count - len(found)} of {count} places of the verification grid are out of reach",)
+
+    def _reaching(self, place: Array, part: SpherePart) -> list[Array]:
+        """One configuration, or none, with the middle of the targets there and the flange towards the centre."""
+        inner, n = self.inner, self.cell.robot.n
+        point = np.mean(list(self.cell.targets.values()), axis=0)
+        way = (part.centre - place) / np.linalg.norm(part.centre - place)
+        starts = inner.lower + (inner.upper - inner.lower) * self.rng.random((STARTS, n))
+        q = reaching(self.cell.robot, place, way, starts, point=point, normal=np.array([0.0, 0.0, 1.0]))
+        q = np.round(q, DIGITS)
+        q = q[np.all((q >= inner.lower) & (q <= inner.upper), axis=1)]
+        if not len(q):
+            return []
+        points, rotation = self.bench.points(q)
+        q = q[self._seen(q, points, rotation, np.ones(len(q), dtype=bool))]
+        return [q[int(np.argmin(np.abs(self._scaled(q) - 0.5).max(axis=1)))]] if len(q) else []
+
+    def _visits(
+        self, table: Literal["poses", "verification"], q: Array, signs: Array, order: Integers, numbers: list[int],
+        before: Array | None = None,
+    ) -> list[Visit]:  # fmt: skip
+        """Visits in an order, the first coming from ``before``."""
+        targets, out = tuple(self.cell.targets), []
+        for k, number in zip(order, numbers, strict=True):
+            via = np.round(q[k] - self.wishes.approach * signs[k], DIGITS)
+            course = course_of(self.cell.robot, self.limits, np.array([via if before is None else before, via, q[k]]))
+            out.append(Visit(table, int(k) + 1, number, via, q[k], course.duration, course.ramp, targets))
+            before = q[k]
+        return out
+
+    def _finished(self, visits: list[Visit], assumed: tuple[str, ...]) -> Plan:
+        wishes, bench = self.wishes, self.bench
+        own = [v for v in visits if v.table == "poses"]
+        factors = bench.factors(np.array([v.q for v in own]), np.array([v.direction for v in own]))
+        information = np.einsum("cpr,cqr->pq", factors, factors) / np.outer(bench.size, bench.size)
+        moves = float(sum(v.duration.sum() for v in visits) - visits[0].duration[0])
+        waiting = wishes.measure_time * sum(len(v.targets) for v in visits)
+        noise = f"points: {self.cell.position_std:.2g} m per axis, independent"
+        record: dict[str, float | int | str] = {
+            "poses": wishes.poses,
+            "replicates": wishes.replicates,
+            "verification": wishes.verification,
+            "effects": ", ".join(bench.effects),
+            "spread": wishes.spread,
+            "approach_rad": wishes.approach,
+            "seed": self.seed,
+        }
+        for name, part in (("region", wishes.region), ("verification_part", wishes.part), ("sight", wishes.sight)):
+            record |= {} if part is None else {name: part.words}
+        plan = Plan(
+            kind="poses",
+            cell=self.cell,
+            limits=self.limits,
+            duration=moves + waiting,
+            visits=tuple(visits),
+            measure_time=wishes.measure_time,
+            expected=expected_of(bench.experiment, information, factors.shape[2] * len(own), noise),
+            assumed=assumed,
+            wished=MappingProxyType(record),
+        )
+        validate_plan(plan)
+        return plan
+
+
+def _far_apart(places: Array, count: int, given: int = 0) -> list[int]:
+    """``count`` of the places ``(N, n)``, each as far as can be from those before it; the first ``given`` in any case.
+
+    Source: Gonzalez, Clustering to minimize the maximum intercluster distance, Theor. Comp. Sci. 38, 1985.
+    """
+    if count <= 0:
+        return []
+    chosen = list(range(given)) or [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
+    distance = np.min([np.linalg.norm(places - places[k], axis=1) for k in chosen], axis=0)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return chosen
