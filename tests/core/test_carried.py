@@ -106,7 +106,9 @@ def test_springs_that_the_poses_contradict_are_not_taken_over(
     found = fitted("poses", {"clamped": wrong})
     assert "joint_compliance.c@joint2" in [a.slot.label for a in found.contradicted]
     assert found.evidence["contradicted"][0]["where"] == "joint2"
-    np.testing.assert_allclose((found.model.theta - alone.model.theta) / alone.model.std, 0.0, atol=0.05)
+    told = np.array([s.place != "joint1" for s in found.model.slots])  # friction winds its spring like a gap: not told
+    off = (found.model.theta - alone.model.theta) / alone.model.std
+    np.testing.assert_allclose(off[told], 0.0, atol=0.05)
 
 
 def test_a_stage_without_drives_gives_nothing(clamped: StageModel, alone: FittedStage):
