@@ -10,11 +10,11 @@ import numpy as np
 from scipy import linalg, stats
 
 from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
-from clampid.repeatability import Scatter, clustered_covariance, visit_scatter
+from clampid.repeatability import Scatter, clustered_covariance, shared_moments, visit_scatter
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped import loop_compliance
 from clampid.stages.experiment import Experiment
-from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = [
     "FLANK_ROUNDS",
@@ -28,6 +28,7 @@ __all__ = [
     "clamping_offsets",
     "descend",
     "fit",
+    "gradient_covariance",
     "inverse_of",
     "limits_of",
     "newton_step",
@@ -149,13 +150,34 @@ def fit(
     return replace(estimate, outliers=rejected)
 
 
+def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
+    """Covariance ``(P + K, P + K)`` of the gradient of a pose fit whose visits share where the robot has stopped.
+
+    Parameters
+    ----------
+    estimate
+        A pose fit with a ``scatter``.
+    point
+        Where the gradient is taken, with the same rows and noise.
+    """
+    if estimate.scatter is None:
+        raise ValueError("expected a fit of poses that tells measurement and repeatability apart, found none")
+    white = point.white
+    by_joint, visit = _by_joint(estimate, white, point.theta)
+    return shared_moments(white.jacobian, by_joint, visit, estimate.scatter)
+
+
+def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array, Integers]:
+    """What a joint's stop does to each whitened number ``(M, n)``, and the visit ``(M,)`` that each is of."""
+    by_joint = estimate.experiment.by_joint(theta)[white.entry, white.channel]
+    sigma = estimate.noise.sigma[white.entry, white.channel, None]
+    return by_joint / sigma, estimate.experiment.rows.unit[white.entry]
+
+
 def _with_repeatability(estimate: Estimate) -> Estimate:
     """The same fit, its covariance that of visits whose numbers share where the robot has stopped."""
     white = estimate.whitened
-    rows = estimate.experiment.rows
-    visit = rows.unit[white.entry]
-    by_joint = estimate.experiment.by_joint(estimate.theta)[white.entry, white.channel]
-    by_joint = by_joint / estimate.noise.sigma[white.entry, white.channel, None]
+    by_joint, visit = _by_joint(estimate, white, estimate.theta)
     inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
     scatter = visit_scatter(white, by_joint, visit, inverse)
     if scatter is None:

@@ -25,7 +25,19 @@ import numpy as np
 
 from clampid.agreement import SHARED as OF_DRIVES
 from clampid.effect import Effect, Stage
-from clampid.fit import FLANK_ROUNDS, Estimate, Limits, Point, descend, inverse_of, limits_of, prior_of, stage_point
+from clampid.fit import (
+    FLANK_ROUNDS,
+    Estimate,
+    Limits,
+    Point,
+    StagePoint,
+    descend,
+    gradient_covariance,
+    inverse_of,
+    limits_of,
+    prior_of,
+    stage_point,
+)
 from clampid.fitted_stage import FittedStage
 from clampid.identify_log import FittedLog
 from clampid.moments import Moments
@@ -138,8 +150,7 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
         held = moved
         best = _search(parts, held, replace(union, theta=best.theta))
     weights = _weights(best, union)
-    A, _ = best.weighted(weights)
-    covariance = inverse_of(A + union.precision)
+    covariance = _covariance(parts, best, union, weights)
     out: list[JointPart] = []
     for k, (part, columns) in enumerate(zip(parts, union.columns, strict=True)):
         told = _told_by_the_others(best, union, weights, k, _experiment(part))
@@ -214,6 +225,25 @@ def _weights(best: _Joint, union: _Union) -> Array:
     return np.array(out)
 
 
+def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights: Array) -> Array:
+    """Covariance ``(U, U)`` of the solution, with what the numbers of a pose's visit share, as in `clampid.fit`.
+
+    A^-1 M A^-1, A the normal matrix, M the covariance of its gradient.
+    """
+    A, _ = best.normal()
+    inverse = inverse_of(A + union.precision)
+    middle = union.precision.copy()
+    for part, point, columns, weight in zip(parts, best.points, best.columns, weights, strict=True):
+        own = point.normal()[0] / weight
+        if isinstance(part, FittedStage) and part.estimate.scatter is not None and isinstance(point, StagePoint):
+            own = gradient_covariance(part.estimate, point)
+        middle[np.ix_(columns, columns)] += own
+    size = np.sqrt(np.maximum(np.diag(inverse), 1e-300))  # balanced, since parameters are of very different sizes
+    balanced, middle = inverse / np.outer(size, size), middle * np.outer(size, size)
+    found = balanced @ middle @ balanced
+    return np.asarray(0.5 * (found + found.T) * np.outer(size, size))
+
+
 def _told_by_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: Experiment) -> Prior:
     """What all rows but those of stage ``k`` say of its slots, and the description."""
     others = weights.copy()
@@ -242,5 +272,5 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -
         whitened=point.white,
         residual=point.residual,
         prior_precision=precision,
-        prior_mean=mean,
+        prior_mean=np.where(alone.experiment.held(), theta, mean),
     )

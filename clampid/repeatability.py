@@ -23,7 +23,7 @@ from scipy import linalg, optimize
 from clampid.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Scatter", "clustered_covariance", "visit_scatter"]
+__all__ = ["Scatter", "clustered_covariance", "shared_moments", "visit_scatter"]
 
 FEWEST = 20  # visits with more than one point; of fewer no seven variances can be told
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
@@ -100,13 +100,19 @@ def clustered_covariance(
     # Balanced, since parameters are of very different sizes.
     size = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     X = white.jacobian * size
-    middle = scatter.noise * (X.T @ X) + precision * np.outer(size, size)
-    for rows in _groups(visit):
-        shared = X[rows].T @ (by_joint[rows] * scatter.joints)
-        middle += shared @ shared.T
+    middle = shared_moments(X, by_joint, visit, scatter) + precision * np.outer(size, size)
     balanced = inverse / np.outer(size, size)
     covariance = balanced @ middle @ balanced
     return np.asarray(0.5 * (covariance + covariance.T) * np.outer(size, size))
+
+
+def shared_moments(X: Array, by_joint: Array, visit: Integers, scatter: Scatter) -> Array:
+    """Covariance ``(P, P)`` of Xᵀ r, r the whitened noise ``(M,)`` of visits that share where the robot has stopped."""
+    out = scatter.noise * (X.T @ X)
+    for rows in _groups(visit):
+        shared = X[rows].T @ (by_joint[rows] * scatter.joints)
+        out += shared @ shared.T
+    return np.asarray(out)
 
 
 def _groups(visit: Integers) -> list[Integers]:
