@@ -154,7 +154,7 @@ def _with_repeatability(estimate: Estimate) -> Estimate:
     white = estimate.whitened
     rows = estimate.experiment.rows
     visit = rows.unit[white.entry]
-    by_joint = estimate.experiment.by_joint(estimate.theta)[white.entry, white.channel]
+    by_joint = rows.in_noise_axes(estimate.experiment.by_joint(estimate.theta))[white.entry, white.channel]
     by_joint = by_joint / estimate.noise.sigma[white.entry, white.channel, None]
     inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
     scatter = visit_scatter(white, by_joint, visit, inverse)

@@ -246,12 +246,13 @@ def test_measured_they_tell_more_than_as_many_random_ones(
     assert max(ratios) < 0.95  # of standard errors: a tenth less is a fifth of the poses less
 
 
-def test_promised_errors_hold_when_measured(poses: Plan, tmp_path: Path) -> None:
+def test_promised_errors_are_in_proportion_to_measured_ones(poses: Plan, tmp_path: Path) -> None:
     assert poses.expected is not None
     measured = errors(poses, tmp_path / "arm", 3)
     ratio = np.array([measured[p.name] / p.std for p in poses.expected.parameters if p.identified])
-    # The virtual robot's noise is its own; what one number does to all errors is not the plan's fault.
-    assert np.ptp(np.log(ratio)) < np.log(1.6)
+    # The plan knows the instrument's noise only. What the model lacks comes on top, in much the same proportion.
+    assert np.median(ratio) > 1.0
+    assert np.mean(np.abs(np.log(ratio / np.median(ratio))) < np.log(2)) > 0.9
 
 
 def test_what_cannot_be_known_is_said(poses: Plan, tmp_path: Path) -> None:
