@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -25,7 +25,8 @@ from clampid.diagnosis.stage import StageDiagnosis
 from clampid.effect import EffectError
 from clampid.identify import identify
 from clampid.model import Model
-from experiments.campaign import Campaign, Instrument, Tool
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, Measured, measure
 from kinematics.description import load_robot
 
@@ -63,10 +64,12 @@ class Case:
 
 CASES: tuple[Case, ...] = (
     Case("nonlinear_stiffness", "nonlinear_stiffness", ("nonlinear_stiffness@{place}",)),
+    Case("soft_near_zero", "nonlinear_stiffness", ("soft_near_zero@{place}",)),
     Case("hysteresis", "hysteresis", ("hysteresis@{place}",)),
     Case("cross_coupled_stiffness", "cross_coupled_stiffness", ("cross_coupled_stiffness@{place}",)),
     Case("fixture_compliance", "fixture_compliance", ("fixture_compliance",)),
-    Case("fixture_compliance", "fixture_compliance", ("fixture_compliance",), watched=True),
+    Case("fixture_compliance", "fixture_compliance", ("watched_fixture",), watched=True),
+    Case("fixture_shift", "fixture_compliance", ("watched_fixture",), watched=True),
 )
 
 
@@ -95,23 +98,13 @@ class Outcome:
 
 
 def campaign_of(measured: Measured, watched: bool) -> Campaign:
-    """A measured campaign without a folder, the fixture's sensor taken off where nobody watched."""
-    header = measured.header
-    tables = dict(measured.tables)
-    if not watched:
-        clamped = tables["clamped"]
-        tables["clamped"] = clamped.drop(columns=[c for c in clamped.columns if c.startswith("fixture_")])
-    return Campaign(
-        name="benchmark",
-        path=None,
-        robot=load_robot("kuka_kr20_r1810"),
-        gravity=np.array(header["gravity_m_s2"]),
-        tool=Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"])),
-        targets={},
-        instrument=Instrument("virtual", header["instrument"]["position_std_m"], None),
-        tables=tables,
-        fingerprint="0" * 64,
-    )
+    """A measured campaign, the fixture's sensor taken off where nobody watched."""
+    campaign = measured_campaign(measured, load_robot("kuka_kr20_r1810"))
+    if watched:
+        return campaign
+    clamped = campaign.tables["clamped"]
+    kept = clamped.drop(columns=[c for c in clamped.columns if c.startswith("fixture_")])
+    return replace(campaign, tables={**campaign.tables, "clamped": kept})
 
 
 def springs_off(model: Model, measured: Measured) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Hides every effect of the virtual robot at several sizes, and counts what diagnosis calls it.
 
     python benchmarks/hidden_effects.py OUT [--seeds 10] [--sizes 0.4,0.8,1.6] [--families base_tilt,…]
-        [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--kinds single,several,outside,clean]
+        [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--kinds single,several,outside,clean] [--no-best]
+        [--report]
 
 Sizes are the rms of what the start model leaves of the effect, in units of the noise (`hidden_cases.py`). Prints how
 often the first name is right, the rate of false alarms where nothing is hidden, how often an effect outside the
@@ -87,12 +88,13 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=200)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--no-best", dest="best", action="store_false", help="do not fit the true effects")
+    parser.add_argument("--report", action="store_true", help="run nothing, report on all that OUT holds")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "results.jsonl"
     results = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-    wanted = list(jobs(options))
-    keys = {job.key for job in wanted}
+    wanted = [] if options.report else list(jobs(options))
+    keys = {job.key for job in wanted} or {r["key"] for r in results}
     done = {r["key"] for r in results}
     with file.open("a") as out, ProcessPoolExecutor(options.workers) as pool:
         running = {pool.submit(job.run): job for job in wanted if job.key not in done}

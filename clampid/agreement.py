@@ -20,7 +20,7 @@ from clampid.slots import Slot
 
 __all__ = ["Agreement", "agreement_of", "shared_drives"]
 
-SHARED = ("joint_compliance", "backlash", "nonlinear_stiffness", "cross_coupled_stiffness")
+SHARED = ("joint_compliance", "backlash", "nonlinear_stiffness", "soft_near_zero", "cross_coupled_stiffness")
 """Effects of the drives, which act with the same parameters in clamped sweeps and in poses."""
 LEVEL = 0.05  # chance that any joint of drives that do agree is called different
 

@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 
 __all__ = [
+    "across_rows",
     "along",
     "at_link",
     "at_place",
@@ -101,6 +102,13 @@ def cross_rows(a: Any, b: Any) -> Any:
         a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
         a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
     )
+
+
+def across_rows(vectors: Any, axes: Any) -> Any:
+    """The rows of ``(n, 3)`` less their parts along the rows of ``axes`` ``(n, 3)``; whole where an axis is zero."""
+    length = ca.sum2(axes**2)
+    share = ca.sum2(vectors * axes) / ca.if_else(length > 0, length, 1)
+    return vectors - ca.horzcat(*(share * axes[:, k] for k in range(3)))
 
 
 def norms(vectors: Any) -> Any:

@@ -9,9 +9,12 @@ from typing import Any
 
 from clampid.alignment import simpler
 from clampid.compensation import Compensation, compensation_of
+from clampid.diagnosis.next_measurement import NextPoses
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.score import Scored
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
+from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage, fit_stage
 from clampid.identify import TABLES_OF, session_of
 from clampid.model import Model
@@ -91,8 +94,8 @@ def diagnose(
 
 
 def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:
-    fitted = opened.refit(stage)
     rows = opened.rows(stage)
+    fitted = opened.refit(stage, rows)
     before = {s: m for s, m in opened.stages.items() if s != stage}
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
@@ -100,7 +103,14 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
         return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
-    found = diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips)
+
+    def propose(estimate: Estimate, rivals: Sequence[Scored], scale: float) -> NextPoses | None:
+        from clampid.diagnosis.next_poses import next_poses  # brings collision checking along, which few need
+
+        return next_poses(opened.campaign, estimate, rivals, scale, seed)
+
+    asked = propose if stage == "poses" else None
+    found = diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips, asked)
     if stage == "poses" and found.added and found.fitted is not None:
         ends = [_alone(opened, end) for end in (fitted, found.fitted)]
         found.exported_shift = exported_shift(ends[0], ends[1], opened.campaign.robot)

@@ -218,9 +218,12 @@ def _told_by_the_others(best: _Joint, union: _Union, weights: Array, k: int, tri
     """What all rows but those of stage ``k`` say of its slots, and the description."""
     others = weights.copy()
     others[k] = 0.0
-    A, g = best.weighted(others)
+    A, _ = best.weighted(others)
     covariance = inverse_of(A + union.precision)
-    mean = best.theta + covariance @ (g - union.precision @ (best.theta - union.mean))
+    # At the solution the rest, prior and bounds pull just as hard as the stage's own rows, the other way.
+    pull = np.zeros(len(best.theta))
+    pull[best.columns[k]] = -weights[k] * best.points[k].normal()[1]
+    mean = best.theta + covariance @ pull
     chosen = [i for i, slot in enumerate(trial.slots) if is_shared(trial.effects[slot.effect])]
     here = best.columns[k][chosen]
     return Prior(tuple(trial.slots[i] for i in chosen), mean[here], covariance[np.ix_(here, here)])

@@ -71,12 +71,13 @@ class Reopened:
             return ()
         return (kept[self.session],) if len(kept) > self.session else ()
 
-    def refit(self, stage: Stage) -> FittedStage:
-        """Fit the stage's active effects to this campaign, from the model's values."""
+    def refit(self, stage: Stage, rows: Rows | None = None) -> FittedStage:
+        """Fit the stage's active effects to this campaign (or its rows already read), from the model's values."""
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
+        rows = self.rows(stage) if rows is None else rows
         start, held = model.values(), self.held(stage)
-        return fit_stage(self.rows(stage), self.effects, model.terms, before, start, held, model.told)
+        return fit_stage(rows, self.effects, model.terms, before, start, held, model.told)
 
 
 def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -> Reopened:

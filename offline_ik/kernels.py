@@ -198,7 +198,7 @@ def locate_kernel(
     start, told = _nearest(ortho, mount, np.asarray(arm.robot.linkage), R, p, near, lower, upper)
     direction = ca.if_else(moved > 0.5, ca.sign(start - near), conditions[:n])
     given = ca.vertcat(direction, conditions[n:])
-    q, error = _iterated(arm, mount, start, R, p, given, CHORDS)[:2]
+    q, error = _iterated(arm, mount, start, R, p, given, CHORDS + 1)[:2]
     motor = ca.DM(np.linalg.inv(np.asarray(arm.robot.transmission)).T) @ q
     # The derivatives as a function of their own: what they need of the posture is its end, not how it was found.
     at, there = ca.SX.sym("q", n), ca.SX.sym("c", 3 * n + 1)
@@ -211,7 +211,7 @@ def locate_kernel(
     J = ca.vertcat(towards @ J[:3, :], towards @ J[3:, :])
     unknown = 0.5 * (direction == 0)
     half = ca.vertcat(towards @ spread[:3, :], towards @ spread[3:, :]) * ca.repmat(unknown.T, 6, 1)
-    ok = ca.mmax(ca.fabs(error)) <= CONVERGED
+    ok = ca.mmax(ca.fabs(error)) <= 0.1 * CONVERGED  # as the solver has it: what is left goes to its searches
     for i in range(n):
         ok = ca.logic_and(ok, ca.logic_and(q[i] >= float(lower[i]), q[i] <= float(upper[i])))
     branch = ca.if_else(ok, told[0], -1)

@@ -102,13 +102,18 @@ class Loads:
         phi[-4:] += self.tool
         return regressor @ ca.DM(phi)
 
-    def _moment(self, i: int) -> Any:
-        """Moment regressor at joint i's point, in the axes of the link before it ``(3, 4n)``."""
+    def _carried(self, i: int) -> Any:
+        """Moment regressor at joint i's point, in the base's axes ``(3, 4n)``."""
         R, p = self.frames[i]
-        return R.T @ self._about(R @ ca.DM(self.points[i]) + p, i)
+        return self._about(R @ ca.DM(self.points[i]) + p, i)
+
+    def _moment(self, i: int) -> Any:
+        """The same in the axes of the link before the joint."""
+        return self.frames[i][0].T @ self._carried(i)
 
     def _transverse(self, i: int) -> Any:
-        local, axis = self._moment(i), ca.DM(self.robot.joints[i].axis)
+        """The part across the joint's axis, in the axes of the link behind it."""
+        local, axis = self.frames[i + 1][0].T @ self._carried(i), ca.DM(self.robot.joints[i].axis)
         return local - axis @ (axis.T @ local)
 
     def _force(self, i: int) -> Any:

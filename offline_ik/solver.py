@@ -132,15 +132,16 @@ class Solver:
         # The kernel's error is exact only for small rotations: what it calls solved it must have solved nearly.
         left = ~(np.abs(error).max(axis=1) <= 0.1 * CONVERGED)
         if left.sum() >= MANY:  # most of them only want a few steps more
+            at = q.copy()  # a search that follows starts from the first end, not from where these stray
             for _ in range(ROUNDS):
                 rows = np.flatnonzero(left)
                 if not len(rows):
                     break
-                further = self.further.many(R[rows], p[rows], q[rows], signs[rows], given[rows])
+                further = self.further.many(R[rows], p[rows], at[rows], signs[rows], given[rows])
                 ok = np.abs(further[1]).max(axis=1) <= 0.1 * CONVERGED
                 ok &= np.abs(further[0] - near[rows]).max(axis=1) < np.pi + 0.1
-                sane = ok | (np.abs(further[0] - q[rows]).max(axis=1) < 1.0)  # else it has left for nowhere
-                q[rows[sane]], error[rows[ok]], pressing[rows[ok]] = further[0][sane], further[1][ok], further[2][ok]
+                at[rows] = further[0]
+                q[rows[ok]], error[rows[ok]], pressing[rows[ok]] = (v[ok] for v in further)
                 left[rows[ok]] = False
         if left.any():
             rows = np.flatnonzero(left)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
@@ -10,7 +10,41 @@ from scipy import sparse
 from clampid.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Columns", "Products", "channel_starts", "columns_from"]
+__all__ = ["Columns", "Products", "Sums", "channel_starts", "columns_from"]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Weighted sums over groups of entries, such as what each unit adds to a product with the residual.
+
+    Attributes
+    ----------
+    matrix
+        ``(groups, M)``, an entry in each column.
+    pieces
+        Parts of it for some of the entries: hundreds of candidates ask for the same few.
+    """
+
+    matrix: sparse.csc_matrix
+    pieces: dict[tuple[int, int], sparse.csr_matrix] = field(default_factory=dict)
+
+    @staticmethod
+    def of(group: Integers, weights: Array) -> Sums:
+        """Sums with weights ``(M,)`` over the entries of each group ``(M,)``, numbered from 0."""
+        shape = (int(group.max(initial=-1)) + 1, len(group))
+        return Sums(sparse.csc_matrix((weights, (group, np.arange(len(group)))), shape=shape))
+
+    @property
+    def groups(self) -> int:
+        """How many groups there are."""
+        return int(self.matrix.shape[0])
+
+    def over(self, start: int, stop: int) -> sparse.csr_matrix:
+        """``(groups, stop - start)``: of the entries from start to stop alone."""
+        key = (start, stop)
+        if key not in self.pieces:
+            self.pieces[key] = self.matrix[:, start:stop].tocsr()
+        return self.pieces[key]
 
 
 @dataclass(frozen=True)
@@ -51,11 +85,11 @@ class Columns:
                 out += block.T @ theirs[start]
         return out
 
-    def summed(self, by_unit: sparse.csc_matrix) -> Array:
-        """``(units, k)``: ``by_unit @ D`` for a sparse ``(units, M…)``."""
-        out = np.zeros((by_unit.shape[0], self.width))
+    def summed(self, sums: Sums) -> Array:
+        """``(groups, k)``: weighted sums of the columns over groups of entries."""
+        out = np.zeros((sums.groups, self.width))
         for start, block in self.pieces:
-            out += by_unit[:, start : start + len(block)] @ block
+            out += sums.over(start, start + len(block)) @ block
         return out
 
     def dense(self, entries: int) -> Array:
@@ -123,9 +157,9 @@ class Products:
         """``(k, k')``: D' D'."""
         return self.times(other.dense(len(self.entry)))
 
-    def summed(self, by_unit: sparse.csc_matrix) -> Array:
-        """``(units, k)``: ``by_unit @ D`` for a sparse ``(units, M…)``."""
-        count, used = self.functions.shape[1], by_unit[:, : len(self.entry)]
+    def summed(self, sums: Sums) -> Array:
+        """``(groups, k)``: weighted sums of the columns over groups of entries."""
+        count, used = self.functions.shape[1], sums.over(0, len(self.entry))
         parts = []
         for F, lever in zip(self.functions, self.lever.T, strict=True):
             to_row = sparse.csr_matrix(

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 
 from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.columns import Sums
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Scored, Space, explained_by
 from clampid.fit import Estimate
@@ -41,9 +41,8 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
     names = np.unique(fold)
     part_of = np.random.default_rng(seed).permutation(len(names)) % FOLDS
     part = np.r_[part_of[np.searchsorted(names, fold)], np.full(len(space.residual) - len(fold), -1)]
-    shape = (FOLDS + 1, len(part))
-    by_part = sparse.csc_matrix((space.residual, (part + 1, np.arange(len(part)))), shape=shape)
-    absorbed = by_part @ space.basis
+    by_part = Sums.of(part + 1, space.residual)
+    absorbed = by_part.over(0, len(part)) @ space.basis
     amplitudes = [(s.candidate.columns.summed(by_part) - absorbed @ s.absorbed) @ s.weights for s in able]
     again = 0
     for k in range(FOLDS):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.effect import Effect
@@ -14,10 +15,9 @@ from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers
 from kinematics.description import RobotDescription
 
-__all__ = ["ABLE", "CONFUSABLE", "RATE", "SAME", "Look", "look_at", "rivals_of"]
+__all__ = ["ABLE", "CONFUSABLE", "RATE", "Look", "look_at", "rivals_of"]
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
-SAME = 20.0  # explained beyond another candidate less than this: these data cannot tell the two apart
 CONFUSABLE = 0.8
 STANDS_IN = 0.9
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
@@ -33,33 +33,34 @@ class Look:
     free: list[Scored]
     named_null: Flips
     free_null: Flips
-    best: Scored | None
     probe: Scored | None
     folds: Integers
+
+    def best(self, rejected: Collection[str] = ()) -> Scored | None:
+        """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
+        best = _best([s for s in self.named if s.candidate.label not in rejected])
+        return best if best is not None and self.named_null.p_familywise(best.log_p) <= RATE else None
 
     @property
     def fires(self) -> bool:
         """Whether the best probe stands out of its null."""
         return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
 
-    @property
-    def stands_in(self) -> bool:
-        """Whether the best name explains so much less than a probe that it only stands in for something else."""
-        if not self.fires or self.best is None or self.probe is None:
+    def only_stands_in(self, best: Scored) -> bool:
+        """Whether a name explains so much less than a probe that it only stands in for something else."""
+        if not self.fires or self.probe is None:
             return False
-        less = self.probe.bic - self.best.bic > SAME
-        return less and self.best.explained < STANDS_IN * self.probe.explained
+        less = self.probe.bic - best.bic > SAME
+        return less and best.explained < STANDS_IN * self.probe.explained
 
 
-def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, rejected: set[str]) -> Look:
+def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int) -> Look:
     """Score both dictionaries on what a fit leaves, with their nulls.
 
     Parameters
     ----------
     flips, seed
         How many sign flips make a null, and their stream; the probes' is the next one.
-    rejected
-        Labels of candidates that have failed on held-out rows, and are not the best of any further look.
     """
     space = space_of(estimate)
     free = score(space, probes(estimate))
@@ -67,15 +68,10 @@ def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: in
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
     named = score(space, named_candidates(estimate, effects, fired))
     named_null = flip_maxima(space, named, flips, seed)
-    named = [
-        s if _plausible(s, effects, estimate.experiment.rows.robot, space.scale) else replace(s, state="implausible")
-        for s in named
-    ]
-    best = _best([s for s in named if s.candidate.label not in rejected])
-    if best is not None and named_null.p_familywise(best.log_p) > RATE:
-        best = None
+    robot = estimate.experiment.rows.robot
+    named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     folds = estimate.experiment.rows.fold[estimate.whitened.entry]
-    return Look(space, named, free, named_null, free_null, best, _best(free), folds)
+    return Look(space, named, free, named_null, free_null, _best(free), folds)
 
 
 def _best(scored: Sequence[Scored]) -> Scored | None:
@@ -95,7 +91,7 @@ def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription
     return True
 
 
-def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: set[str]) -> list[Scored]:
+def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
     """Other effects, or other places, that explain as well what the best one does."""
     found: dict[tuple[str, tuple[str, ...]], Scored] = {}
     mine = set(best.candidate.terms)
@@ -111,6 +107,8 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: set
             continue
         if other.candidate.name == best.candidate.name and (theirs & mine):
             continue
+        if other.candidate.family == best.candidate.family and other.candidate.places == best.candidate.places:
+            continue  # variants of one effect at one place are one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
         if other.candidate.prior is not None and other.bic < best.bic - SAME:

@@ -8,12 +8,14 @@ and on what it depends.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns, Products, channel_starts, columns_from
 from clampid.fit import Estimate
+from clampid.noise import Whitened
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
 
@@ -72,49 +74,71 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
     found: list[Candidate | None] = []
+    levers = _whitened(estimate, sensitivity[:, :width, offsets["joint_angle"]])
+    common = _by_other_joints(rows)
     for j in range(n):
-        unit = sensitivity[:, :width, offsets["joint_angle"].start + j]
-        q, d, load = s["q"][:, j], s["direction"][:, j], s["gravity_torque"][:, j]
+        q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
         own: list[Covariate] = [
             (f"harmonics of q{j + 1}", (f"q{j + 1}",), _harmonics(q, HARMONICS)),
-            (f"q{j + 1} times dir{j + 1}", (f"q{j + 1}", f"dir{j + 1}"), np.column_stack([_scaled(q) * d])),
-            (
-                f"load of joint {j + 1}",
-                (f"tau{j + 1}",),
-                np.column_stack([_scaled(load), _scaled(load) ** 2, _scaled(load) ** 3]),
-            ),
+            (f"load of joint {j + 1}", (f"tau{j + 1}",), np.column_stack([load, load**2, load**3])),
             ("time", ("time",), slow),
         ]
-        for k in range(n):
-            if k != j:
-                own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], 1)))
-            own.append((f"dir{k + 1}", (f"dir{k + 1}",), s["direction"][:, k, None]))
         for kind in ("link", "motor"):
-            own.append(
-                (f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), _scaled(s[f"{kind}_temperature"][:, j])[:, None])
-            )
-        found += [
-            _probe(estimate, f"joint{j + 1}", what, variables, unit[:, :, None] * x[:, None, :])
-            for what, variables, x in own
-        ]
+            warm = _scaled(s[f"{kind}_temperature"][:, j])
+            own.append((f"temp_{kind}{j + 1}", (f"temp_{kind}{j + 1}",), warm[:, None]))
+        own += [c for c in common if c[1] != (f"q{j + 1}",)]
+        found += [_at(levers, [j], f"joint{j + 1}", what, variables, x) for what, variables, x in own]
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
     for name, start in frames:
-        frame = sensitivity[:, :width, start : start + 6]
-        found.append(_probe(estimate, name, "time", ("time",), frame * elapsed[:, None, None]))
+        frame = _whitened(estimate, sensitivity[:, :width, start : start + 6])
+        found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
-        found.append(_probe(estimate, name, f"temp_link{link}", (f"temp_link{link}",), frame * warm[:, None, None]))
+        found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
     place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
     for k, axis in enumerate("xyz"):
         columns = np.zeros((len(rows), width, 3))
         columns[:, np.arange(3), np.arange(3)] = place[:, k, None]
         found.append(_probe(estimate, "instrument", f"position along {axis}", (axis,), columns))
-    found.append(_periodic(estimate, sensitivity[:, :width, offsets["joint_angle"]]))
+    found.append(_periodic(rows, levers))
     return [p for p in found if p is not None]
 
 
-def _periodic(estimate: Estimate, unit: Array) -> Candidate | None:
+def _by_other_joints(rows: Rows) -> list[Covariate]:
+    """What any joint's error is held against, its own angle's harmonics apart: other angles, directions, products."""
+    s, n = rows.signals, rows.robot.n
+    waves = [_harmonics(s["q"][:, k], 2) for k in range(n)]
+    out: list[Covariate] = []
+    for k in range(n):
+        q, d, name = s["q"][:, k], s["direction"][:, k], k + 1
+        out.append((f"harmonics of q{name}", (f"q{name}",), waves[k][:, :2]))
+        out.append((f"dir{name}", (f"dir{name}",), d[:, None]))
+        out.append((f"q{name} times dir{name}", (f"q{name}", f"dir{name}"), (_scaled(q) * d)[:, None]))
+        for i in range(k):
+            both = (waves[i][:, :, None] * waves[k][:, None, :]).reshape(len(rows), -1)
+            out.append((f"products of q{i + 1} and q{name}", (f"q{i + 1}", f"q{name}"), both))
+    return out
+
+
+def _whitened(estimate: Estimate, unit: Array) -> Whitened:
+    """What a unit at each of some places ``(N, m, k)`` does to the measurement, whitened ``(M, k)``."""
+    return estimate.noise.whiten(estimate.experiment.rows, np.zeros(unit.shape[:2]), unit)
+
+
+def _at(
+    levers: Whitened, chosen: Sequence[int], place: str, what: str, variables: Sequence[str], x: Array
+) -> Candidate | None:
+    """A pose probe: levers at a place, times functions of the row ``(N, f)``; positions and rotations are white."""
+    lever = levers.jacobian[:, list(chosen)]
+    if not np.any(lever) or not np.any(x):
+        return None
+    columns = (lever[:, :, None] * x[levers.entry][:, None, :]).reshape(len(lever), -1)
+    kept = columns_from(replace(levers, jacobian=columns), list(range(columns.shape[1])))
+    return Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
+
+
+def _periodic(rows: Rows, white: Whitened) -> Candidate | None:
     """Errors of all joint angles, each any periodic function of its own joint, down to a few degrees' width.
 
     All joints at once: one alone would take for its own what the others leave, and find nothing clear. Their many
@@ -122,11 +146,9 @@ def _periodic(estimate: Estimate, unit: Array) -> Candidate | None:
 
     Parameters
     ----------
-    unit
-        ``(N, m, n)``: what a unit of each joint's angle does to the measurement.
+    white
+        ``(M, n)``: what a unit of each joint's angle does to the measurement, whitened.
     """
-    rows = estimate.experiment.rows
-    white = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
     seen = np.any(white.jacobian, axis=0)
     if not seen.any():
         return None

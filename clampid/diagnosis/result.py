@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from clampid.diagnosis.next_measurement import NextPoses
 from clampid.effect import Stage
 from clampid.fitted_stage import FittedStage
 from clampid.slots import Term
@@ -30,12 +31,21 @@ class StageDiagnosis:
     shape: dict[str, Any] | None = None
     outliers: list[dict[str, Any]] = field(default_factory=list)
     next_measurement: str | None = None
+    next_poses: NextPoses | None = None
     omission: list[dict[str, Any]] = field(default_factory=list)
     exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
     added: list[Term] = field(default_factory=list)
     fitted: FittedStage | None = None
+
+    def ask_for(self, proposed: NextPoses | None) -> None:
+        """Set down which poses part the candidates, before what else would, or that none do."""
+        if proposed is None:
+            return
+        self.next_poses = proposed
+        otherwise = "" if proposed.helps else f"; {self.next_measurement}"
+        self.next_measurement = proposed.sentence + otherwise
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -51,6 +61,7 @@ class StageDiagnosis:
             "shape": self.shape,
             "outliers": self.outliers,
             "next_measurement": self.next_measurement,
+            "next_poses": None if self.next_poses is None else self.next_poses.to_json(),
             "omission": self.omission,
             "exported_shift": self.exported_shift,
             "testability": self.testability,

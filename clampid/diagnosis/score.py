@@ -2,21 +2,25 @@
 
 Residual and columns are whitened; the columns are projected off the span of the active parameters' Jacobian (prior rows
 included), so that what the model could take up is not evidence. No candidate is refitted. The null is a sign flip of
-the
-residual by pose or block: the maximum of -ln p over the whole dictionary (Westfall-Young) controls false alarms over
-everything that was looked at. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
+the residual by pose or block: the maximum of -ln p over the whole dictionary (Westfall-Young) controls false alarms
+over everything that was looked at. So that one candidate's p means what another's does, each is read off the moments
+that its own flips have: entries of a unit share noise that the scale of single entries does not know, and of a
+candidate with hundreds of columns plain chi-square tails are then so far off that its flips alone would set the
+maximum. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy import linalg, sparse, stats
-from scipy.special import gammaln
+from scipy import linalg
+from scipy.special import gammainc, gammaincc, gammaln
 
 from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.fit import Estimate
 from clampid.stages.rows import Array, Integers
@@ -29,6 +33,7 @@ __all__ = [
     "explained_by",
     "explained_together",
     "flip_maxima",
+    "flip_moments",
     "log_tail",
     "score",
     "space_of",
@@ -66,6 +71,17 @@ class Space:
     freedom: int
     rows: int
 
+    @cached_property
+    def by_unit(self) -> Sums:
+        """Each unit's share of a column's product with the residual, U units."""
+        _, unit = np.unique(self.unit, return_inverse=True)
+        return Sums.of(unit, self.residual)
+
+    @cached_property
+    def basis_by_unit(self) -> Array:
+        """``(U, r)``: the same of the basis."""
+        return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
+
 
 @dataclass(frozen=True)
 class Scored:
@@ -77,8 +93,10 @@ class Scored:
         ``(r, k)``: Q'D.
     weights
         ``(k, f)``: Z times these is orthonormal.
+    parts
+        ``(U, f)``: what each unit adds to the residual's components in these directions; flips turn their signs.
     amplitude
-        ``(f,)``: the residual's components in these directions.
+        ``(f,)``: these components.
     kept
         ``(f,)``: the share of each that its prior lets it take, 1 without a prior.
     cost
@@ -87,7 +105,7 @@ class Scored:
     explained
         Sum of squares that it explains, in units of the residual's variance.
     log_p
-        Natural logarithm of the asymptotic p-value.
+        Natural logarithm of the p-value by the moments of its flips.
     bic
         Score-BIC: explained less cost; the larger the better.
     retained
@@ -95,12 +113,14 @@ class Scored:
     state
         ``absent``, ``absorbed``, ``weak``, ``testable``, or ``implausible``: of a size or sign that cannot be.
     unit_limit
-        ``(k,)``: the residual's scale over each projected column's length, parameter units.
+        ``(k,)``: the residual's scale, as the candidate's flips have it, over each projected column's length,
+        parameter units.
     """
 
     candidate: Candidate
     absorbed: Array
     weights: Array
+    parts: Array
     amplitude: Array
     kept: Array
     cost: float
@@ -132,14 +152,28 @@ def explained_by(s: Scored, amplitude: Array, scale: float) -> Array:
     return np.asarray(np.sum(s.kept * amplitude**2, axis=-1) / scale**2)
 
 
-def tail_of(kept: Array, explained: Array | float) -> Array:
-    """Natural logarithm of the chance to explain so much where nothing is missing.
+def flip_moments(parts: Array, kept: Array, scale: float) -> tuple[float, float]:
+    """Mean and variance of what a candidate explains over all sign flips of the units.
 
-    A weighted sum of chi-squares by the one chi-square with its mean and variance (Satterthwaite); exact where all
-    weights are 1.
+    With p_u a unit's part, the sum over directions of k (sum_u s_u p_u)^2 has the mean sum_u p_u' K p_u and the
+    variance 2 (|B|^2 - sum_u (p_u' K p_u)^2), B the sum of K^1/2 p_u p_u' K^1/2. No flip changes either.
     """
-    mean, square = float(kept.sum()), float(kept @ kept)
-    return log_tail(np.asarray(explained) * (mean / square), mean**2 / square)
+    weighted = parts * (np.sqrt(kept) / scale)
+    gram = weighted.T @ weighted
+    own = np.sum(weighted**2, axis=1)
+    return float(own.sum()), 2.0 * float(np.sum(gram**2) - own @ own)
+
+
+def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
+    """Natural logarithm of the chance to explain so much where nothing is missing, given its mean and variance.
+
+    By the multiple of a chi-square with these moments. Source: Satterthwaite, An approximate distribution of estimates
+    of variance components, Biometrics Bulletin 2, 1946.
+    """
+    mean, variance = moments
+    if variance <= 1e-9 * mean**2:  # one unit holds it all: no flip changes anything
+        return np.zeros_like(np.asarray(explained, dtype=float))
+    return log_tail(np.asarray(explained) * (2.0 * mean / variance), 2.0 * mean**2 / variance)
 
 
 def space_of(estimate: Estimate) -> Space:
@@ -168,9 +202,10 @@ def space_of(estimate: Estimate) -> Space:
 def log_tail(x: Array | float, freedom: float) -> Array:
     """Natural logarithm of the chi-square tail, also where the tail itself is too small for a number."""
     value = np.asarray(x, dtype=float)
-    half = np.maximum(value, 1e-300) / 2.0
+    half = np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
     far = (freedom / 2.0 - 1.0) * np.log(half) - half - float(gammaln(freedom / 2.0))  # leading term of its expansion
-    near = stats.chi2.logsf(np.minimum(value, FAR), freedom)
+    a, x_near = freedom / 2.0, np.minimum(value, FAR) / 2.0
+    near = np.where(x_near < a, np.log1p(-gammainc(a, np.minimum(x_near, a))), np.log(gammaincc(a, x_near)))
     return np.asarray(np.where(value > FAR, far, near))
 
 
@@ -192,7 +227,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
 
     def nothing(retained: float, state: str) -> Scored:
         zero = np.zeros(0)
-        return Scored(c, absorbed, none, zero, zero, 0.0, 0.0, 0.0, -np.inf, retained, state, unit_limit)
+        return Scored(c, absorbed, none, none, zero, zero, 0.0, 0.0, 0.0, -np.inf, retained, state, unit_limit)
 
     if not seen.any():
         return nothing(0.0, "absent")
@@ -209,24 +244,27 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         return nothing(retained, "absorbed")
     values = values[keep]
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
-    amplitude = weights.T @ c.columns.times(space.residual)
+    parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
+    amplitude = parts.sum(axis=0)
     kept, cost = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2)))
     if c.prior is not None:
         kept, cost = values / (1.0 + values), float(np.sum(np.log1p(values)))
     explained = float(kept @ amplitude**2) / space.scale**2
+    moments = flip_moments(parts, kept, space.scale)
     return Scored(
         candidate=c,
         absorbed=absorbed,
         weights=weights,
+        parts=parts,
         amplitude=amplitude,
         kept=kept,
         cost=cost,
         explained=explained,
-        log_p=float(tail_of(kept, explained)),
+        log_p=float(tail_of(moments, explained)),
         bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK else "testable",
-        unit_limit=unit_limit,
+        unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
     )
 
 
@@ -280,17 +318,9 @@ def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -
     chosen = [s for s in scored if s.freedom]
     if not chosen:
         return Flips(np.zeros(flips))
-    _, unit = np.unique(space.unit, return_inverse=True)
-    units = int(unit.max()) + 1
-    shape = (units, len(unit))
-    by_unit = sparse.csc_matrix((space.residual, (unit, np.arange(len(unit)))), shape=shape)
-    absorbed = by_unit @ space.basis
-    parts = np.hstack([(s.candidate.columns.summed(by_unit) - absorbed @ s.absorbed) @ s.weights for s in chosen])
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(flips, units))
-    amplitude = signs @ parts
-    maxima, start = np.zeros(flips), 0
-    for s in chosen:
-        explained = explained_by(s, amplitude[:, start : start + s.freedom], space.scale)
-        start += s.freedom
-        maxima = np.maximum(maxima, -tail_of(s.kept, explained))
-    return Flips(maxima)
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(flips, len(chosen[0].parts)))
+    amplitude = signs @ np.hstack([s.parts for s in chosen])
+    kept, starts = np.concatenate([s.kept for s in chosen]), np.cumsum([0, *(s.freedom for s in chosen[:-1])])
+    explained = np.add.reduceat(amplitude**2 * kept, starts, axis=1) / space.scale**2
+    tails = [tail_of(flip_moments(s.parts, s.kept, space.scale), x) for s, x in zip(chosen, explained.T, strict=True)]
+    return Flips(-np.min(tails, axis=0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from clampid.accuracy import noise_floor
@@ -16,6 +16,7 @@ from clampid.diagnosis.entries import (
     with_stand_ins,
 )
 from clampid.diagnosis.look import Look, look_at, rivals_of
+from clampid.diagnosis.next_measurement import NextPoses
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
@@ -35,6 +36,8 @@ STABLE = 0.6
 FAR_OFF = 2.0  # noise floors: so much is not noise, even if the instrument's maker was an optimist
 ROUNDS = 8
 
+Propose = Callable[[Estimate, Sequence[Scored], float], NextPoses | None]
+
 
 def diagnose_stage(
     fitted: FittedStage,
@@ -43,6 +46,7 @@ def diagnose_stage(
     verification: Rows | None,
     seed: int,
     flips: int,
+    propose: Propose | None = None,
 ) -> StageDiagnosis:
     """Diagnose one fitted stage.
 
@@ -50,6 +54,8 @@ def diagnose_stage(
     ----------
     refit
         Fits the stage with other terms, from an earlier fit's values and given start values.
+    propose
+        Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
     """
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
@@ -61,18 +67,17 @@ def diagnose_stage(
     first = fitted.estimate
     rejected: set[str] = set()
     refused: list[dict[str, Any]] = []
-    for number in range(ROUNDS):
-        look = look_at(fitted.estimate, effects, flips, seed + 2 * number, rejected)
-        if number == 0:
-            result.testability = testability_of(look.named, look.named_null, effects)
-            if look.fires and look.probe is not None:
-                result.depends_on = list(look.probe.candidate.depends_on)
-        best = look.best
-        if best is None or look.stands_in:
+    look = look_at(fitted.estimate, effects, flips, seed)
+    result.testability = testability_of(look.named, look.named_null, effects)
+    if look.fires and look.probe is not None:
+        result.depends_on = list(look.probe.candidate.depends_on)
+    for number in range(1, ROUNDS + 1):
+        best = look.best(rejected)
+        if best is None or look.only_stands_in(best):
             break
         rivals = rivals_of(look.space, look.named, best, rejected)
         if rivals:
-            _undecided(result, look, [best, *rivals], effects, held.rms)
+            _undecided(result, look, [best, *rivals], effects, fitted.estimate, propose)
             break
         terms = [*fitted.model.terms, *best.candidate.terms]
         trial = refit(terms, fitted, best.candidate.shapes)
@@ -94,6 +99,7 @@ def diagnose_stage(
         result.verdict = "missing"
         fitted, held = trial, new
         result.after = held.rms
+        look = look_at(fitted.estimate, effects, flips, seed + 2 * number)
     result.considered = refused + considered_of(look.named, look.named_null)
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
@@ -106,14 +112,21 @@ def diagnose_stage(
 
 
 def _undecided(
-    result: StageDiagnosis, look: Look, rivals: Sequence[Scored], effects: dict[str, Effect], before: float
+    result: StageDiagnosis,
+    look: Look,
+    rivals: Sequence[Scored],
+    effects: dict[str, Effect],
+    estimate: Estimate,
+    propose: Propose | None,
 ) -> None:
     """Set down candidates that these rows cannot tell apart, and what would."""
     result.verdict = "ambiguous"
     for s in rivals:
-        entry = entry_of(s, look.named_null, effects, before, None, rivals=rivals)
+        entry = entry_of(s, look.named_null, effects, result.after, None, rivals=rivals)
         result.candidates.append({**entry, "alternative": True})
     result.next_measurement = separating_measurement(s.candidate.family for s in rivals)
+    if propose is not None:
+        result.ask_for(propose(estimate, rivals, look.space.scale))
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:
@@ -126,8 +139,12 @@ def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) 
 
 
 def _something_left(look: Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:
-    """Whether a probe fires, again without a fifth of the rows, and on rows that no fit has seen."""
-    if not look.fires or look.probe is None or stability(look.space, look.free, look.probe, look.folds, seed) < STABLE:
+    """Whether a probe fires, and brings something on rows that no fit has seen.
+
+    Which probe is first without a fifth of the rows is not asked: of an error of several joints, each part of the rows
+    may show another joint's share best.
+    """
+    if not look.fires or look.probe is None:
         return False
     if verification is None:
         return cross_fitted_p(estimate, look.probe, seed) <= HELD_OUT_RATE

@@ -5,8 +5,9 @@ residual in one linear step along with all active parameters. How fine it is, ha
 The band is simultaneous: with 95 % probability the whole curve lies inside, and not only a point of it. Its width
 follows from the residuals' own scatter from unit to unit (poses, blocks of a log), so that it needs no noise model.
 
-Source of the covariance: White, Econometrica 48, 1980, with units for rows (Liang and Zeger, Biometrika 73, 1986); of
-the band: the maximum of a Gaussian process over the curve, by simulation.
+Source of the covariance: White, Econometrica 48, 1980, with units for rows (Liang and Zeger, Biometrika 73, 1986) and
+MacKinnon and White's jackknife (J. Econometrics 29, 1985); of the band: the maximum of a Gaussian process over the
+curve, by simulation.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ TRIED = 2  # variables; a shape over more of them nobody can look at
 STEPS = 61
 COVERED = 0.95
 DRAWS = 4000
+SINGULAR = 1e-6  # of a direction that only one unit tells
 EDGES = (0.01, 0.99)  # of a variable's values: beyond them hardly a row tells anything
 SECTIONS = (0.1, 0.5, 0.9)  # of the second variable, at which the curve over the first is drawn
 
@@ -120,7 +122,7 @@ def _fit(estimate: Estimate, space: Space, found: Dependence) -> _Fitted | None:
     best = tried[orders]
     if not best.freedom:
         return None
-    root = best.weights @ _scatter(estimate, space, best)
+    root = best.weights @ _scatter(space, best)
     return _Fitted(orders, modules[orders], best, best.weights @ best.amplitude, root)
 
 
@@ -133,16 +135,25 @@ def _part(whole: Candidate, module: ModuleType) -> Candidate:
     return replace(whole, slots=tuple(whole.slots[k] for k in chosen), columns=columns)
 
 
-def _scatter(estimate: Estimate, space: Space, s: Scored) -> Array:
-    """A root ``(f, f)`` of the covariance of the amplitudes, from how much each unit of rows pulls them."""
-    entries = len(space.residual)
-    directions = (s.candidate.columns.dense(entries) - space.basis @ s.absorbed) @ s.weights
+def _scatter(space: Space, s: Scored) -> Array:
+    """A root ``(f, f)`` of the covariance of the amplitudes, from how much each unit of rows pulls them.
+
+    A unit's residual is taken as it is when the fit does not know that unit (the jackknife), for a fit comes too near
+    to what it was fitted to, the more so where few rows are: r + B (1 - B'B)^-1 B'r with B the unit's rows of all
+    orthonormal directions.
+    """
+    directions = (s.candidate.columns.dense(len(space.residual)) - space.basis @ s.absorbed) @ s.weights
     left = space.residual - directions @ s.amplitude
-    _, unit = np.unique(space.unit, return_inverse=True)
-    pulls = np.zeros((int(unit.max()) + 1, s.freedom))
-    np.add.at(pulls, unit, directions * left[:, None])
-    count = len(np.unique(estimate.experiment.rows.unit))
-    values, vectors = np.linalg.eigh(pulls.T @ pulls * count / max(count - s.freedom, 1))
+    every = np.hstack([space.basis, directions])
+    order = np.argsort(space.unit[: space.rows], kind="stable")  # a prior's pseudo-rows have no scatter
+    edges = np.flatnonzero(np.diff(space.unit[order])) + 1
+    pulls = []
+    for rows in np.split(order, edges):
+        B, r = every[rows], left[rows]
+        K = (1.0 + SINGULAR) * np.eye(B.shape[1]) - B.T @ B
+        alone = r + B @ np.linalg.solve(K, B.T @ r)
+        pulls.append(directions[rows].T @ alone)
+    values, vectors = np.linalg.eigh(np.transpose(pulls) @ np.array(pulls))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 

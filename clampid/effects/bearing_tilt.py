@@ -9,7 +9,7 @@ from clampid.effect import Effect, Parameter
 
 
 def tilt(p: Any, x: Any) -> Any:
-    """W = c M_perp, at the joint, in the link before it."""
+    """W = c M_perp, at the joint, in the link behind it."""
     m = x.transverse_moment
     return before(turning([p.c * m[:, k] for k in range(3)]), x.link_vectors)
 

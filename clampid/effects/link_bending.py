@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from clampid.algebra import columns, cross_rows, norms, turning
+from clampid.algebra import across_rows, columns, cross_rows, norms, turning
 from clampid.effect import Effect, Parameter
 
 
 def bending(p: Any, x: Any) -> Any:
-    """End rotation and shift of a beam under end moment M and end force F across its length L."""
+    """End rotation and shift of a beam under end moment M and end force F across its length L; it does not twist."""
     L = norms(x.link_vectors)
     across = cross_rows(x.link_vectors, x.link_force)  # L e x F
-    M, f = x.link_moment, p.f * L
+    M, f = across_rows(x.link_moment, x.link_vectors), p.f * L
     turned = [f * (M[:, k] + 0.5 * across[:, k]) for k in range(3)]
     lever = columns(*(f * (0.5 * M[:, k] + across[:, k] / 3.0) for k in range(3)))
     shifted = cross_rows(lever, x.link_vectors)
@@ -23,10 +23,10 @@ EFFECT = Effect(
     name="link_bending",
     family="link_bending",
     acts={"link_twist": bending},
-    parameters=(Parameter("f", "1/(N m^2)", 2e-7, "link", (0.0, 1e-6), "flexibility of the link, 1/(E I)"),),
+    parameters=(Parameter("f", "1/(N m^2)", 2e-7, "link", (0.0, 5e-5), "flexibility of the link, 1/(E I)"),),
     needs=("link_force", "link_moment"),
     stages=("poses",),
-    equation="w = (M L + F L^2/2)/(E I), v = (M L^2/2 + F L^3/3)/(E I)",
+    equation="w = (M L + F L^2/2)/(E I), v = (M L^2/2 + F L^3/3)/(E I), M and F across the beam",
     source=("Young1989",),
     tried="places",
 )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
+from clampid.drives import Drives, drives_of
 from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREEN, GREY, INK, ORANGE, Figure
+from clampid.stages.rows import Integers
 
 __all__ = ["loops_figure"]
 
@@ -17,6 +19,8 @@ def loops_figure(data: StageData) -> Figure:
     piece = data.first
     driven, sweep = piece.rows.constants["driven"], piece.rows.constants["run"]
     joints = np.unique(driven).tolist()
+    springs = any(s.effect == "joint_compliance" for s in data.model.slots)
+    drives = drives_of(data.model, piece.rows.robot) if springs else None
     plot = grid(len(joints), [f"joint {j + 1} driven" for j in joints])
     for k, j in enumerate(joints):
         place = place_of(k, len(joints))
@@ -44,6 +48,8 @@ def loops_figure(data: StageData) -> Figure:
                 ),
                 *place,
             )
+            if index == 0 and drives is not None:
+                _mark(plot, place, data, drives, j, rows, show)
             line = {"color": BLUE if not held else GREEN, "width": 1.6}
             plot.add_trace(
                 go.Scatter(
@@ -62,7 +68,42 @@ def loops_figure(data: StageData) -> Figure:
     plot.update_yaxes(zeroline=True, zerolinecolor=INK, zerolinewidth=0.5)
     caption = (
         "Clamped: torque against angle of the motor driven, all sweeps of a joint. The slope is the drive's stiffness, "
-        "the height of the loop twice its friction, the flat stretch in the middle its clearance. Rows right after a "
-        "reversal (light) are not used."
+        "the height of the loop twice its friction, the flat stretch in the middle its clearance. Dashed: spring and "
+        "clearance as identified, without friction, of the first sweep; the band is the clearance; where the clamp "
+        "yields, loops are flatter than the spring. Rows right after a reversal (light) are not used."
     )
     return Figure("loops", plot, caption, 560)
+
+
+def _mark(
+    plot: go.Figure, place: tuple[int, int], data: StageData, drives: Drives, joint: int, rows: Integers, show: bool
+) -> None:
+    """Draw the spring's line, broken by the clearance, of one sweep, and its numbers.
+
+    A joint that is driven alone against the clamp winds its own motor's spring only, also in a coupled wrist: with
+    C = Tᵀ diag(1/k) T, T C⁻¹ e = diag(k) T⁻ᵀ e, so that torque over angle is k.
+    """
+    piece = data.first
+    k, gap, friction = drives.stiffness[joint], drives.gap[joint], drives.friction[joint]
+    gap = max(float(np.nan_to_num(gap)) / abs(float(piece.rows.robot.transmission[joint][joint])), 0.0)
+    used = rows[piece.good[rows, joint]]
+    if not np.isfinite(k) or len(used) < 2:
+        return
+    angle = piece.rows.signals["motor"][:, joint]
+    model = piece.rows.measured[used, joint] - piece.residual[used, joint]
+    bare = model - float(np.nan_to_num(friction)) * piece.rows.signals["motor_motion"][used, joint]
+    middle = float(np.median(angle[used] - bare / k - 0.5 * gap * np.sign(bare)) - angle[rows].mean())
+    reach = np.array([min(bare.min(), 0.0), 0.0, 0.0, max(bare.max(), 0.0)])
+    x = np.degrees(middle + reach / k + 0.5 * gap * np.array([-1.0, -1.0, 1.0, 1.0]))
+    line = {"color": INK, "width": 1.4, "dash": "dash"}
+    plot.add_trace(
+        go.Scatter(
+            x=x, y=reach, mode="lines", line=line, legendgroup="k", name="spring and clearance", showlegend=show
+        ),
+        *place,
+    )
+    plot.add_vrect(x0=x[1], x1=x[2], fillcolor=ORANGE, opacity=0.15, line_width=0, row=place[0], col=place[1])
+    told = f"clearance {np.degrees(gap):.2g}° at the motor" if np.isfinite(drives.gap[joint]) else ""
+    text = f"k = {k:.3g} ± {drives.stiffness_std[joint]:.2g} Nm/rad<br>{told}"
+    where = {"xref": "x domain", "yref": "y domain", "x": 0.02, "y": 0.98, "xanchor": "left", "yanchor": "top"}
+    plot.add_annotation(text=text, showarrow=False, align="left", row=place[0], col=place[1], **where)

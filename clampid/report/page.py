@@ -16,6 +16,7 @@ from clampid.reopen import reopen
 from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section
+from clampid.report.drives import drives_section
 from clampid.report.measured import measured_section
 from clampid.report.origin import origin_section
 from clampid.report.parameters import parameters_section
@@ -59,6 +60,7 @@ def page(
         robot_section(campaign.robot, poses, before) if poses is not None else None,
         budget_section(stages),
         torque_section(stages),
+        drives_section(stages.get("clamped")),
         angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
         parameters_section(model, effects),
         dh_section(model),

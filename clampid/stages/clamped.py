@@ -21,14 +21,16 @@ from clampid.slots import Layout
 from clampid.stages.rows import Array, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
+from experiments.signals import slip_states
 from kinematics.poe import forward, space_jacobian
 
-__all__ = ["clamped_rows", "loop_compliance", "residual"]
+__all__ = ["clamped_rows", "fixture_motion", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
 NEWTON_STEPS, HALVINGS = 60, 12
 SETTLED_STEP = 1e-9  # of the rated torque
+SLIPS = (0.05, 0.15, 0.4)  # of a sweep's amplitude, which an element takes to be wound up: twice that after a reversal
 GAP_SOFTNESS = 0.1  # of a torque's noise, at the joint: how sharply a gap closes
 
 
@@ -71,6 +73,13 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
         mine = run == sweep
         jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
     return rows.measured - predicted, jacobian
+
+
+def fixture_motion(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
+    """Motion ``(N, 6)`` of the clamped flange that the model gives, (w, v) in the base frame about it, rad and m."""
+    shift = rows.constants["wound"] - rows.offset_table(offsets)
+    _, deviations, _ = _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])
+    return np.asarray(deviations.values[:, chain.offsets["fixture"]])
 
 
 def _equilibrium(
@@ -149,7 +158,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     count, sweeps = len(joined), int(sweep.max()) + 1
     reference = np.array([q[sweep == s].mean(axis=0) for s in range(sweeps)])
     rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
-    motion, travel = np.zeros((count, n)), np.zeros((count, n))
+    motion = np.zeros((count, n))
     used, fraction = np.ones((count, n), dtype=bool), np.zeros(count)
     typical = _typical_steps(motor, driven, sweep)
     for s in range(sweeps):
@@ -166,9 +175,9 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             motion[rows, j] = sign
             turned = np.r_[True, sign[1:] != sign[:-1]]
             path = np.cumsum(np.abs(steps[:, j]))
-            travel[rows, j] = path - np.maximum.accumulate(np.where(turned, path, 0.0))
+            travel = path - np.maximum.accumulate(np.where(turned, path, 0.0))
             # Friction builds up again over the first step after a reversal; until then it is not known.
-            used[rows[travel[rows, j] < SETTLED * typical[j]], j] = False
+            used[rows[travel < SETTLED * typical[j]], j] = False
     inverse, wrench = np.zeros((sweeps, n, 6)), np.zeros((sweeps, 6, n))
     for s in range(sweeps):
         chain_q = np.asarray(robot.linkage) @ reference[s]
@@ -184,7 +193,8 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "rest_direction": np.tile(GAP_SOFTNESS * noise / np.abs(np.diag(T)), (count, 1)),
         "wrench_map": wrench[sweep],
         "elapsed": time - time.min(),
-        "travel": travel,
+        "fixture_motion": _watched(joined, sweep),
+        "slip": slip_states(q, _widths(q, driven, sweep), sweep),
         "sweep_fraction": fraction,
         **temperatures(joined, n),
     }
@@ -237,6 +247,26 @@ def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
             out[j] = np.median(moved)
     known = out[np.isfinite(out)]
     return np.where(np.isfinite(out), out, known.min() if len(known) else 1.0)
+
+
+def _watched(table: object, sweep: Integers) -> Array:
+    """Motion ``(N, 6)`` of the flange since its sweep began by the fixture's sensor, (w, v), rad and m; else zeros."""
+    out = np.zeros((len(sweep), 6))
+    axes = [f"fixture_r{a}_rad" for a in "xyz"] + [f"fixture_{a}_m" for a in "xyz"]
+    for k, name in enumerate(axes):
+        if name in table.columns:  # type: ignore[attr-defined]
+            out[:, k] = table[name].to_numpy(float)  # type: ignore[index]
+    _, first = np.unique(sweep, return_index=True)
+    return np.nan_to_num(out - out[first][sweep])
+
+
+def _widths(q: Array, driven: Integers, sweep: Integers) -> Array:
+    """Motions ``(n, 3)``, rad, over which slipping elements are wound up: shares of the joint's usual amplitude."""
+    amplitude = np.ones(q.shape[1])  # a joint that is never driven hardly moves, and slips nowhere
+    for j in np.unique(driven):
+        own = [0.5 * np.ptp(q[sweep == s, j]) for s in np.unique(sweep[driven == j])]
+        amplitude[j] = max(float(np.median(own)), 1e-12)
+    return np.asarray(amplitude[:, None] * np.array(SLIPS))
 
 
 def loop_compliance(rows: Rows) -> Array:

@@ -48,9 +48,8 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     """Moments and forces that the weight puts on the base, on bearings and on links, base axes at the zero pose.
 
     ``base_moment`` ``(N, 3)`` about the base's origin, base frame; ``transverse_moment`` ``(N, n, 3)`` across joint i's
-    axis, in the link before it; ``link_moment``, ``link_force`` ``(N, n, 3)`` at link i's far end, in link i. Each
-    comes
-    with its ``…_regressor``, the derivative by the links' (m, m c), rows flattened.
+    axis, in the link behind it, link i; ``link_moment``, ``link_force`` ``(N, n, 3)`` at link i's far end, in link i.
+    Each comes with its ``…_regressor``, the derivative by the links' (m, m c), rows flattened.
     """
     robot, n = campaign.robot, campaign.robot.n
     G = joint_transforms(robot.screws, q @ np.asarray(robot.linkage).T)  # (N, n + 1, 4, 4)
@@ -83,9 +82,11 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     for i in range(n):
         R, p = G[:, i, :3, :3], G[:, i, :3, 3]
         here = np.einsum("nij,j->ni", R, points[i]) + p
-        local = np.swapaxes(R, 1, 2) @ about(here, i)
+        carried = about(here, i)
+        local = np.swapaxes(R, 1, 2) @ carried
         axis = robot.joints[i].axis
-        transverse[:, i] = local - axis[:, None] * np.einsum("j,njk->nk", axis, local)[:, None, :]
+        behind = np.swapaxes(G[:, i + 1, :3, :3], 1, 2) @ carried
+        transverse[:, i] = behind - axis[:, None] * np.einsum("j,njk->nk", axis, behind)[:, None, :]
         if i > 0:  # what joint i+1 carries is what link i's far end carries
             moment[:, i - 1] = local
             force[:, i - 1, :, 4 * i :: 4] = np.einsum("nji,j->ni", R, g)[:, :, None]

@@ -77,10 +77,21 @@ def _show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:
         out.say(f"{name}: about the sample, held out: {'; '.join(parts)}")
 
 
+def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
+    """What a missing effect had put wrong: by how much, and in standard errors of the mended value."""
+    rows = []
+    for p in shifted:
+        off = with_error(p["shift"], p["std"], p["unit"])
+        rows.append((p["name"], off, f"{abs(p['shift']) / p['std']:.1f}"))
+    if rows:
+        out.table("spoiled by what was missing", ("parameter", "too large by", "in standard errors"), rows)
+
+
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
     """Springs and clearances as the clamped sweeps have them and as the poses want them."""
     units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
     units |= {"nonlinear_stiffness.h": "rad/Nm^3", "cross_coupled_stiffness.x": "rad/Nm"}
+    units |= {"soft_near_zero.a": "rad/Nm", "soft_near_zero.s": "Nm"}
     rows = []
     for p in data["parameters"]:
         unit = units[p["parameter"]]
@@ -101,6 +112,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
             out.table("", ("parameter", "value"), _values(parameters))
+        _show_omission(part.get("omission") or (), out)
         for found in part.get("simpler", ()):
             out.say(f"  {found['summary']}; to fit it: clampid add {stage}={found['name']} MODEL CAMPAIGN -o MENDED")
         if part.get("depends_on"):

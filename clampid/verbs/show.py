@@ -70,6 +70,10 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
         if stage.base:
             title = f"{name}: base parameters of the arm, without the declared tool"
             out.table(title, ("base parameter", "described", "value", "± std", "unit", ""), base_rows(stage.base))
+    for sentence in contradictions(model):
+        out.warn(sentence)
+    if model.joint:
+        out.say("all tables in one fit, with the parameters that they share")
     show_rounds(model.ledger, out)
 
 
@@ -84,6 +88,20 @@ def bootstrap_words(stage: StageModel) -> str:
         f"{stage.bootstrap.count} draws of whole poses: standard errors are {ratio.min():.2f} ({least}) to "
         f"{ratio.max():.2f} ({most}) times those above, {float(np.median(ratio)):.2f} times in the middle"
     )
+
+
+def contradictions(model: Model) -> list[str]:
+    """Where the poses contradict the clamped sweeps, so that springs and clearances were not taken over, in words."""
+    out = []
+    for entry in model.ledger:
+        found = entry.evidence.get("contradicted") or ()
+        if found:
+            where = ", ".join(f"{a['parameter']} at {a['where']} ({abs(a['z']):.1f} standard errors)" for a in found)
+            out.append(
+                f"{entry.stage}: contradict the clamped sweeps in {where}; no spring and no clearance was taken over "
+                "from these. Did the clamp yield, or are the poses' loads wrong? See `clampid diagnose`"
+            )
+    return out
 
 
 def show_drives(drives: Drives, out: Output) -> None:
@@ -168,4 +186,9 @@ def model_json(model: Model) -> dict[str, Any]:
             "heldout_rms": last and last.heldout_rms,
             "noise_floor": last and last.noise_floor,
         }
-    return {"robot": model.robot, "sessions": [s.name for s in model.sessions], "stages": stages}
+    return {
+        "robot": model.robot,
+        "sessions": [s.name for s in model.sessions],
+        "joint": model.joint,
+        "stages": stages,
+    }

@@ -9,6 +9,7 @@ from experiments.signals.derivatives import acceleration, accelerations, differe
 from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
 from experiments.signals.selection import medians
 from experiments.signals.shift import Shift, combine_shifts, time_shift
+from experiments.signals.slip import slip_states
 from experiments.signals.window import choose_window
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "medians",
     "rest_threshold",
     "segments",
+    "slip_states",
     "solve_definite",
     "speed_counts",
     "speeds",

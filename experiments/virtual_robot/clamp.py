@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.description import Array
@@ -48,7 +49,9 @@ def block_compliance(plant: Plant, jacobian: Array) -> tuple[Array, Array]:
     return np.asarray(seen, dtype=float), np.asarray(wrench, dtype=float)
 
 
-def clamped_torques(plant: Plant, bodies: Bodies, output: Array, arm: Array, load: Array) -> tuple[Array, Array]:
+def clamped_torques(
+    plant: Plant, bodies: Bodies, output: Array, arm: Array, load: Array, slipped: npt.NDArray[np.bool_] | None = None
+) -> tuple[Array, Array]:
     """Return joint torques, Nm, (N, n), and the flange's displacement, m and rad, (N, 6), of one clamping.
 
     Parameters
@@ -61,15 +64,21 @@ def clamped_torques(plant: Plant, bodies: Bodies, output: Array, arm: Array, loa
         Angles at which the arm was clamped, rad, (n,).
     load
         Torques that held it there, Nm, (n,).
+    slipped
+        Whether the block has slipped by then, (N,); by default it has not.
     """
     drive = plant.drive
-    block, wrench = block_compliance(plant, bodies.jacobian(arm))
+    jacobian = bodies.jacobian(arm)
+    block, wrench = block_compliance(plant, jacobian)
+    shift = np.zeros((len(output), 6)) if slipped is None else np.outer(slipped, plant.fixture.shift)
     C = compliance_matrix(drive) + block
-    ahead = output - arm + block @ load  # a block that yields gives way to tau − load, not to tau
+    ahead = (
+        output - arm - shift @ np.linalg.pinv(jacobian).T + block @ load
+    )  # a block that yields gives way to tau − load, not to tau
     tau = press(C, drive.gap, ahead)
-    if drive.hardening.any() or drive.slip.any():
+    if drive.hardening.any() or drive.soft.any() or drive.slip.any():
         tau = _with_nonlinear(drive, C, ahead, tau)
-    return tau, (tau - load) @ wrench.T * plant.fixture.compliance
+    return tau, (tau - load) @ wrench.T * plant.fixture.compliance + shift
 
 
 def _with_nonlinear(drive: Drive, C: Array, ahead: Array, tau: Array) -> Array:

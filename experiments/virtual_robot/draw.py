@@ -108,7 +108,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
         structure=Structure(zeros, zeros, zeros, 0.0),
         heat=_draw_heat(n, rng),
         instrument=_draw_instrument(geometry, shaft, rng),
-        fixture=Fixture(np.zeros(6), 0.05, np.array([3e-6] * 3 + [1e-5] * 3)),
+        fixture=Fixture(np.zeros(6), np.zeros(6), np.inf, 0.05, np.array([3e-6] * 3 + [1e-5] * 3)),
         outside={},
     )
 
@@ -159,6 +159,8 @@ def _draw_drive(robot: RobotDescription, rng: np.random.Generator) -> Drive:
         coupling=np.zeros((n, n)),
         extra_compliance=np.zeros(n),
         hardening=np.zeros(n),
+        soft=np.zeros(n),
+        soft_torque=np.ones(n),
         rated=rated,
         gap=arcsec * ARCSEC,
         slip=np.zeros((n, 3)),

@@ -49,10 +49,14 @@ def _disc_error(drive: Drive, q: Array) -> Array:
 
 
 def nonlinear_yield(drive: Drive, tau: Array) -> Array:
-    """Return what the springs yield beyond the linear part, rad, (N, n); negative where they harden."""
+    """Return what the springs yield beyond the linear part, rad, (N, n); negative where they harden.
+
+    Springs that are soft near zero have two slopes, as makers of gears tabulate them.
+    """
     cubic = np.clip(tau, -HARDENED * drive.rated, HARDENED * drive.rated)
     # Beyond, the spring goes on with the slope that it has reached.
-    return np.asarray(-drive.hardening * (cubic**3 + 3 * cubic**2 * (tau - cubic)), dtype=float)
+    hard = -drive.hardening * (cubic**3 + 3 * cubic**2 * (tau - cubic))
+    return np.asarray(hard + drive.soft * np.clip(tau, -drive.soft_torque, drive.soft_torque), dtype=float)
 
 
 def attached_load(attachments: Attachments, q: Array) -> Array:

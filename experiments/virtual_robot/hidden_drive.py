@@ -108,6 +108,15 @@ def hide_hardening(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gene
     return replace(plant, drive=drive), {"cubic_rad_Nm3": cubic}
 
 
+def hide_soft(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a spring be soft below a tenth of the rated torque."""
+    soft, below = min(0.4 * m, 2.0) * _own_compliance(s.plant, i), 0.1 * float(s.plant.drive.rated[i])
+    thresholds = plant.drive.soft_torque.copy()
+    thresholds[i] = below
+    drive = replace(plant.drive, soft=plus(plant.drive.soft, i, soft), soft_torque=thresholds)
+    return replace(plant, drive=drive), {"soft_rad_Nm": soft, "below_Nm": below}
+
+
 def hide_hysteresis(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Let part of a spring slip, at three torques, the highest a fifth of the rated one."""
     share = min(0.25 * m, 0.8) * _own_compliance(s.plant, i) * np.array([0.5, 0.3, 0.2])

@@ -23,6 +23,7 @@ from experiments.virtual_robot.hidden_drive import (
     hide_hardening,
     hide_hysteresis,
     hide_ratio,
+    hide_soft,
 )
 from experiments.virtual_robot.hidden_elsewhere import (
     hide_balancer,
@@ -35,6 +36,7 @@ from experiments.virtual_robot.hidden_elsewhere import (
     hide_outside,
     hide_payload,
     hide_scale,
+    hide_slip,
 )
 from experiments.virtual_robot.hidden_friction import (
     hide_creep,
@@ -165,6 +167,8 @@ KINDS: dict[str, Kind] = {
     "link_bending": Kind(hide_bending, "link", POSES, _beams),
     "coupling_ratio_error": Kind(hide_ratio, "joint", POSES, _wrist),
     "nonlinear_stiffness": Kind(hide_hardening, "joint", ("clamped", *POSES), _inner_loaded),
+    "soft_near_zero": Kind(hide_soft, "joint", ("clamped", *POSES), _inner_loaded),
+    "fixture_shift": Kind(hide_slip, "fixture", ("clamped",)),
     "hysteresis": Kind(hide_hysteresis, "joint", ("clamped", *POSES), _loaded),
     "torque_ripple": Kind(hide_ripple, "joint", TORQUES),
     "dress_pack": Kind(hide_dress_pack, "joint", EVERYWHERE, _wrist),

@@ -59,6 +59,8 @@ class Drive:
     coupling: Array  # (n, n) rad/Nm at the motors, symmetric, off the diagonal
     extra_compliance: Array  # (n,) rad/Nm at the joint
     hardening: Array  # (n,) rad/Nm³ at the joint
+    soft: Array  # (n,) rad/Nm at the joint, more compliance below a torque
+    soft_torque: Array  # (n,) Nm, that torque
     rated: Array  # (n,) Nm at the joint
     gap: Array  # (n,) rad at the joint
     slip: Array  # (n, k) rad/Nm, compliance of the elements that slip (hysteresis)
@@ -145,6 +147,8 @@ class Fixture:
     """The clamp's block: compliance at the flange, along and about the base axes, and its dial gauges."""
 
     compliance: Array  # (6,) m/N and rad/Nm
+    shift: Array  # (6,) m and rad by which the block slips once
+    slips_at: float  # s on the clock of the sweeps
     preload: float  # share of the rated torque
     sigma: Array  # (6,) m and rad
 

@@ -148,7 +148,8 @@ def log_sweeps(
         arm, load = arm_at_rest(plant, bodies, posture[None], program.direction[e][None])
         pinch = plant.fixture.preload * plant.drive.rated * program.preload[e]
         clamped_at = arm[0] - pinch @ compliance_matrix(plant.drive)
-        tau[rows], moved[rows] = clamped_torques(plant, bodies, output[rows], clamped_at, load[0])
+        slipped = program.time[rows] >= plant.fixture.slips_at
+        tau[rows], moved[rows] = clamped_torques(plant, bodies, output[rows], clamped_at, load[0], slipped)
         start = np.vstack([posture[None], q[rows]])
         states[rows] = dry_friction(motor_angles(plant.drive, start), plant.friction.presliding, program.direction[e])[
             1:

@@ -14,7 +14,7 @@ from clampid.catalogue import catalogue
 from clampid.compare import compare
 from clampid.curves import angle_errors
 from clampid.diagnose import diagnose
-from clampid.diagnosis.columns import Columns, Products
+from clampid.diagnosis.columns import Columns, Products, Sums
 from clampid.diagnosis.look import RATE
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
 from clampid.diagnosis.score import flip_maxima, score, space_of
@@ -139,7 +139,7 @@ def test_products_are_the_columns_that_they_stand_for():
     np.testing.assert_allclose(columns.gram(), D.T @ D)
     np.testing.assert_allclose(columns.times(other), D.T @ other)
     np.testing.assert_allclose(columns.times(other[:, 0]), D.T @ other[:, 0])
-    np.testing.assert_allclose(columns.summed(by_unit), by_unit @ D)
+    np.testing.assert_allclose(columns.summed(Sums(by_unit)), by_unit @ D)
     dense = Columns(((0, other[:60]),), 4)
     np.testing.assert_allclose(columns.cross(dense), D[:60].T @ other[:60])
     np.testing.assert_allclose(dense.cross(columns), other[:60].T @ D[:60])

@@ -158,7 +158,8 @@ def test_loads_are_sums_over_the_weights(name: str):
                 np.testing.assert_allclose(signals["link_force"][row, i - 1], force, atol=1e-9)
             if i < robot.n:
                 axis = robot.joints[i].axis
-                across = moment - axis * (axis @ moment)
+                behind = G[row, i + 1, :3, :3].T @ R @ moment
+                across = behind - axis * (axis @ behind)
                 np.testing.assert_allclose(signals["transverse_moment"][row, i], across, atol=1e-9)
 
 

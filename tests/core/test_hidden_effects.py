@@ -55,9 +55,14 @@ CASES = {
         Case("gear_eccentricity", (*TORQUES, *POSES), ("poses",)),
         Case("thermal_expansion", (*TORQUES, *POSES), ("poses",)),
         Case("base_tilt", (*TORQUES, *POSES), ("poses",)),
+        Case("bearing_tilt", (*TORQUES, *POSES), ("poses",)),
+        Case("link_bending", (*TORQUES, *POSES), ("poses",)),
         Case("stribeck_friction", TORQUES, ("free_air",)),
         Case("torque_offset", TORQUES, ("free_air",)),
         Case("fixture_compliance", ("clamped",), ("clamped",)),
+        Case("nonlinear_stiffness", ("clamped",), ("clamped",)),
+        Case("hysteresis", ("clamped",), ("clamped",)),
+        Case("cross_coupled_stiffness", ("clamped",), ("clamped",)),
         Case("backlash", (*TORQUES, *POSES), ("poses",), lacking=True),
         Case("joint_compliance", (*TORQUES, *POSES), ("poses",), lacking=True),
     )
@@ -149,6 +154,24 @@ def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Si
 @pytest.mark.parametrize("effect", ["gear_eccentricity", "torque_offset"])
 def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
     check(CASES[effect], 4, simulated, table)
+
+
+OUTSIDE = {
+    "outside_q4_direction": {"q4", "dir4"},
+    "outside_third_harmonic": {"q3"},
+    "outside_posture_product": {"q1", "q5"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", OUTSIDE)
+def test_outside_the_library_is_unknown(effect: str, simulated: Simulated):
+    """Structure that no effect explains, and the variables that it depends on."""
+    campaign = simulated(seed=3, poses=150, tables=POSES, hidden=(effect,))
+    found = diagnose(identify(campaign, {"poses": ("geometry", "joint_compliance", "backlash", "gravity")}), campaign)
+    verdict = found.stages["poses"]
+    assert verdict.verdict == "unknown"
+    assert set(verdict.depends_on) & OUTSIDE[effect]
 
 
 @pytest.mark.slow

@@ -11,7 +11,17 @@ from scipy import stats
 
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns
-from clampid.diagnosis.score import Flips, Space, canonical, explained_together, flip_maxima, log_tail, score
+from clampid.diagnosis.score import (
+    Flips,
+    Space,
+    canonical,
+    explained_together,
+    flip_maxima,
+    flip_moments,
+    log_tail,
+    score,
+    tail_of,
+)
 from clampid.effect import Stage
 from clampid.noise import initial_noise, learn_noise
 from clampid.slots import Slot
@@ -221,3 +231,30 @@ def test_the_same_space_is_one_explanation():
     assert canonical(a, c) < 0.3
     assert explained_together(sp, a, b) == pytest.approx(a.explained, rel=1e-6)
     assert explained_together(sp, a, c) > a.explained
+
+
+def test_moments_are_those_of_all_flips():
+    rng = np.random.default_rng(8)
+    parts, kept = rng.standard_normal((9, 3)), np.array([1.0, 0.7, 0.2])
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 9)).reshape(9, -1).T
+    explained = ((signs @ parts) ** 2) @ kept / 1.3**2
+    mean, variance = flip_moments(parts, kept, 1.3)
+    assert mean == pytest.approx(explained.mean())
+    assert variance == pytest.approx(explained.var())
+    one = flip_moments(parts * (np.arange(9) == 4)[:, None], kept, 1.0)  # one unit holds all: no evidence
+    assert tail_of(one, 1e6) == 0.0
+
+
+def test_a_wide_candidate_does_not_hide_a_narrow_one():
+    """Entries share their unit's noise, so that hundreds of columns explain far more of it than chi-square says."""
+    rng = np.random.default_rng(9)
+    unit = np.repeat(np.arange(120), 4)
+    D, wide = rng.standard_normal((480, 1)), rng.standard_normal((480, 200))
+    y = rng.standard_normal(120)[unit] + 0.3 * rng.standard_normal(480) + 0.35 * D[:, 0]
+    sp = space(rng.standard_normal((480, 5)), y, unit)
+    wide = np.cumsum(wide, axis=1)  # smooth along a unit's entries as the noise is
+    wide[:] = wide.reshape(120, 4, 200).mean(axis=1)[unit]
+    scored = score(sp, [candidate(D, "true"), candidate(wide, "wide")])
+    null = flip_maxima(sp, scored, 199, 0)
+    assert null.p_familywise(scored[0].log_p) == pytest.approx(1 / 200)
+    assert null.p_familywise(scored[1].log_p) > 0.05

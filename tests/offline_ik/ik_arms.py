@@ -37,6 +37,7 @@ shape = "box"
 size_m = [0.3, 0.3, 0.6]
 position_m = [1.4, 0.0, -0.35]
 """
+WIND_UP = 4e-3  # rad of a joint at its rated torque
 MOUNT = np.array([[0.0, -1.0, 0.0, 0.02], [1.0, 0.0, 0.0, -0.01], [0.0, 0.0, 1.0, 0.12], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -50,6 +51,15 @@ def drawn_model(robot: str = "kuka_kr20_r1810", effects: Sequence[str] = STANDAR
     parameters = [parameter_of(slot, catalogue(), load_robot(robot)) for slot in slots]
     size = np.array([parameter.size for parameter in parameters])
     value = np.array([_value(parameter, rng) for parameter in parameters])
+    # Sizes are what a fit may find; springs are drawn as stiff as drives are, or the arm would be a rubber band.
+    joints = load_robot(robot).joints
+    ratio = np.abs(np.diag(np.asarray(load_robot(robot).transmission)))
+    rated = np.array([j.rated_torque or 100.0 for j in joints])
+    spring = dict(zip((f"joint{i + 1}" for i in range(n)), WIND_UP / rated / ratio**2, strict=True))
+    value = np.array([
+        spring[slot.place] * rng.uniform(0.6, 1.25) if slot.effect == "joint_compliance" else v
+        for slot, v in zip(slots, value, strict=True)
+    ])  # fmt: skip
     loose = rng.normal(size=(len(slots), len(slots))) * 0.01
     covariance = (0.01 * size)[:, None] * (np.eye(len(slots)) + loose @ loose.T) * (0.01 * size)
     stage = StageModel("poses", terms, slots, value, covariance, (True,) * len(slots))

@@ -24,6 +24,7 @@ SECTIONS = (
     "The errors in space",
     "Error budget by effect",
     "Torques",
+    "Drives",
     "The model with standard errors",
     "Sources, and how to do it again",
 )
@@ -189,7 +190,7 @@ def test_every_section(page):
 def test_figures_hold_finite_numbers(page):
     assets, _ = parse(page)
     plots = {f["data-plot"]: json.loads("".join(d)) for _, f, d in assets.scripts if "data-plot" in f}
-    assert {"rounds", "robot", "budget-poses", "stretch", "friction", "loops"} <= set(plots)
+    assert {"rounds", "robot", "budget-poses", "stretch", "friction", "loops", "compliance", "fixture"} <= set(plots)
     assert {f"against-{s}" for s in ("poses", "free_air", "clamped")} <= set(plots)
     choices = [json.loads("".join(d)) for _, f, d in assets.scripts if "data-choices" in f]
     assert len(choices) == 3

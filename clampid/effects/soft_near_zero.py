@@ -1,0 +1,37 @@
+"""A drive that is soft while hardly loaded, as teeth come to bear one after the other: more compliance near zero."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import tanh
+from clampid.effect import Effect, Parameter
+
+
+def deflection(p: Any, x: Any) -> Any:
+    """Dq = -T' (a s tanh(T tau/s)): compliance a more at zero, which is used up beyond the torque s."""
+    load = x.transmission @ x.torque
+    return -x.transmission.T @ (p.a * p.s * tanh(load / p.s))
+
+
+EFFECT = Effect(
+    name="soft_near_zero",
+    family="nonlinear_stiffness",
+    acts={"joint_angle": deflection},
+    parameters=(
+        Parameter(
+            "a",
+            "rad/Nm",
+            1e-5,
+            "joint",
+            meaning="compliance near zero torque beyond the spring's, at the motor; size at the joint",
+            gearing=2,
+        ),
+        Parameter("s", "Nm", 1.0, "joint", (0.02, 50.0), "torque at the motor that uses it up", True, (1.0, 0.3, 3.0)),
+    ),
+    needs=("torque",),
+    stages=("clamped", "poses"),
+    equation="d theta_m = tau_m/k + a s tanh(tau_m/s)",
+    source=("Klimchik",),
+    beyond="joint_compliance",
+)

@@ -1,0 +1,151 @@
+"""The drives as the clamped sweeps tell them: a table, the compliance matrix, and how the clamp moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from clampid.drives import Drives, drives_of
+from clampid.fit import clamping_offsets
+from clampid.report.stage_data import StageData
+from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout, thin
+from clampid.stages.clamped import fixture_motion
+from clampid.stages.rows import Array
+
+__all__ = ["drives_section"]
+
+AXES = ("x", "y", "z")
+WATCHED = tuple(f"fixture_{a}_m" for a in AXES) + tuple(f"fixture_r{a}_rad" for a in AXES)
+MOST_ROWS = 1600
+SCALE = [[0.0, "#E69F00"], [0.5, "#ffffff"], [1.0, "#56B4E9"]]  # Okabe and Ito's; white is no coupling
+
+
+def drives_section(clamped: StageData | None) -> Section | None:
+    """Section "Drives"; None where no clamped stage with springs is."""
+    if clamped is None or not any(s.effect == "joint_compliance" for s in clamped.model.slots):
+        return None
+    drives = drives_of(clamped.model, clamped.first.rows.robot)
+    blocks: list[str | Table | Figure] = [_table(drives), _matrix(drives)]
+    moved = _fixture(clamped)
+    return Section("drives", "Drives", (), tuple(blocks if moved is None else [*blocks, moved]))
+
+
+def _table(d: Drives) -> Table:
+    """Springs, clearances and friction, drive by drive."""
+    rows = []
+    for j in range(len(d.stiffness)):
+        told = "" if not np.isfinite(d.gap[j]) else "yes" if d.told[j] else "no"
+        rows.append(
+            (
+                str(j + 1),
+                _pair(d.stiffness[j], d.stiffness_std[j]),
+                _pair(d.joint_stiffness[j] / 1e3, d.joint_stiffness_std[j] / 1e3),
+                _pair(np.degrees(d.gap[j]), np.degrees(d.gap_std[j])),
+                f"{np.degrees(d.gap_limit[j]):.4f}" if np.isfinite(d.gap_limit[j]) else "–",
+                told,
+                _pair(d.friction[j], d.friction_std[j]),
+            )
+        )
+    columns = (
+        "axis", "k at the motor, Nm/rad#", "k at the joint, kNm/rad#", "clearance, deg#", "detection limit, deg#",
+        "told from zero", "friction at the motor, Nm#",
+    )  # fmt: skip
+    caption = (
+        "Springs, clearances and dry friction of the drives, ± one standard error. A clearance below its detection "
+        "limit is not told from none (Currie 1968, both risks 5 %)."
+    )
+    return as_table(columns, rows, caption)
+
+
+def _matrix(d: Drives) -> Figure:
+    """The compliance at the joints; colours are couplings, C_ij / sqrt(C_ii C_jj)."""
+    n = len(d.stiffness)
+    own = np.sqrt(np.maximum(np.diag(d.compliance), 1e-300))
+    coupling = d.compliance / np.outer(own, own)
+    value, std = 1e6 * d.compliance, 1e6 * d.compliance_std
+    text = [[_pair(value[a, b], std[a, b]) if value[a, b] else "0" for b in range(n)] for a in range(n)]
+    names = [f"joint {j + 1}" for j in range(n)]
+    cells = {"z": coupling.tolist(), "x": names, "y": names, "text": text, "texttemplate": "%{text}"}
+    colours = {"zmin": -1, "zmax": 1, "colorscale": SCALE, "colorbar": {"title": "coupling", "thickness": 12}}
+    hover = "%{y} by torque at %{x}: %{text} µrad/Nm<extra></extra>"
+    plot = go.Figure(go.Heatmap(**cells, **colours, xgap=2, ygap=2, hovertemplate=hover))
+    plot.update_xaxes(axes(title="torque at", showgrid=False))
+    plot.update_yaxes(axes(title="deflection of", showgrid=False, autorange="reversed"))
+    plot.update_layout(layout(430))
+    caption = (
+        "Compliance at the joints, Tᵀ·diag(1/k)·T and cross springs where the model has them, µrad/Nm ± one standard"
+        " error. Colours are couplings: ±1 where two joints yield as one. In a coupled wrist a torque at one joint "
+        "turns the others too."
+    )
+    return Figure("compliance", plot, caption, 430)
+
+
+def _fixture(data: StageData) -> Figure | None:
+    """How the clamp moved by its sensor, and by the model; None where nothing watched it."""
+    frame = data.frames.get("clamped")
+    if frame is None or not any(name in frame.columns for name in WATCHED):
+        return None
+    rows = data.first.rows
+    seen = thin(len(rows), MOST_ROWS)
+    titles = [f"along {a}" for a in AXES] + [f"about {a}" for a in AXES]
+    plot = make_subplots(rows=2, cols=3, subplot_titles=titles, horizontal_spacing=0.07, vertical_spacing=0.16)
+    sensor, model = _from_mean(_sensor(frame), rows.constants["run"]), _modelled(data)
+    for k in range(6):
+        place = (k // 3 + 1, k % 3 + 1)
+        style = {"legendgroup": "s", "name": "sensor", "showlegend": k == 0, "mode": "markers"}
+        y = (1e6 * sensor[seen, k]).astype(np.float32)
+        plot.add_trace(go.Scatter(x=seen, y=y, marker={"size": 2.5, "color": GREY}, **style), *place)
+        if model is not None:
+            style = {"legendgroup": "m", "name": "model", "showlegend": k == 0, "mode": "lines"}
+            y = (1e6 * model[seen, k]).astype(np.float32)
+            plot.add_trace(go.Scatter(x=seen, y=y, line={"color": BLUE, "width": 1.2}, **style), *place)
+    plot.update_xaxes(axes())
+    plot.update_yaxes(axes())
+    plot.update_xaxes(title="row of the table clamped", row=2)
+    plot.update_yaxes(title="µm", row=1, col=1)
+    plot.update_yaxes(title="µrad", row=2, col=1)
+    plot.update_layout(layout(460, margin={"l": 64, "r": 16, "t": 74, "b": 52}))
+    caption = "Motion of the clamped flange by the sensor on its fixture, from the mean of each sweep, base axes" + (
+        ", and as the model has it." if model is not None else ". The model has a fixture that does not move."
+    )
+    return Figure("fixture", plot, caption, 460)
+
+
+def _sensor(frame: pd.DataFrame) -> Array:
+    """The sensor's readings ``(N, 6)``, m and rad; zero where a column is missing."""
+    empty = np.zeros(len(frame))
+    return np.column_stack([frame[n].to_numpy(float) if n in frame.columns else empty for n in WATCHED])
+
+
+def _modelled(data: StageData) -> Array | None:
+    """The flange's motion as the model has it ``(N, 6)``, m and rad, from each sweep's mean."""
+    trial = data.first.experiment
+    if not any("fixture" in trial.effects[s.effect].acts for s in trial.slots):
+        return None
+    theta = np.r_[data.model.theta, np.zeros(trial.offsets)]
+    offsets = clamping_offsets(trial, theta)
+    moved = fixture_motion(trial.rows, trial.chain, data.model.theta, offsets)
+    return _from_mean(np.c_[moved[:, 3:], moved[:, :3]], trial.rows.constants["run"])
+
+
+def _from_mean(values: Array, sweep: Sequence[int] | Array) -> Array:
+    """Values less the mean of their sweep: at which posture a sweep was clamped is not known."""
+    out = values - np.nan_to_num(np.nanmean(values, axis=0))
+    for s in np.unique(sweep):
+        inside = np.asarray(sweep) == s
+        out[inside] = values[inside] - np.nanmean(values[inside], axis=0)
+    return np.asarray(out)
+
+
+def _pair(value: float, std: float) -> str:
+    """``12.3 ± 0.4``: two digits of the error."""
+    if not np.isfinite(value):
+        return "–"
+    if not np.isfinite(std) or std <= 0:
+        return f"{value:.4g}"
+    digits = max(0, 1 - int(np.floor(np.log10(std))))
+    return f"{value:.{digits}f} ± {std:.{digits}f}"

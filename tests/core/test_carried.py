@@ -1,0 +1,149 @@
+"""What clamped sweeps tell the poses: springs with their covariance, unless the poses contradict them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from clampid.carried import carried_drives, prior_from
+from clampid.catalogue import catalogue
+from clampid.effect import Stage
+from clampid.fit import fit, prior_of
+from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.identify import stage_rows
+from clampid.layout import layout_of
+from clampid.model import StageModel
+from clampid.slots import Prior, Slot, Term
+from clampid.stages.experiment import experiment
+from experiments.campaign import Campaign
+
+Simulated = Callable[..., Campaign]
+TERMS = {
+    "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
+    "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
+}
+DRIVES = ("joint_compliance", "backlash")
+
+
+@pytest.fixture(scope="module")
+def campaign(simulated: Simulated) -> Campaign:
+    return simulated(seed=3, poses=100, tables=("clamped", "poses", "verification"))
+
+
+@pytest.fixture(scope="module")
+def fitted(campaign: Campaign) -> Callable[..., FittedStage]:
+    layout, effects = layout_of([campaign]), catalogue()
+
+    def one(stage: Stage, before: dict[Stage, StageModel], without: tuple[str, ...] = ()) -> FittedStage:
+        rows = stage_rows([campaign], layout, stage)
+        return fit_stage(rows, effects, [Term(name) for name in TERMS[stage] if name not in without], before)
+
+    return one
+
+
+@pytest.fixture(scope="module")
+def clamped(fitted: Callable[..., FittedStage]) -> StageModel:
+    return fitted("clamped", {}).model
+
+
+@pytest.fixture(scope="module")
+def alone(fitted: Callable[..., FittedStage]) -> FittedStage:
+    return fitted("poses", {})
+
+
+@pytest.fixture(scope="module")
+def together(fitted: Callable[..., FittedStage], clamped: StageModel) -> FittedStage:
+    return fitted("poses", {"clamped": clamped})
+
+
+def drives_of(model: StageModel) -> tuple[np.ndarray, np.ndarray]:
+    index = [k for k, s in enumerate(model.slots) if s.effect in DRIVES]
+    return model.theta[index], model.covariance[np.ix_(index, index)]
+
+
+def test_poses_and_sweeps_are_weighted_by_their_covariances(
+    clamped: StageModel, alone: FittedStage, together: FittedStage
+):
+    """Rule of two independent Gaussian estimates: information adds up, means weighted by it."""
+    assert not together.contradicted
+    order = [s for s in together.model.slots if s.effect in DRIVES]
+    (a, A), (b, B) = drives_of(alone.model), drives_of(clamped)
+    assert order == [s for s in clamped.slots if s.effect in DRIVES]
+    scale = np.sqrt(np.diag(B))
+    A, B = A / np.outer(scale, scale), B / np.outer(scale, scale)
+    gain = linalg.solve(A + B, A, assume_a="pos").T
+    mean, covariance = a + scale * (gain @ ((b - a) / scale)), A - gain @ A
+    found, spread = drives_of(together.model)
+    std = np.sqrt(np.diag(spread))
+    loaded = np.array(
+        [s.place != "joint1" for s in order]
+    )  # gravity never loads it: only friction parts gap and spring
+    np.testing.assert_allclose(((found - mean) / std)[loaded], 0.0, atol=0.2)  # flanks and noise are found anew
+    np.testing.assert_allclose(std[loaded], (scale * np.sqrt(np.diag(covariance)))[loaded], rtol=0.05)
+
+
+def test_poses_know_a_spring_that_gravity_never_loads(clamped: StageModel, alone: FittedStage, together: FittedStage):
+    slot = Slot("joint_compliance", "c", "joint1")
+    k, j = together.model.slots.index(slot), clamped.slots.index(slot)
+    assert not alone.model.identified[k]
+    assert together.model.identified[k]
+    assert together.model.std[k] == pytest.approx(clamped.std[j], rel=0.1)
+
+
+def test_springs_that_the_poses_contradict_are_not_taken_over(
+    fitted: Callable[..., FittedStage], clamped: StageModel, alone: FittedStage
+):
+    """A clamp that yields makes springs too soft by many standard errors."""
+    theta = clamped.theta.copy()
+    theta[clamped.slots.index(Slot("joint_compliance", "c", "joint2"))] *= 1.5
+    wrong = replace(clamped, theta=theta)
+    found = fitted("poses", {"clamped": wrong})
+    assert "joint_compliance.c@joint2" in [a.slot.label for a in found.contradicted]
+    assert found.evidence["contradicted"][0]["where"] == "joint2"
+    np.testing.assert_allclose((found.model.theta - alone.model.theta) / alone.model.std, 0.0, atol=0.05)
+
+
+def test_poses_that_lack_loads_contradict_too(fitted: Callable[..., FittedStage], clamped: StageModel):
+    """Springs in poses are deflection over load: with described masses and no friction they are off, sweeps are not."""
+    found = fitted("poses", {"clamped": clamped}, ("gravity", "wrist_coupling_friction"))
+    assert found.contradicted
+
+
+def test_a_stage_without_drives_gives_nothing(clamped: StageModel, alone: FittedStage):
+    assert carried_drives(None, alone.estimate).prior is None
+    friction = tuple(s for s in clamped.slots if s.effect == "coulomb_friction")
+    index = [clamped.slots.index(s) for s in friction]
+    bare = replace(
+        clamped,
+        slots=friction,
+        theta=clamped.theta[index],
+        covariance=clamped.covariance[np.ix_(index, index)],
+        identified=(True,) * len(index),
+    )
+    assert carried_drives(bare, alone.estimate).prior is None
+
+
+def test_a_prior_of_very_different_units_keeps_all_it_knows(alone: FittedStage):
+    """Variances of 1e-12 rad² beside 1e4 kg²: a pseudo-inverse would call the small ones zero."""
+    trial = experiment(
+        alone.rows,
+        catalogue(),
+        (*(s for s in alone.model.slots if s.effect == "backlash"), Slot("gravity", "m", "link2")),
+    )
+    slots = (Slot("backlash", "gap", "joint2"), Slot("gravity", "m", "link2"))
+    covariance = np.diag([1e-12, 1e4])
+    precision, _ = prior_of(trial, (Prior(slots, np.zeros(2), covariance),))
+    index = [trial.slots.index(s) for s in slots]
+    np.testing.assert_allclose(np.diag(precision)[index] * np.diag(covariance), 1.0)
+
+
+def test_priors_pull_by_their_information(alone: FittedStage, clamped: StageModel):
+    prior = prior_from(clamped, tuple(s for s in clamped.slots if s.effect in DRIVES))
+    sure = replace(prior, covariance=1e-6 * prior.covariance)
+    found = fit(alone.estimate.experiment, (sure,), alone.estimate.values())
+    values = np.array([found.values()[s] for s in prior.slots])
+    np.testing.assert_allclose(values, prior.mean, atol=1e-7)

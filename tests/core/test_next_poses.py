@@ -1,0 +1,92 @@
+"""Poses to measure next: chosen where look-alikes differ, worth what they say, and a plan that the runner accepts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from clampid.catalogue import catalogue
+from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.next_measurement import ENOUGH
+from clampid.diagnosis.next_poses import next_poses, plan_of
+from clampid.diagnosis.parting import part
+from clampid.diagnosis.score import score, space_of
+from clampid.identify import identify
+from clampid.reopen import reopen
+from experiments.campaign import Campaign
+from experiments.plans.read import read_plan
+from experiments.plans.write import write_plan
+
+
+def _left(X: np.ndarray, y: np.ndarray) -> float:
+    return float(np.sum((y - X @ np.linalg.lstsq(X, y, rcond=None)[0]) ** 2))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_evidence_is_what_a_refit_of_the_other_leaves(seed: int):
+    rng = np.random.default_rng(seed)
+    J, pool_J = rng.standard_normal((60, 4)), rng.standard_normal((30, 3, 4))
+    a, b = rng.standard_normal((2, 60, 2))
+    pool_a, pool_b = rng.standard_normal((2, 30, 3, 2))
+    values = [np.array([0.3, -0.2]), np.array([0.1, 0.4])]
+    found = part(
+        J, [a, b], values, 1e-9 * np.eye(4), pool_J, [pool_a, pool_b], enough=1e9, batch=5, most=10
+    )  # fmt: skip
+    assert len(set(found.chosen)) == 10
+
+    def closest(chosen: list[int]) -> float:
+        wide = [np.concatenate([D, P[chosen].reshape(-1, D.shape[1])]) for D, P in ((a, pool_a), (b, pool_b))]
+        base = np.concatenate([J, pool_J[chosen].reshape(-1, 4)])
+        return min(_left(np.c_[base, wide[1]], wide[0] @ values[0]), _left(np.c_[base, wide[0]], wide[1] @ values[1]))
+
+    assert found.before == pytest.approx(closest([]), rel=1e-5)
+    assert found.after == pytest.approx(closest(list(found.chosen)), rel=1e-5)
+    assert found.after >= found.before
+
+
+def test_the_measurements_in_which_look_alikes_differ_are_chosen():
+    rng = np.random.default_rng(0)
+    J, a = rng.standard_normal((80, 3)), rng.standard_normal((80, 1))
+    pool_J, pool_a = rng.standard_normal((40, 3, 3)), rng.standard_normal((40, 3, 1))
+    pool_b = pool_a.copy()
+    pool_b[7::10] *= -1.0  # only there do they differ
+    found = part(J, [a, a], [np.ones(1)] * 2, np.eye(3), pool_J, [pool_a, pool_b], enough=1e9, batch=2, most=4)
+    assert sorted(found.chosen) == [7, 17, 27, 37]
+    assert found.before == pytest.approx(0.0, abs=1e-6)
+    same = part(J, [a, a], [np.ones(1)] * 2, np.eye(3), pool_J, [pool_a, pool_a], enough=1.0, batch=2, most=10)
+    assert same.after == pytest.approx(0.0, abs=1e-6)  # nothing parts what is the same everywhere
+
+
+def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[..., Campaign], tmp_path: Path):
+    campaign = simulated(seed=7, poses=60, tables=("poses",))
+    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    space = space_of(estimate)
+    effects = {n: catalogue()[n] for n in ("gear_eccentricity", "coupling_ratio_error")}
+    scored = [s for s in score(space, named_candidates(estimate, effects)) if s.candidate.places == ("joint2",)]
+    assert len(scored) == 2
+    # As large as is just told from noise.
+    weak = [replace(s, amplitude=np.full(s.freedom, 4.0 * space.scale / s.freedom**0.5)) for s in scored]
+    found = next_poses(campaign, estimate, weak, space.scale, seed=0)
+    assert found is not None
+    assert found.before < ENOUGH <= found.after
+    assert len(found.q) % 5 == 0
+    path = write_plan(plan_of(campaign, found), tmp_path / "next.toml")
+    plan = read_plan(path)
+    assert plan.kind == "poses"
+    assert len(plan.visits) == len(found.q)
+    for visit in plan.visits:
+        k = int(np.argmin(np.abs(found.q - visit.q).max(axis=1)))
+        np.testing.assert_array_equal(np.sign(visit.q - visit.via), found.direction[k])
+
+
+def test_none_where_there_is_nothing_to_part(simulated: Callable[..., Campaign]):
+    campaign = simulated(seed=7, poses=60, tables=("poses",))
+    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    assert next_poses(campaign, estimate, [], 1.0, seed=0) is None
