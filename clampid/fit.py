@@ -169,9 +169,9 @@ def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
 
 def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array, Integers]:
     """What a joint's stop does to each whitened number ``(M, n)``, and the visit ``(M,)`` that each is of."""
-    by_joint = estimate.experiment.by_joint(theta)[white.entry, white.channel]
-    sigma = estimate.noise.sigma[white.entry, white.channel, None]
-    return by_joint / sigma, estimate.experiment.rows.unit[white.entry]
+    rows = estimate.experiment.rows
+    by_joint = rows.in_noise_axes(estimate.experiment.by_joint(theta))[white.entry, white.channel]
+    return by_joint / estimate.noise.sigma[white.entry, white.channel, None], rows.unit[white.entry]
 
 
 def _with_repeatability(estimate: Estimate) -> Estimate:

@@ -394,7 +394,7 @@ class _Search:
         information = np.einsum("cpr,cqr->pq", factors, factors) / np.outer(bench.size, bench.size)
         moves = float(sum(v.duration.sum() for v in visits) - visits[0].duration[0])
         waiting = wishes.measure_time * sum(len(v.targets) for v in visits)
-        noise = f"points: {self.cell.position_std:.2g} m per axis, independent"
+        noise = f"points: {self.cell.position_std:.2g} m per axis, independent; what a model lacks comes on top"
         record: dict[str, float | int | str] = {
             "poses": wishes.poses,
             "replicates": wishes.replicates,

@@ -15,9 +15,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
+from clampid.fitted_stage import fit_stage
 from clampid.identify import identify
+from clampid.layout import layout_of
 from clampid.model import FORMAT, Model, ModelError, load_model, save_model, write_text
-from clampid.slots import find_parameter
+from clampid.slots import Term, find_parameter
+from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]
@@ -148,13 +151,13 @@ def test_folders_are_made(tmp_path: Path):
 
 def test_observability_of_a_fit_is_that_of_its_whitened_jacobian(simulated: Simulated) -> None:
     campaign = simulated(seed=6, poses=60, tables=("poses",))
-    stage = identify(campaign, {"poses": ("geometry",)}).stages["poses"]
-    found = stage.observability
-    # Without prior, the covariance of well-known parameters is the inverse of the information, up to the noise's scale.
-    known = np.array(stage.identified)
-    assert found["parameters"] == known.sum() == len(stage.slots)
-    sizes = [find_parameter(slot, catalogue()).size for slot in stage.slots]
-    s = 1 / np.sqrt(np.linalg.eigvalsh(stage.covariance / np.outer(sizes, sizes)))
-    assert found["O2"] == pytest.approx(s.min() / s.max(), rel=1e-2)
-    assert found["O3"] == pytest.approx(s.min(), rel=0.1)
-    assert found["O4"] == pytest.approx(found["O3"] * found["O2"])
+    rows = pose_rows([campaign], layout_of([campaign]), "poses")
+    fitted = fit_stage(rows, catalogue(), (Term("geometry"),), {})
+    sizes = [find_parameter(slot, catalogue()).size for slot in fitted.model.slots]
+    s = np.linalg.svd(fitted.estimate.whitened.jacobian * sizes, compute_uv=False)
+    found = fitted.model.observability
+    assert found["parameters"] == len(s)
+    assert found["O1"] == pytest.approx(np.exp(np.mean(np.log(s))) / np.sqrt(len(fitted.estimate.whitened.residual)))
+    assert (found["O2"], found["O3"]) == (pytest.approx(s[-1] / s[0]), pytest.approx(s[-1]))
+    assert found["O4"] == pytest.approx(s[-1] ** 2 / s[0])
+    assert found["O5"] == pytest.approx(1 / np.sum(1 / s))

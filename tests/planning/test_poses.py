@@ -246,12 +246,15 @@ def test_measured_they_tell_more_than_as_many_random_ones(
     assert max(ratios) < 0.95  # of standard errors: a tenth less is a fifth of the poses less
 
 
-def test_promised_errors_hold_when_measured(poses: Plan, tmp_path: Path) -> None:
+def test_what_is_promised_to_be_known_better_is(poses: Plan, tmp_path: Path) -> None:
     assert poses.expected is not None
     measured = errors(poses, tmp_path / "arm", 3)
-    ratio = np.array([measured[p.name] / p.std for p in poses.expected.parameters if p.identified])
-    # The virtual robot's noise is its own; what one number does to all errors is not the plan's fault.
-    assert np.ptp(np.log(ratio)) < np.log(1.6)
+    known = [p for p in poses.expected.parameters if p.identified]
+    found, promised = np.log([(measured[p.name] / p.size, p.std / p.size) for p in known]).T
+    # The plan knows the instrument's noise only. What the robot repeats worse and the model lacks comes on top, and
+    # differs from parameter to parameter; most of how they differ is the plan's all the same.
+    assert np.median(found - promised) > 0.0
+    assert np.corrcoef(found, promised)[0, 1] ** 2 > 0.5
 
 
 def test_what_cannot_be_known_is_said(poses: Plan, tmp_path: Path) -> None:
