@@ -144,8 +144,8 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
         step = newton_step(A, b, size, 0.0, free)
         if len(size) > count:  # a run or sweep that was not fitted shows its own constants itself
             shown = np.diag(A_out)[count:] > 0
-            left = b_out[count:] - A_out[count:, :count] @ step[:count]
             weak = np.diag(1e-2 / size[count:] ** 2)
+            left = b_out[count:] - A_out[count:, :count] @ step[:count] - weak @ estimate.theta[count:]
             alone = newton_step(A_out[count:, count:] + weak, left, size[count:], 0.0, shown)
             step[count:] = np.where(shown, alone, step[count:])
         mine = part == k

@@ -179,12 +179,13 @@ def _input(v: Variable, code: str) -> str:
 
 def _deviation(place: Place, shape: str) -> tuple[str, tuple[str, ...]]:
     """The body of the deviation, and what it takes from the algebra."""
+    terms = f"terms = {shape}\n    "
     if len(place.units) == 1:
-        return f"return at_place({place.number}, combined(p, {shape}), x)", ("at_place",)
+        return f"{terms}return at_place({place.number}, combined(p, terms), x)", ("at_place",)
     motion = 'combined(p, terms, f"{axis}_") for axis in AXES'
     if place.station == "link_twist":
-        return f"terms = {shape}\n    return at_link({place.number}, [{motion}], x)", ("at_link",)
-    return f"terms = {shape}\n    return rows(*({motion}))", ("rows",)
+        return f"{terms}return at_link({place.number}, [{motion}], x)", ("at_link",)
+    return f"{terms}return rows(*({motion}))", ("rows",)
 
 
 def _parameters(place: Place, zeros: str) -> str:

@@ -117,7 +117,6 @@ def summed(
     outliers: Integers,
     noise: LogNoise,
     part: Integers | None = None,
-    apart: bool = False,
 ) -> dict[int, Moments]:
     """Whitened sums at zero parameters, of all rows or per part of the folds.
 
@@ -125,8 +124,6 @@ def summed(
     ----------
     part
         ``(F,)``: which part each fold is of; by default all are of part 0.
-    apart
-        Whether noise is forgotten where one part follows another, as if they had been logged apart.
     """
     parts = np.unique(part[folds]) if part is not None else np.zeros(1, dtype=np.int64)
     out = {int(p): Moments.none(design.parameters) for p in parts}
@@ -138,7 +135,7 @@ def summed(
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
             if noise.autocorrelations:
-                both = _whitener(channel, used, of if apart else None)(both, noise.predictors[c])
+                both = _whitener(channel, used)(both, noise.predictors[c])
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -220,15 +217,8 @@ def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) 
     return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
 
 
-def _whitener(channel: Channel, used: Integers | slice, part: Integers | None) -> Whitener:
-    """The filter of some of a channel's rows; across parts ``(k,)`` nothing is remembered, if they are given."""
-    if part is None and isinstance(used, slice):
+def _whitener(channel: Channel, used: Integers | slice) -> Whitener:
+    """The filter of some of a channel's rows."""
+    if isinstance(used, slice):
         return channel.whitener
-    stretch = channel.stretch[used]
-    return Whitener(channel.row[used], stretch if part is None else _apart(stretch, part))
-
-
-def _apart(stretch: Integers, part: Integers) -> Integers:
-    """Stretches ``(k,)`` that end with their part, too."""
-    new = np.r_[True, (np.diff(stretch) != 0) | (np.diff(part) != 0)]
-    return np.asarray(np.cumsum(new[: len(stretch)]))
+    return Whitener(channel.row[used], channel.stretch[used])

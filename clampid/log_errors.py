@@ -138,18 +138,12 @@ def _parts(folds: Rows, kept: Bools, seed: int) -> Integers:
 
 def _cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers) -> Array:
     """Parameters ``(parts, P + K)`` that fits without each part give, with that part's own offsets."""
-    parts = int(part[kept].max()) + 1
-    together = len(design.facts.runs) > 1  # else noise has to be forgotten at the ends of each part in turn
-    sums = summed(design, kept, fit.outliers, fit.noise, part) if together else {}
+    sums = summed(design, kept, fit.outliers, fit.noise, part)
     theta = []
-    for k in range(parts):
+    for k in range(int(part[kept].max()) + 1):
         chosen = kept & (part == k)
-        if together:
-            out = sums[k]
-            train = sum((m for p, m in sums.items() if p != k), Moments.none(design.parameters))
-        else:
-            both = summed(design, kept, fit.outliers, fit.noise, (part == k).astype(np.int64), apart=True)
-            out, train = both[1], both.get(0, Moments.none(design.parameters))
+        out = sums[k]
+        train = sum((m for p, m in sums.items() if p != k), Moments.none(design.parameters))
         if not train.count:
             train = train + out
         at = minimise(train, fit.moments.at, prior.precision, prior.mean, prior.size).at

@@ -1,10 +1,8 @@
 """Confirmation on rows that a candidate was not chosen on.
 
 Stability: in each of five parts the candidate is selected again from the other four. Held-out falls: unit by unit, by
-how
-much the squared error falls once the candidate is fitted, on a verification table or by cross-validation; a one-sided
-sign
-flip says whether that is more than chance.
+how much the squared error falls once the candidate is fitted, on a verification table or by cross-validation; a
+one-sided sign flip says whether that is more than chance.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
     Parameters
     ----------
     fold
-        ``(M,)``: folds of the whitened entries.
+        ``(M,)``: folds of the whitened entries; of fewer than five each is a part.
     """
     able = [s for s in scored if s.freedom and s.state in ("testable", "weak")]
     names = np.unique(fold)
@@ -44,8 +42,8 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
     by_part = Sums.of(part + 1, space.residual)
     absorbed = by_part.over(0, len(part)) @ space.basis
     amplitudes = [(s.candidate.columns.summed(by_part) - absorbed @ s.absorbed) @ s.weights for s in able]
-    again = 0
-    for k in range(FOLDS):
+    again, parts = 0, min(len(names), FOLDS)
+    for k in range(parts):
         best, best_value = None, -np.inf
         for s, amplitude in zip(able, amplitudes, strict=True):
             rest = amplitude.sum(axis=0) - amplitude[k + 1]
@@ -53,7 +51,7 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
             if value > best_value:
                 best, best_value = s, value
         again += best is not None and _same(best, chosen)
-    return again / FOLDS
+    return again / parts
 
 
 def _same(a: Scored, b: Scored) -> bool:

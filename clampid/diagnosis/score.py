@@ -6,7 +6,9 @@ the residual by pose or block: the maximum of -ln p over the whole dictionary (W
 over everything that was looked at. So that one candidate's p means what another's does, each is read off the moments
 that its own flips have: entries of a unit share noise that the scale of single entries does not know, and of a
 candidate with hundreds of columns plain chi-square tails are then so far off that its flips alone would set the
-maximum. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
+maximum. What a prior says has no unknown scale: its pseudo-rows are normal with the variance that it states, and in the
+null they are drawn, not flipped: a pull of eight standard deviations on one of them stays as large however it is
+flipped. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are ever formed.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.fit import Estimate
-from clampid.stages.rows import Array, Integers
+from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = [
     "Flips",
@@ -62,6 +64,8 @@ class Space:
         Standard deviation of the residual, about 1.
     rows
         M.
+    told
+        ``(p,)``: standard deviations of the pseudo-rows, 1, or 0 where the prior is too weak to be a measurement.
     """
 
     residual: Array
@@ -70,6 +74,7 @@ class Space:
     scale: float
     freedom: int
     rows: int
+    told: Array
 
     @cached_property
     def by_unit(self) -> Sums:
@@ -81,6 +86,11 @@ class Space:
     def basis_by_unit(self) -> Array:
         """``(U, r)``: the same of the basis."""
         return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
+
+    @cached_property
+    def drawn(self) -> Bools:
+        """``(U,)``: which units are a prior's pseudo-rows, each one of its own, after those of rows."""
+        return np.arange(self.by_unit.groups) >= self.by_unit.groups - (len(self.residual) - self.rows)
 
 
 @dataclass(frozen=True)
@@ -94,7 +104,8 @@ class Scored:
     weights
         ``(k, f)``: Z times these is orthonormal.
     parts
-        ``(U, f)``: what each unit adds to the residual's components in these directions; flips turn their signs.
+        ``(U, f)``: what each unit adds in the null to the residual's components in these directions: of rows what it
+        adds here, with a sign that flips turn; of a prior's pseudo-row what one standard deviation of it would.
     amplitude
         ``(f,)``: these components.
     kept
@@ -152,16 +163,17 @@ def explained_by(s: Scored, amplitude: Array, scale: float) -> Array:
     return np.asarray(np.sum(s.kept * amplitude**2, axis=-1) / scale**2)
 
 
-def flip_moments(parts: Array, kept: Array, scale: float) -> tuple[float, float]:
-    """Mean and variance of what a candidate explains over all sign flips of the units.
+def flip_moments(parts: Array, kept: Array, scale: float, drawn: Bools) -> tuple[float, float]:
+    """Mean and variance of what a candidate explains over all sign flips of the units, and draws of those ``drawn``.
 
     With p_u a unit's part, the sum over directions of k (sum_u s_u p_u)^2 has the mean sum_u p_u' K p_u and the
-    variance 2 (|B|^2 - sum_u (p_u' K p_u)^2), B the sum of K^1/2 p_u p_u' K^1/2. No flip changes either.
+    variance 2 (|B|^2 - sum_u (p_u' K p_u)^2), B the sum of K^1/2 p_u p_u' K^1/2, the last sum over units whose s_u is a
+    sign (its square never varies) and not a normal number. No flip changes either.
     """
     weighted = parts * (np.sqrt(kept) / scale)
     gram = weighted.T @ weighted
     own = np.sum(weighted**2, axis=1)
-    return float(own.sum()), 2.0 * float(np.sum(gram**2) - own @ own)
+    return float(own.sum()), 2.0 * float(np.sum(gram**2) - own[~drawn] @ own[~drawn])
 
 
 def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
@@ -196,7 +208,8 @@ def space_of(estimate: Estimate) -> Space:
     units = np.r_[unit, unit.max(initial=0) + 1 + np.arange(len(root))]
     freedom = max(count - basis.shape[1], 1)
     scale = float(np.sqrt(residual @ residual / freedom))
-    return Space(residual, basis, units, max(scale, 1e-12), freedom, count)
+    told = np.linalg.norm(vectors[~weak], axis=0)
+    return Space(residual, basis, units, max(scale, 1e-12), freedom, count, told)
 
 
 def log_tail(x: Array | float, freedom: float) -> Array:
@@ -246,11 +259,13 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
     parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
     amplitude = parts.sum(axis=0)
+    # Of a candidate's own columns pseudo-rows have none.
+    parts[space.drawn] = -(space.told[:, None] * space.basis[space.rows :]) @ absorbed @ weights
     kept, cost = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2)))
     if c.prior is not None:
         kept, cost = values / (1.0 + values), float(np.sum(np.log1p(values)))
     explained = float(kept @ amplitude**2) / space.scale**2
-    moments = flip_moments(parts, kept, space.scale)
+    moments = flip_moments(parts, kept, space.scale, space.drawn)
     return Scored(
         candidate=c,
         absorbed=absorbed,
@@ -314,13 +329,16 @@ class Flips:
 
 
 def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> Flips:
-    """Sign-flip null over a dictionary: one matrix product."""
+    """Sign-flip null over a dictionary, with draws of what a prior says: one matrix product."""
     chosen = [s for s in scored if s.freedom]
     if not chosen:
         return Flips(np.zeros(flips))
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(flips, len(chosen[0].parts)))
+    rng = np.random.default_rng(seed)
+    signs = rng.choice([-1.0, 1.0], size=(flips, len(chosen[0].parts)))
+    signs[:, space.drawn] = rng.normal(size=(flips, int(space.drawn.sum())))
     amplitude = signs @ np.hstack([s.parts for s in chosen])
     kept, starts = np.concatenate([s.kept for s in chosen]), np.cumsum([0, *(s.freedom for s in chosen[:-1])])
     explained = np.add.reduceat(amplitude**2 * kept, starts, axis=1) / space.scale**2
-    tails = [tail_of(flip_moments(s.parts, s.kept, space.scale), x) for s, x in zip(chosen, explained.T, strict=True)]
+    moments = [flip_moments(s.parts, s.kept, space.scale, space.drawn) for s in chosen]
+    tails = [tail_of(m, x) for m, x in zip(moments, explained.T, strict=True)]
     return Flips(-np.min(tails, axis=0))

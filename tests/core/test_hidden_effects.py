@@ -59,6 +59,8 @@ CASES = {
         Case("link_bending", (*TORQUES, *POSES), ("poses",)),
         Case("stribeck_friction", TORQUES, ("free_air",)),
         Case("torque_offset", TORQUES, ("free_air",)),
+        Case("time_lag", TORQUES, ("free_air",)),
+        Case("payload", TORQUES, ("free_air",)),
         Case("fixture_compliance", ("clamped",), ("clamped",)),
         Case("nonlinear_stiffness", ("clamped",), ("clamped",)),
         Case("hysteresis", ("clamped",), ("clamped",)),
@@ -151,7 +153,7 @@ def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Si
     check(CASES[effect], seed, simulated, table)
 
 
-@pytest.mark.parametrize("effect", ["gear_eccentricity", "torque_offset"])
+@pytest.mark.parametrize("effect", ["gear_eccentricity", "torque_offset", "time_lag"])
 def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
     check(CASES[effect], 4, simulated, table)
 

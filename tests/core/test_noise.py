@@ -122,7 +122,7 @@ def space(J: np.ndarray, y: np.ndarray, unit: np.ndarray | None = None) -> Space
     r = y - Q @ (Q.T @ y)
     freedom = len(y) - J.shape[1]
     units = np.arange(len(y)) if unit is None else unit
-    return Space(r, Q, units, float(np.sqrt(r @ r / freedom)), freedom, len(y))
+    return Space(r, Q, units, float(np.sqrt(r @ r / freedom)), freedom, len(y), np.zeros(0))
 
 
 def test_p_values_are_uniform_where_nothing_is_missing():
@@ -238,11 +238,38 @@ def test_moments_are_those_of_all_flips():
     parts, kept = rng.standard_normal((9, 3)), np.array([1.0, 0.7, 0.2])
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 9)).reshape(9, -1).T
     explained = ((signs @ parts) ** 2) @ kept / 1.3**2
-    mean, variance = flip_moments(parts, kept, 1.3)
+    signed = np.zeros(9, dtype=bool)
+    mean, variance = flip_moments(parts, kept, 1.3, signed)
     assert mean == pytest.approx(explained.mean())
     assert variance == pytest.approx(explained.var())
-    one = flip_moments(parts * (np.arange(9) == 4)[:, None], kept, 1.0)  # one unit holds all: no evidence
+    one = flip_moments(parts * (np.arange(9) == 4)[:, None], kept, 1.0, signed)  # one unit holds all: no evidence
     assert tail_of(one, 1e6) == 0.0
+
+
+def test_moments_are_those_of_flips_and_draws():
+    rng = np.random.default_rng(8)
+    parts, kept = rng.standard_normal((9, 3)), np.array([1.0, 0.7, 0.2])
+    drawn = np.arange(9) >= 6
+    times = np.where(drawn, rng.standard_normal((400_000, 9)), rng.choice([-1.0, 1.0], (400_000, 9)))
+    explained = ((times @ parts) ** 2) @ kept
+    mean, variance = flip_moments(parts, kept, 1.0, drawn)
+    assert mean == pytest.approx(explained.mean(), rel=0.02)
+    assert variance == pytest.approx(explained.var(), rel=0.05)
+
+
+def test_a_pull_on_a_prior_is_evidence():
+    """A number known to within one was fitted eight off: what explains it has little in the rows themselves."""
+    rng = np.random.default_rng(10)
+    J = rng.standard_normal((200, 2))
+    rows, known = np.vstack([J, [[1.0, 0.0]]]), np.r_[np.zeros(200), 1.0]
+    for pull, sure in ((8.0, True), (0.5, False)):
+        y = J[:, 0] * pull + rng.standard_normal(200)
+        r, basis = np.r_[y, 0.0] - rows @ np.linalg.solve(rows.T @ rows, rows.T @ np.r_[y, 0.0]), np.linalg.qr(rows)[0]
+        sp = Space(r, basis, np.arange(201), 1.0, 199, 200, known[200:])
+        (found,) = score(sp, [candidate(J[:, :1])])
+        assert found.retained < 0.05
+        p = flip_maxima(sp, [found], 199, 0).p_familywise(found.log_p)
+        assert (p == pytest.approx(1 / 200)) if sure else (p > 0.05)
 
 
 def test_a_wide_candidate_does_not_hide_a_narrow_one():

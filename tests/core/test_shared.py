@@ -47,6 +47,7 @@ def test_series_c_geometry_over_ten_splits():
     assert np.mean(means) <= 0.44e-3, means
 
 
+@pytest.mark.slow
 def test_series_c_geometry_is_not_adequate():
     """The instrument's scatter is thirty times smaller."""
     found = diagnose(geometry_of_series_c(0), campaign_at("real/ur10_series_c")).stages["poses"]

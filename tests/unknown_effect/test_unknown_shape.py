@@ -109,6 +109,7 @@ def flanges(arm: IdentifiedArm, q: np.ndarray) -> np.ndarray:
     return np.asarray(ca.Function("flange", [symbol], [position])(q.T)).T
 
 
+@pytest.mark.slow
 def test_from_a_verdict_to_a_command(simulated, tmp_path: Path):
     """Something that no effect of the catalogue explains is found, drawn, made an effect, fitted, and compensated."""
     campaign = simulated("outside_third_harmonic")
