@@ -123,6 +123,8 @@ class Scored:
         Share of the columns that the active parameters cannot absorb.
     state
         ``absent``, ``absorbed``, ``weak``, ``testable``, or ``implausible``: of a size or sign that cannot be.
+    assumed
+        Share of what it explains that is how far the fit was pulled off what the prior says, and not in the rows.
     unit_limit
         ``(k,)``: the residual's scale, as the candidate's flips have it, over each projected column's length,
         parameter units.
@@ -140,6 +142,7 @@ class Scored:
     bic: float
     retained: float
     state: str
+    assumed: float
     unit_limit: Array
 
     @property
@@ -240,7 +243,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
 
     def nothing(retained: float, state: str) -> Scored:
         zero = np.zeros(0)
-        return Scored(c, absorbed, none, none, zero, zero, 0.0, 0.0, 0.0, -np.inf, retained, state, unit_limit)
+        return Scored(c, absorbed, none, none, zero, zero, 0.0, 0.0, 0.0, -np.inf, retained, state, 0.0, unit_limit)
 
     if not seen.any():
         return nothing(0.0, "absent")
@@ -279,6 +282,9 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK else "testable",
+        assumed=float(
+            np.sum((parts[space.drawn] @ (kept * amplitude)) ** 2) / max(np.sum((kept * amplitude) ** 2), 1e-300)
+        ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
     )
 
