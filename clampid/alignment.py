@@ -192,8 +192,9 @@ def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None =
     joints = tuple(j for j, found in where.items() if min(found) >= 0 and f"joint{j + 1}" in allowed)
     chosen = np.array([k for j in joints for k in where[j]], dtype=int)
     prior = np.array([own.by_name[a].prior_std for a in names])
-    posterior = inverse_of(estimate.covariance[np.ix_(chosen, chosen)])
-    information = posterior - np.diag(np.tile(prior**-2, len(joints))) / _scale(estimate)
+    covariance, scale = _of_independent_rows(estimate)
+    posterior = inverse_of(covariance[np.ix_(chosen, chosen)])
+    information = posterior - np.diag(np.tile(prior**-2, len(joints))) / scale
     width = len(names)
     return Curves(
         joints,
@@ -204,12 +205,16 @@ def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None =
     )
 
 
-def _scale(estimate: Estimate) -> float:
-    """The variance by which a fit multiplied its covariance: what is left, over what its noise model expects."""
-    r = estimate.whitened.residual
-    count = len(estimate.theta)
-    told_by_prior = float(np.sum(estimate.covariance * estimate.prior_precision))  # times the scale
-    return max((float(r @ r) - told_by_prior) / max(len(r) - count, 1), 1e-12)
+def _of_independent_rows(estimate: Estimate) -> tuple[Array, float]:
+    """The covariance ``(P + K, P + K)`` of a fit's parameters if all numbers were independent, and their variance.
+
+    The estimate's own counts what the points of a visit share, and is not the inverse of an information.
+    """
+    white, r = estimate.whitened, estimate.whitened.residual
+    inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
+    told = len(estimate.theta) - float(np.sum(inverse * estimate.prior_precision))  # by the rows, not the prior
+    scale = max(float(r @ r) / max(len(r) - told, 1.0), 1e-12)
+    return inverse * scale, scale
 
 
 @dataclass(frozen=True)
