@@ -90,7 +90,9 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
     contradicted = tuple(a for a in found if a.verdict == "differs")
     if contradicted:
         return Drives(None, contradicted)
-    return Drives(prior_from(clamped, shared_drives(clamped.slots, poses.slots)), ())
+    # What no pose tells stays out: a clearance that does not show would only stand, on a guessed flank, in predictions.
+    told = tuple(s for s in shared_drives(clamped.slots, poses.slots) if alone.identified[poses.slots.index(s)])
+    return Drives(prior_from(clamped, told) if told else None, ())
 
 
 def prior_from(stage: StageModel, slots: tuple[Slot, ...]) -> Prior:

@@ -276,11 +276,7 @@ class Limits:
 def limits_of(experiment: Experiment) -> Limits:
     """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
     lower, upper = experiment.bounds()
-    bounded = experiment.shapes() | (experiment.stage == "clamped")
-    # In poses friction decides only on which flank a joint stands; negative, it would turn every flank round.
-    flank = [s.effect == "wrist_coupling_friction" and experiment.stage == "poses" for s in experiment.slots]
-    bounded[: len(flank)] |= np.array(flank, dtype=bool)
-    return Limits(experiment.sizes(), lower, upper, bounded)
+    return Limits(experiment.sizes(), lower, upper, experiment.shapes() | (experiment.stage == "clamped"))
 
 
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:

@@ -83,17 +83,18 @@ def test_poses_and_sweeps_are_weighted_by_their_covariances(
     mean = a + scale * (gain @ ((b - a) / scale))
     found, spread = drives_of(together.model)
     std = np.sqrt(np.diag(spread))
-    loaded = np.array([s.place != "joint1" for s in order])  # only friction parts its gap and spring: not linear
+    told = [alone.model.identified[k] and together.model.identified[k] for k, _ in enumerate(alone.model.slots)]
+    loaded = np.array([told[alone.model.slots.index(s)] for s in order])
+    assert np.count_nonzero(loaded) >= 8
     np.testing.assert_allclose(((found - mean) / std)[loaded], 0.0, atol=0.2)  # flanks and noise are found anew
     assert np.all((std <= 1.05 * np.sqrt(np.minimum(np.diag(spread_alone), scale**2)))[loaded])
 
 
-def test_poses_know_a_spring_that_gravity_never_loads(clamped: StageModel, alone: FittedStage, together: FittedStage):
-    slot = Slot("joint_compliance", "c", "joint1")
-    k, j = together.model.slots.index(slot), clamped.slots.index(slot)
+def test_what_no_pose_tells_is_not_taken_over(alone: FittedStage, together: FittedStage):
+    """Gravity never loads joint 1: its clearance would only stand in predictions, on a flank that is guessed."""
+    k = together.model.slots.index(Slot("joint_compliance", "c", "joint1"))
     assert not alone.model.identified[k]
-    assert together.model.identified[k]
-    assert together.model.std[k] == pytest.approx(clamped.std[j], rel=0.1)
+    assert not together.model.identified[k]
 
 
 def test_springs_that_the_poses_contradict_are_not_taken_over(

@@ -80,10 +80,11 @@ def test_nothing_is_known_less_well_than_stage_by_stage(apart: Model, joint: Mod
 
 
 def test_the_last_stage_is_where_the_joint_fit_is(apart: Model, joint: Model):
-    """Priors carried forward make the last stage the joint fit's, but for what is not linear."""
+    """Priors carried forward bring the last stage near the joint fit, which alone knows of drives that no pose tells."""
     a, b = apart.stages["poses"], joint.stages["poses"]
     assert a.slots == b.slots
-    np.testing.assert_allclose((a.theta - b.theta) / b.std, 0.0, atol=0.5)
+    told = np.array(a.identified)
+    np.testing.assert_allclose(((a.theta - b.theta) / b.std)[told], 0.0, atol=1.0)  # a standard error
 
 
 def test_held_out_rows_are_not_worse(apart: Model, joint: Model):

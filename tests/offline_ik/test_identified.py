@@ -134,5 +134,5 @@ def test_a_million_poses() -> None:
     given_ = conditions()
     T = solver.pose(q, given_)
     found = solver.solve(T, np.zeros_like(q), solver.signs(q), given_)
-    assert np.count_nonzero(~found.reached) <= 2  # near wrist singularity the search may end early: one was measured
-    assert np.abs(solver.pose(found.q, given_) - T).max() < 1e-9
+    assert np.count_nonzero(~found.reached) <= 2  # one of a million was missed when this was written
+    assert np.abs(solver.pose(found.q, given_) - T)[found.reached].max() < 1e-9
