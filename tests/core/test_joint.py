@@ -80,7 +80,7 @@ def test_nothing_is_known_less_well_than_stage_by_stage(apart: Model, joint: Mod
 
 
 def test_the_last_stage_is_where_the_joint_fit_is(apart: Model, joint: Model):
-    """Priors carried forward bring the last stage near the joint fit, which alone knows of drives that no pose tells."""
+    """Priors carried forward bring the last stage near the joint fit, which alone knows drives that no pose tells."""
     a, b = apart.stages["poses"], joint.stages["poses"]
     assert a.slots == b.slots
     told = np.array(a.identified)
