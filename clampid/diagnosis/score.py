@@ -44,8 +44,9 @@ __all__ = [
 
 ABSORBED = 1e-6
 WEAK = 0.05
+SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
 SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
-FAR = 1000.0  # beyond this chi-square's tail underflows for some freedoms
+TINY = 1e-290  # a smaller tail than this may have underflowed
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,16 @@ class Space:
 
     @cached_property
     def by_unit(self) -> Sums:
-        """Each unit's share of a column's product with the residual, U units."""
+        """Each unit's share of a column's product with the residual of the null, U units.
+
+        A fit takes out of each unit's noise what its leverage lets it, so that plain residuals flipped are too small:
+        of a hundred poses and seventy parameters by an eighth, which makes hundreds of columns explain "too much".
+        Each unit's residual is therefore multiplied by (1 - Q_u Q_u')^(-1/2), which undoes that in the mean. Source:
+        Bell and McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey
+        Methodology 28, 2002 (CR2).
+        """
         _, unit = np.unique(self.unit, return_inverse=True)
-        return Sums.of(unit, self.residual)
+        return Sums.of(unit, _unshrunk(self.residual, self.basis, unit))
 
     @cached_property
     def basis_by_unit(self) -> Array:
@@ -105,7 +113,8 @@ class Scored:
         ``(k, f)``: Z times these is orthonormal.
     parts
         ``(U, f)``: what each unit adds in the null to the residual's components in these directions: of rows what it
-        adds here, with a sign that flips turn; of a prior's pseudo-row what one standard deviation of it would.
+        would have added before the fit took its share, with a sign that flips turn; of a prior's pseudo-row what one
+        standard deviation of it would.
     amplitude
         ``(f,)``: these components.
     kept
@@ -159,6 +168,18 @@ class Scored:
     def spread(self) -> Array:
         """What a unit of the residual's scale moves :attr:`value` by ``(k,)``, SI."""
         return np.asarray(np.sqrt(np.sum((self.weights * self.kept) ** 2, axis=1)))
+
+
+def _unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
+    """The residual ``(M,)`` of each unit as large as its noise was before a fit with that basis took its share."""
+    out = residual.copy()
+    order = np.argsort(unit, kind="stable")
+    for entries in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
+        Q_u = basis[entries]
+        left, size, _ = np.linalg.svd(Q_u, full_matrices=False)
+        share = np.minimum(size**2, 1.0 - SMALLEST)
+        out[entries] += left @ ((1.0 / np.sqrt(1.0 - share) - 1.0) * (left.T @ residual[entries]))
+    return out
 
 
 def explained_by(s: Scored, amplitude: Array, scale: float) -> Array:
@@ -218,11 +239,14 @@ def space_of(estimate: Estimate) -> Space:
 def log_tail(x: Array | float, freedom: float) -> Array:
     """Natural logarithm of the chi-square tail, also where the tail itself is too small for a number."""
     value = np.asarray(x, dtype=float)
-    half = np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
-    far = (freedom / 2.0 - 1.0) * np.log(half) - half - float(gammaln(freedom / 2.0))  # leading term of its expansion
-    a, x_near = freedom / 2.0, np.minimum(value, FAR) / 2.0
-    near = np.where(x_near < a, np.log1p(-gammainc(a, np.minimum(x_near, a))), np.log(gammaincc(a, x_near)))
-    return np.asarray(np.where(value > FAR, far, near))
+    a, half = freedom / 2.0, np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
+    tail = gammaincc(a, half)
+    tiny = tail < TINY
+    tail_or_one = np.where(tiny, 1.0, tail)
+    near = np.where(half < a, np.log1p(-gammainc(a, np.minimum(half, a))), np.log(tail_or_one))
+    # Leading term of its expansion, summed as a geometric series; where the tail is tiny, half is well above a.
+    far = a * np.log(half) - half - float(gammaln(a)) - np.log(np.where(tiny, half - a + 1.0, 1.0))
+    return np.asarray(np.where(tiny, far, near))
 
 
 def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
@@ -260,8 +284,8 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         return nothing(retained, "absorbed")
     values = values[keep]
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
+    amplitude = c.columns.times(space.residual) @ weights  # the residual is off the basis
     parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
-    amplitude = parts.sum(axis=0)
     # Of a candidate's own columns pseudo-rows have none.
     parts[space.drawn] = -(space.told[:, None] * space.basis[space.rows :]) @ absorbed @ weights
     kept, cost = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2)))

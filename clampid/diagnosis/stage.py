@@ -61,9 +61,10 @@ def diagnose_stage(
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
+    noise = fitted.estimate.noise
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     result.outliers = outliers_of(fitted.estimate)
-    held = held_out(fitted.estimate, verification, floor, seed)
+    held = held_out(fitted.estimate, verification, floor, noise, seed)
     result.before = result.after = held.rms
     first = fitted.estimate
     rejected: set[str] = set()
@@ -83,7 +84,7 @@ def diagnose_stage(
         terms = [*fitted.model.terms, *best.candidate.terms]
         trial = refit(terms, fitted, best.candidate.shapes)
         trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, refit)
-        new = held_out(trial.estimate, verification, floor, seed)
+        new = held_out(trial.estimate, verification, floor, noise, seed)
         p_held, falls = _falls(best, held, new, seed)
         again = stability(look.space, look.named, best, look.folds, seed)
         if not falls or again < STABLE:

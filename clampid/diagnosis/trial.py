@@ -10,6 +10,7 @@ import numpy as np
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage
+from clampid.noise import Noise
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Integers, Rows
@@ -21,25 +22,41 @@ Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStag
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Squared errors of held-out rows, in the stage's unit, with the units that share their noise."""
+    """Squared errors of held-out rows, with the units that share their noise.
+
+    Attributes
+    ----------
+    rms
+        In the stage's unit.
+    squares
+        ``(N,)``: of poses in m²; of logs prewhitened as the evidence is, since noise that lasts hides what falls.
+    """
 
     rms: float
     squares: Array
     unit: Integers
 
 
-def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int) -> HeldOut:
-    """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds."""
+def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, noise: Noise, seed: int) -> HeldOut:
+    """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds.
+
+    Parameters
+    ----------
+    noise
+        The same for all estimates that are compared, of all rows of the stage.
+    """
     count = len(estimate.slots)
     if verification is not None:
         trial = experiment(verification, estimate.experiment.effects, estimate.slots)
         rows, residual = verification, predicted(trial, estimate.theta[:count])
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
-    size, counts = size_of(rows, residual, floor)
-    squares = np.where(counts, size**2, 0.0)
-    if squares.ndim == 2:
-        squares = squares.sum(axis=1)
+    if rows.stage == "poses":
+        size, counts = size_of(rows, residual, floor)
+        squares = np.where(counts, size**2, 0.0)
+    else:
+        white = noise.whiten(rows, residual, np.zeros((*residual.shape, 0)))
+        squares = np.bincount(white.entry, white.residual**2, minlength=len(rows))
     return HeldOut(rms_of(rows, residual, floor), squares, rows.unit)
 
 

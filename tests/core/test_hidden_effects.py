@@ -71,12 +71,6 @@ CASES = {
 }
 
 
-# Since p-values come from the moments of flips: one joint's hump at low speed may be left to a probe (seed 1: unknown).
-OPEN = {
-    "stribeck_friction": pytest.mark.xfail(reason="a hump at one joint is seen, but not always named", strict=False)
-}
-
-
 @pytest.fixture(scope="module")
 def table(request: pytest.FixtureRequest) -> Iterator[list[str]]:
     """Lines that are printed when all cases are done."""
@@ -154,7 +148,7 @@ def _hidden_where(campaign: Campaign) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("effect", [pytest.param(e, marks=OPEN.get(e, ())) for e in CASES])
+@pytest.mark.parametrize("effect", CASES)
 def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Simulated, table: list[str]):
     check(CASES[effect], seed, simulated, table)
 

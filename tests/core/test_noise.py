@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import gammaln, logsumexp
 
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns
@@ -182,12 +183,21 @@ def test_familywise_p_counts_the_flips_beyond():
 @pytest.mark.parametrize("freedom", [1, 2, 3, 4, 7, 12, 30])
 def test_log_tail(freedom: int):
     x = np.array([0.0, 1e-3, 0.5, 3.0, 40.0, 300.0, 900.0])
-    np.testing.assert_allclose(log_tail(x, freedom), stats.chi2.logsf(x, freedom), rtol=1e-10)
+    np.testing.assert_allclose(log_tail(x, freedom), stats.chi2.logsf(x, freedom), rtol=1e-10, atol=1e-100)
     # Far out the tail itself is too small for a number.
     for far in (1.5e3, 1e4, 1e6):
         assert log_tail(far, freedom) == pytest.approx(_log_tail_by_series(far, freedom), rel=2e-4)
     grid = np.linspace(900.0, 1100.0, 400)
     assert np.all(np.diff(log_tail(grid, freedom)) < 0)  # no step where the formulas meet
+
+
+@pytest.mark.parametrize("freedom", [2, 300, 1100, 5000])
+def test_log_tail_of_hundreds_of_directions(freedom: int):
+    """For even freedom the tail is a Poisson distribution's, whose terms have logarithms at any distance."""
+    k = np.arange(freedom // 2)
+    for x in freedom * np.array([0.9, 1.0, 1.05, 1.3, 2.0, 5.0, 30.0]):
+        exact = -x / 2 + logsumexp(k * np.log(x / 2) - gammaln(k + 1.0))
+        assert log_tail(float(x), freedom) == pytest.approx(exact, rel=1e-3)
 
 
 def _log_tail_by_series(x: float, freedom: int) -> float:
@@ -231,6 +241,19 @@ def test_the_same_space_is_one_explanation():
     assert canonical(a, c) < 0.3
     assert explained_together(sp, a, b) == pytest.approx(a.explained, rel=1e-6)
     assert explained_together(sp, a, c) > a.explained
+
+
+def test_flips_are_as_large_as_the_noise_that_a_fit_took_a_share_of():
+    """Sixty parameters take a fifth of the noise of fifty units; what many columns explain is not large."""
+    rng, ratio = np.random.default_rng(12), []
+    unit = np.repeat(np.arange(50), 6)
+    for _ in range(40):
+        J, D = rng.standard_normal((300, 60)), rng.standard_normal((300, 150))
+        sp = space(J, rng.standard_normal(300), unit)
+        (found,) = score(sp, [candidate(D)])
+        ratio.append(found.explained / flip_moments(found.parts, found.kept, sp.scale, sp.drawn)[0])
+    assert np.mean(ratio) == pytest.approx(1.0, abs=3 * np.std(ratio) / np.sqrt(len(ratio)))
+    assert np.std(ratio) / np.sqrt(len(ratio)) < 0.03
 
 
 def test_moments_are_those_of_all_flips():
