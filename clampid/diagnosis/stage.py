@@ -66,7 +66,7 @@ def diagnose_stage(
     rejected: set[str] = set()
     refused: dict[str, dict[str, Any]] = {}
     look = bench.look(fitted, 0)
-    result.testability = testability_of(look.named, look.named_null, effects)
+    result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     if look.fires and look.probe is not None:
         result.depends_on = list(look.probe.candidate.depends_on)
     for number in range(1, ROUNDS + 1):
