@@ -99,6 +99,8 @@ def diagnose_stage(
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
         _unknown(result, look, fitted.estimate, seed)
+    if result.verdict == "adequate":
+        result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
     result.omission = omission_of(first, fitted.estimate)
     result.fitted = fitted
