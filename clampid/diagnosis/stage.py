@@ -102,8 +102,7 @@ def diagnose_stage(
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
-    result.omission = omission_of(first, fitted.estimate)
-    result.fitted = fitted
+    result.omission, result.fitted = omission_of(first, fitted.estimate), fitted
     result.summary = summary_of(result)
     return result
 
