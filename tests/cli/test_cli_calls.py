@@ -15,7 +15,7 @@ from cli_runner import Clampid
 
 VERBS = (
     "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "effects", "export", "simulate",
-    "ik", "serve",
+    "ik", "serve", "base",
 )  # fmt: skip
 
 
