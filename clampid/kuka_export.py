@@ -17,7 +17,10 @@ from scipy.optimize import least_squares
 
 from clampid.export import CalibratedChain, calibrated_chain, postures, sensitivity
 from clampid.model import Model, ModelError
+from clampid.slots import Slot
 from clampid.stages.rows import Array
+from experiments.campaign import Campaign, target_points
+from experiments.metrics import norm_metrics
 from kinematics.description import load_robot
 from kinematics.kuka import MachineData, forward, frame_numbers, nominal_machine_data
 from kinematics.kuka_text import machine_data_text, read_machine_data
@@ -65,12 +68,15 @@ class KukaExport:
         What the form alone leaves of the static geometry.
     nominal
         What the nominal machine data leave, with the best base and flange.
+    measured
+        What a controller with these data alone leaves of measured poses, in a sentence; empty without a campaign.
     """
 
     data: MachineData
     text: str
     left: FormError
     nominal: FormError
+    measured: str = ""
 
 
 def kuka_machine_data(
@@ -81,6 +87,7 @@ def kuka_machine_data(
     temperature: float = 20.0,
     lever: float = LEVER,
     left_out: Sequence[str] = (),
+    campaign: Campaign | None = None,
 ) -> KukaExport:
     """The machine data of a KUKA controller that come nearest to a model, with standard errors.
 
@@ -96,11 +103,14 @@ def kuka_machine_data(
         How far a tool's point is from the flange, m: orientation counts in the fit as what it moves there.
     left_out
         Effects of the model that no static geometry holds: they are named in the text.
+    campaign
+        That of the session: on its measured points it is said what these data alone leave, deflection included.
 
     Raises
     ------
     ModelError
-        The model has no geometry, or no expansion for that temperature; or the text, read back, is not what was fitted.
+        The model has no geometry, or no expansion for that temperature; the campaign is not that of the session; or the
+        text, read back, is not what was fitted.
     MachineDataError
         The robot has not six joints, or its nominal arm is not ortho-parallel with a central hand.
 
@@ -124,8 +134,10 @@ def kuka_machine_data(
     if not lost <= READ_BACK:
         raise ModelError(f"the machine data, read back, differ by {lost:.2g} m from what was written")
     left = _error(data, chain, fresh)
+    measured = "" if campaign is None else _measured(data, model, session, campaign)
     said = _header(nominal.name, temperature, (left, plain), left_out, lever)
-    return KukaExport(data, machine_data_text(fitted, std, said), left, plain)
+    text = machine_data_text(fitted, std, [*said, *([measured] if measured else []), ""])
+    return KukaExport(data, text, left, plain, measured)
 
 
 def _header(
@@ -145,8 +157,33 @@ def _header(
         f"In no machine data, and not in these numbers: {', '.join(left_out) or 'nothing of this model'}.",
         "$ROBROOT is the robot's base in the instrument's frame. Mastering is the last block: each axis' own $MAMES,",
         "plus what is said there. Axes 1 and 6 keep theirs: $TIRORO and $TFLWP have what turns with them.",
-        "",
     ]
+
+
+def _measured(data: MachineData, model: Model, session: int, campaign: Campaign) -> str:
+    """How far these data are from the measured points of a session's campaign; of held-out ones, where there are."""
+    if model.sessions[session].fingerprint != campaign.fingerprint:
+        raise ModelError(
+            f"{campaign.name}: expected the campaign that session {session + 1} of the model was fitted on, because its "
+            "base and flange are in the file"
+        )
+    table = "verification" if "verification" in campaign.tables else "poses"
+    frame, n = campaign.tables[table], campaign.robot.n
+    prefix = f"session{session + 1}:" if len(model.sessions) > 1 else ""
+    values = model.stages["poses"].values()
+    shift = np.array(
+        [
+            [values.get(Slot("geometry", f"target_{a}", f"{prefix}{name}"), 0.0) for a in "xyz"]
+            for name in frame["target"]
+        ]
+    )
+    pose = forward(data, frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float))
+    point = np.einsum("nij,nj->ni", pose[:, :3, :3], target_points(campaign, table) + shift) + pose[:, :3, 3]
+    error = norm_metrics(np.linalg.norm(frame[["x_m", "y_m", "z_m"]].to_numpy(float) - point, axis=1))
+    mean, largest = (1e3 * float(error[k] or 0.0) for k in ("P_mean", "P_max"))
+    return (
+        f"These data alone leave of {len(frame)} measured points ({table}): mean {mean:.4f} mm, max {largest:.4f} mm."
+    )
 
 
 def _numbers(data: MachineData) -> Array:

@@ -123,6 +123,9 @@ def kuka(
     lever: Annotated[
         float, typer.Option(metavar="M", help="From the flange to the tool's point, which is to err least.")
     ] = 0.2,
+    campaign: Annotated[
+        Path | None, typer.Option(metavar="CAMPAIGN", help="Poses on which to say what these data alone leave.")
+    ] = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
     robot: Robot = None,
@@ -135,7 +138,9 @@ def kuka(
 
     from clampid.kuka_export import kuka_machine_data
     from clampid.model import load_model, write_text
+    from experiments.campaign import read_campaign
 
+    poses = None if campaign is None else read_campaign(campaign)
     loaded = load_model(model)
     found = kuka_machine_data(
         loaded,
@@ -144,6 +149,7 @@ def kuka(
         temperature=temperature,
         lever=lever,
         left_out=_left_out(loaded, effects_from, out),
+        campaign=poses,
     )
     if output is None:
         sys.stdout.write(found.text)
@@ -152,6 +158,8 @@ def kuka(
     out.say(f"machine data: {output}; static geometry at {temperature:g} degC")
     out.say(f"what this form alone leaves: {found.left}")
     out.say(f"what nominal machine data leave: {found.nominal}")
+    if found.measured:
+        out.say(found.measured)
 
 
 @export.command()

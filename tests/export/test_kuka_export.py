@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from clampid.export import calibrated_chain, postures
@@ -13,6 +14,7 @@ from clampid.kuka_export import _nearest as nearest
 from clampid.kuka_export import _numbers as numbers
 from clampid.model import Model, ModelError
 from clampid.slots import Slot
+from experiments.campaign import Campaign, Instrument, Tool
 from kinematics.description import load_robot
 from kinematics.kuka import MachineDataError, forward, frame_numbers
 from kinematics.kuka_text import read_machine_data
@@ -114,6 +116,28 @@ def test_what_the_form_is_not_for_is_refused(make_model: Make) -> None:
         kuka_machine_data(make_model("kuka_kr20_r1810"), session=1)
     with pytest.raises(ModelError, match="thermal_expansion"):
         kuka_machine_data(make_model("kuka_kr20_r1810"), temperature=30.0)
+
+
+def test_what_the_data_leave_of_measured_points_is_said(make_model: Make) -> None:
+    """Points where the model has them, but for a sag of 2 mm that no machine data hold."""
+    model = make_model("kuka_kr20_r1810", size=1e-4)
+    robot, target = load_robot(model.robot), np.array([0.1, 0.0, 0.2])
+    q = postures(robot, 40, seed=5)
+    pose = calibrated_chain(model).flange(q)
+    point = pose[:, :3, :3] @ target + pose[:, :3, 3] - [0.0, 0.0, 2e-3]
+    table = pd.DataFrame(np.c_[q, point], columns=[*(f"q{i + 1}_rad" for i in range(6)), "x_m", "y_m", "z_m"])
+    campaign = Campaign(
+        "made", None, robot, np.array([0, 0, -9.81]), Tool(0.0, np.zeros(3)), {"T1": target},
+        Instrument("none", 1e-5, None), {"poses": table.assign(target="T1")}, model.sessions[0].fingerprint,
+    )  # fmt: skip
+    found = kuka_machine_data(model, campaign=campaign)
+    mean = float(found.measured.partition("mean ")[2].split()[0])
+    assert mean == pytest.approx(2.0, abs=3e3 * found.left.position_rms)
+    assert mean != pytest.approx(2.0, abs=1e-4)
+    assert found.measured.startswith("These data alone leave of 40 measured points (poses)")
+    assert found.measured in found.text
+    with pytest.raises(ModelError, match="expected the campaign that session 1 of the model was fitted on"):
+        kuka_machine_data(model, campaign=replace(campaign, fingerprint="other"))
 
 
 def test_every_kuka_arm_is_written(make_model: Make) -> None:
