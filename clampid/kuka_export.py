@@ -164,8 +164,8 @@ def _measured(data: MachineData, model: Model, session: int, campaign: Campaign)
     """How far these data are from the measured points of a session's campaign; of held-out ones, where there are."""
     if model.sessions[session].fingerprint != campaign.fingerprint:
         raise ModelError(
-            f"{campaign.name}: expected the campaign that session {session + 1} of the model was fitted on, because its "
-            "base and flange are in the file"
+            f"{campaign.name}: expected the campaign that session {session + 1} of the model was fitted on, because "
+            "its base and flange are in the file"
         )
     table = "verification" if "verification" in campaign.tables else "poses"
     frame, n = campaign.tables[table], campaign.robot.n
