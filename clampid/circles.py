@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
+from clampid.fit import OUTLIER_SHARE
 from clampid.noise import NORMAL
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import CampaignError
@@ -31,7 +32,7 @@ SAME = 1e-4  # rad: other joints that are closer than this stand still
 SMALLEST = 0.01  # m: a point nearer to the axis tells nothing of where it is
 PARALLEL = 1e-6  # sine of the angle between axes that have no common normal
 FAR = 6.0  # robust standard deviations beyond which a point is wrong
-SETTLED = 1e-7  # rad and m: a base that moves less has been found
+ROUNDS, SETTLED = 10, 1e-7  # rad and m: a base that moves less has been found
 REACH = 1e-6  # of a parameter's unit: a step of differences
 
 
@@ -75,6 +76,8 @@ class CircleFit:
         ``(m,)``: which row each misfit is of.
     used
         ``(N,)``: rows on circles that are not outliers.
+    problem, solution, points
+        What was solved, where its solution is ``(8,)``, and for which points ``(N, 3)``, m.
     """
 
     base: Array
@@ -127,6 +130,9 @@ def circles_of(rows: Rows) -> tuple[Circle, ...]:
 def fit_circles(rows: Rows, circles: Sequence[Circle], points: Array, start: Array) -> CircleFit:
     """The base frame in which points lie on circles about axes 1 and 2, by least squares.
 
+    Points far off their circles are left out, unless they are more than a share of all: then they are no errors of
+    single points, and none is.
+
     Parameters
     ----------
     points
@@ -134,20 +140,30 @@ def fit_circles(rows: Rows, circles: Sequence[Circle], points: Array, start: Arr
     start
         ``(4, 4)``: about where the base is.
     """
-    used = np.zeros(len(rows), dtype=bool)
-    used[np.concatenate([c.rows for c in circles])] = True
+    on = np.zeros(len(rows), dtype=bool)
+    on[np.concatenate([c.rows for c in circles])] = True
+    found = _settled(rows, circles, points, start, on)
     while True:
+        size = np.zeros(len(rows))
+        np.maximum.at(size, found.point, np.abs(found.misfit))
+        # The worst first: it has drawn the circles of others away from them.
+        limit = max(FAR * NORMAL * float(np.median(np.abs(found.misfit))) + 1e-12, 0.5 * float(size.max()))
+        left = found.used & (size <= limit)
+        if np.array_equal(left, found.used):
+            return found
+        if np.sum(on & ~left) > OUTLIER_SHARE * on.sum():
+            return _settled(rows, circles, points, start, on)
+        found = _settled(rows, circles, points, found.base, left)
+
+
+def _settled(rows: Rows, circles: Sequence[Circle], points: Array, start: Array, used: Bools) -> CircleFit:
+    """The fit to some of the points, begun again from where it ends until the base stays."""
+    for _ in range(ROUNDS):
         problem = _About(rows, tuple(c.joint for c in circles), tuple(c.rows[used[c.rows]] for c in circles), start)
         found = least_squares(problem.misfit, np.zeros(8), args=(points,), jac="3-point", x_scale="jac")
-        size = np.zeros(len(rows))
-        np.maximum.at(size, problem.point, np.abs(found.fun))
-        # The worst first: it has drawn the circles of others away from them.
-        limit = max(FAR * NORMAL * float(np.median(np.abs(found.fun))) + 1e-12, 0.5 * float(size.max()))
-        wrong = used & (size > limit)
         start = start @ exp_se3(found.x[:6])
-        if not wrong.any() and np.abs(found.x[:6]).max() < SETTLED:
+        if np.abs(found.x[:6]).max() < SETTLED:
             break
-        used &= ~wrong
     x = found.x
     return CircleFit(start, x[6:8], found.jac, found.fun, problem.point, used, problem, x, points)
 
