@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from circle_arms import ROBOT, circle_campaign, known_drives, stiff
 
 from clampid.base_frame import base_from_circles
+from clampid.identify import identify
 from clampid.model import ModelError, StageModel
 from clampid.slots import Slot
 from experiments.campaign import Campaign, CampaignError, Instrument, Tool
@@ -123,6 +125,19 @@ def test_deflection_lowers_the_base_and_the_correction_puts_it_back() -> None:
     # 30 numbers, about four of them a robot's own: their mean square is 1 within 2 standard errors of chi-square / 20.
     assert np.mean(np.square(pulls)) == pytest.approx(1.0, abs=0.65)
     assert np.mean(inside) > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_springs_identified_from_torques_put_the_base_right(seed: int, simulated: Callable[..., Campaign]) -> None:
+    model = identify(simulated(seed=seed, tables=("free_air", "wrist", "clamped")))
+    campaign, _ = circle_campaign(seed)
+    unbent, _ = circle_campaign(seed, stiff, noise=1)
+    truth, found = base_from_circles(unbent, rigid=True), base_from_circles(campaign, model)
+    off = log_se3(inverse(truth.base) @ found.base)
+    both = np.sqrt(found.std[:6] ** 2 + truth.std[:6] ** 2)
+    assert np.abs(off / both).max() < 3.5
+    assert np.linalg.norm(off[3:]) < 0.15 * np.linalg.norm(found.bias[3:])
 
 
 def test_springs_that_are_not_known_well_are_counted() -> None:
