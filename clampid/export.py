@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,7 +35,7 @@ from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
-from kinematics.screws import adjoint, cayley, transform
+from kinematics.screws import adjoint, cayley, roll_pitch_yaw, rotation_of, transform
 from kinematics.urdf import read_urdf, write_urdf
 
 if TYPE_CHECKING:
@@ -49,7 +49,9 @@ __all__ = [
     "angle_table",
     "calibrated_chain",
     "dh_table",
+    "postures",
     "read_dh",
+    "sensitivity",
     "table_text",
     "urdf_text",
 ]
@@ -160,6 +162,46 @@ def _motion(twist: Array, pivot: Array) -> Array:
     return transform(C, pivot + twist[3:] - C @ pivot)
 
 
+def sensitivity(
+    model: Model,
+    numbers: Callable[[CalibratedChain], Array],
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
+    difference: Callable[[Array, Array], Array] = np.subtract,
+) -> tuple[Array, Array]:
+    """How numbers of the calibrated chain follow the parameters of the geometry, by central differences.
+
+    Parameters
+    ----------
+    numbers
+        Gives the numbers ``(M,)`` of a chain, SI.
+    session, robot, temperature
+        See `calibrated_chain`.
+    difference
+        Of two results of ``numbers``, where that is more than a subtraction.
+
+    Returns
+    -------
+    tuple of Array
+        Derivatives ``(M, P)`` by the P parameters of ``geometry`` (at another temperature than 20 °C also of the
+        expansion), and these parameters' covariance ``(P, P)``.
+    """
+    stage = model.stages["poses"]
+    warm = (EXPANSION,) if temperature != REFERENCE else ()
+    free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
+    columns = []
+    for k in free:
+        step = STEP * np.eye(len(stage.slots))[k]
+        sides = [
+            numbers(calibrated_chain(model, session=session, robot=robot, theta=theta, temperature=temperature))
+            for theta in (stage.theta + step, stage.theta - step)
+        ]
+        columns.append(difference(sides[0], sides[1]) / (2 * STEP))
+    return np.array(columns).T, stage.covariance[np.ix_(free, free)]
+
+
 def dh_table(
     model: Model,
     convention: Convention,
@@ -195,19 +237,15 @@ def dh_table(
     nominal = load_robot(model.robot) if robot is None else robot
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     numbers, signs = _numbers(chain, convention)
-    stage = model.stages["poses"]
-    warm = (EXPANSION,) if temperature != REFERENCE else ()
-    free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
-    columns = []
-    for k in free:
-        step = STEP * np.eye(len(stage.slots))[k]
-        sides = []
-        for theta in (stage.theta + step, stage.theta - step):
-            moved = calibrated_chain(model, session=session, robot=nominal, theta=theta, temperature=temperature)
-            sides.append(_numbers(moved, convention)[0])
-        columns.append(_difference(sides[0], sides[1], nominal.n) / (2 * STEP))
-    J = np.array(columns).T
-    std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, stage.covariance[np.ix_(free, free)], J), 0.0))
+
+    def moved(chain: CalibratedChain) -> Array:
+        return _numbers(chain, convention)[0]
+
+    def apart(a: Array, b: Array) -> Array:
+        return _difference(a, b, nominal.n)
+
+    J, covariance = sensitivity(model, moved, session=session, robot=nominal, temperature=temperature, difference=apart)
+    std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, covariance, J), 0.0))
     frame = _frame(numbers, std, signs)
     difference = _verify(frame, chain, STANDARD if convention == "standard" else EXACT)
     frame["temperature_C"], frame["difference_m"] = temperature, difference
@@ -246,20 +284,12 @@ def _numbers(chain: CalibratedChain, convention: Convention) -> tuple[Array, lis
 
 
 def _position_and_angles(T: Array) -> Array:
-    """Position and (rx, ry, rz) of a pose, R = Rz Ry Rx; rz = 0 where ry = ±90°, where only one of the two counts."""
-    R = T[:3, :3]
-    rz = np.arctan2(R[1, 0], R[0, 0]) if np.hypot(R[1, 0], R[0, 0]) > 1e-12 else 0.0
-    c, s = np.cos(rz), np.sin(rz)
-    M = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
-    return np.array([*T[:3, 3], np.arctan2(-M[1, 2], M[1, 1]), np.arctan2(-M[2, 0], M[0, 0]), rz])
+    """Position and (rx, ry, rz) of a pose, R = Rz Ry Rx."""
+    return np.concatenate([T[:3, 3], roll_pitch_yaw(T[:3, :3])])
 
 
 def _pose(numbers: Array) -> Array:
-    (cx, cy, cz), (sx, sy, sz) = np.cos(numbers[3:]), np.sin(numbers[3:])
-    Rx = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    Ry = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    Rz = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return transform(Rz @ Ry @ Rx, numbers[:3])
+    return transform(rotation_of(numbers[3:]), numbers[:3])
 
 
 def _difference(a: Array, b: Array, n: int) -> Array:
@@ -299,14 +329,14 @@ def _ranges(robot: RobotDescription) -> tuple[Array, Array]:
     )
 
 
-def _postures(robot: RobotDescription) -> Array:
-    """Joint values over the whole ranges ``(POSTURES, n)``."""
-    return np.random.default_rng(0).uniform(*_ranges(robot), (POSTURES, robot.n))
+def postures(robot: RobotDescription, count: int = POSTURES, seed: int = 0) -> Array:
+    """Joint values ``(count, n)`` drawn over the whole ranges, rad or m: where an export is held against the model."""
+    return np.random.default_rng(seed).uniform(*_ranges(robot), (count, robot.n))
 
 
 def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> float:
     """Read the table back and hold it against the chain: by how much they differ at most, m."""
-    q = _postures(chain.robot)
+    q = postures(chain.robot)
     difference = float(np.abs(dh_forward(read_dh(table_text(frame)), q) - chain.flange(q)).max())
     if not difference <= allowed:
         raise DHError(f"the table, read back, differs by {difference:.2g} m from the model, more than {allowed:g} m")
@@ -378,7 +408,7 @@ def urdf_text(
         path = Path(folder) / "robot.urdf"
         write_text(path, text)
         back = read_urdf(path, "flange")
-    q = _postures(chain.robot)
+    q = postures(chain.robot)
     difference = float(np.abs(forward(back.screws, back.flange, q) - chain.flange(q)).max())
     if not difference <= EXACT:
         raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")

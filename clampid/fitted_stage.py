@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
 from clampid.fit import Estimate, fit
 from clampid.gauge import independent_geometry
+from clampid.mean_norm import compared, mean_norm
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
@@ -23,7 +24,9 @@ from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["FittedStage", "active_slots", "fit_stage"]
+__all__ = ["Cost", "FittedStage", "active_slots", "fit_stage"]
+
+Cost = Literal["least-squares", "mean-norm"]
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,8 @@ class FittedStage:
         All rows, those held out too.
     contradicted
         Springs and clearances of the clamped stage that the poses contradict, so that none were taken over.
+    universal
+        Of a fit by the mean norm: its P_mean, P_std and P_max beside those of least squares, m.
     """
 
     model: StageModel
@@ -43,6 +48,7 @@ class FittedStage:
     base_reference: Mapping[int, Array]
     rows: Rows
     contradicted: tuple[Agreement, ...] = ()
+    universal: Mapping[str, Any] | None = None
 
     def errors(self, verification: Rows | None, seed: int) -> StageErrors:
         """Errors on fitted and held-out rows."""
@@ -51,7 +57,12 @@ class FittedStage:
     @property
     def evidence(self) -> dict[str, Any]:
         """What the ledger keeps beside the errors."""
-        return {"contradicted": [a.to_json() for a in self.contradicted]} if self.contradicted else {}
+        found: dict[str, Any] = {}
+        if self.contradicted:
+            found["contradicted"] = [a.to_json() for a in self.contradicted]
+        if self.universal is not None:
+            found["universal"] = dict(self.universal)
+        return found
 
     def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
         """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""
@@ -67,6 +78,7 @@ def fit_stage(
     start: Mapping[Slot, float] | None = None,
     held: Sequence[Sequence[int]] = (),
     told: Prior | None = None,
+    cost: Cost = "least-squares",
 ) -> FittedStage:
     """Fit one stage on all rows but those held out.
 
@@ -76,6 +88,8 @@ def fit_stage(
         The stages already fitted, whose values this one takes over.
     told
         What all other rows say, where a joint fit knows: taken instead.
+    cost
+        ``mean-norm``, of ``poses`` only: see :mod:`clampid.mean_norm`.
 
     Raises
     ------
@@ -103,11 +117,15 @@ def fit_stage(
         contradicted = drives.contradicted
         if drives.prior is not None:
             estimate = fit(trial, (*priors, drives.prior), estimate.values())
+    universal = None
+    if cost == "mean-norm":
+        squares, estimate = estimate, mean_norm(estimate)
+        universal = compared(estimate, squares)
     reference = {}
     if rows.stage == "poses":
         for s in np.unique(rows.session):
             reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
-    return FittedStage(_model_of(estimate, rows, terms, held, told), estimate, reference, rows, contradicted)
+    return FittedStage(_model_of(estimate, rows, terms, held, told), estimate, reference, rows, contradicted, universal)
 
 
 def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:

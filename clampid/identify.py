@@ -11,7 +11,8 @@ import numpy as np
 from clampid.bootstrap import bootstrap as by_poses
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.fit import FitError
+from clampid.fitted_stage import Cost, FittedStage, fit_stage
 from clampid.identify_log import LogStage
 from clampid.joint import JointPart, fit_jointly
 from clampid.layout import layout_of
@@ -175,6 +176,7 @@ def identify(
     joint: bool = False,
     user_effects: Path | None = None,
     bootstrap: int = 0,
+    cost: Cost = "least-squares",
 ) -> Model:
     """Fit a model to one or several campaigns of one robot.
 
@@ -187,6 +189,8 @@ def identify(
         Share of whole poses, runs and sweeps that no fit sees.
     bootstrap
         How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
+    cost
+        Of the stage ``poses``: ``least-squares``, or ``mean-norm``, the universal model's (:mod:`clampid.mean_norm`).
     joint
         Fit all tables at once, with the parameters that they share; else stage by stage, where a stage takes over what
         those before it found.
@@ -197,12 +201,16 @@ def identify(
         The campaigns are of different robots or hold nothing to fit.
     EffectError
         An effect does not exist or does not act there.
+    FitError
+        The mean norm of a joint fit, with a bootstrap, or without a table of poses.
     """
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     _same_robot(several)
     catalogue = with_user_effects(user_effects)
     layout = layout_of(several)
     terms = resolve_terms(effects, several, catalogue, layout)
+    if cost == "mean-norm" and (joint or bootstrap or "poses" not in terms):
+        raise FitError("cost mean-norm: expected a table poses, and neither a joint fit nor a bootstrap")
     parts: list[JointPart] = []
     before: dict[Stage, StageModel] = {}
     for stage, wanted in terms.items():
@@ -214,7 +222,8 @@ def identify(
             parts.append(log.fit(held_out_folds(log.folds, holdout, seed)))
         else:
             rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
-            parts.append(fit_stage(rows, catalogue, wanted, before, held=held_out_folds(rows, holdout, seed)))
+            held, own = held_out_folds(rows, holdout, seed), cost if stage == "poses" else "least-squares"
+            parts.append(fit_stage(rows, catalogue, wanted, before, held=held, cost=own))
         before[stage] = parts[-1].model
     if joint:
         parts = fit_jointly(parts)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clampid.stages.rows import Array, Bools, Integers, Rows
-from experiments.metrics import pose_metrics, split_about
+from experiments.metrics import norm_metrics, pose_metrics, split_about
 
 __all__ = ["placing"]
 
@@ -50,8 +50,7 @@ def placing(
     if not len(held):
         return out
     norms = np.linalg.norm(test_residual[held, :3], axis=1)
-    spread = float(norms.std(ddof=1)) if len(norms) > 1 else None
-    out["universal"] = {"P_mean": float(norms.mean()), "P_std": spread, "P_max": float(norms.max())}
+    out["universal"] = norm_metrics(norms)
     if sample is not None:
         frames = test.constants["base_reference"][held]
         points = np.einsum("nji,nj->ni", frames[:, :3, :3], test.measured[held, :3] - frames[:, :3, 3])

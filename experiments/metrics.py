@@ -25,6 +25,7 @@ __all__ = [
     "Spread",
     "accuracy",
     "drift",
+    "norm_metrics",
     "pose_metrics",
     "repeatability",
     "split_about",
@@ -188,3 +189,20 @@ def pose_metrics(attained: Array, command: Array, place: Labels, side: Labels, t
 
 def _spread(values: list[float]) -> Spread | None:
     return Spread(len(values), float(np.mean(values)), float(np.max(values))) if values else None
+
+
+def norm_metrics(norms: Array) -> dict[str, float | None]:
+    """Give the universal model's figures of errors.
+
+    Parameters
+    ----------
+    norms
+        Norms of position errors (N,) [m].
+
+    Returns
+    -------
+    dict
+        ``P_mean``, ``P_std`` (None of a single error) and ``P_max`` [m]. Source: the universal model, its tables.
+    """
+    spread = float(norms.std(ddof=1)) if len(norms) > 1 else None
+    return {"P_mean": float(norms.mean()), "P_std": spread, "P_max": float(norms.max())}

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from kinematics.checks import validate
 from kinematics.robot import DescriptionError, Joint, JointKind, Link, RobotDescription
+from kinematics.screws import roll_pitch_yaw
 from kinematics.typing_ import Array
 
 __all__ = ["read_urdf", "write_urdf"]
@@ -198,22 +199,9 @@ def _fixed(name: str, parent: str, child: str, T: Array) -> list[str]:
         f'  <joint name="{name}" type="fixed">',
         f'    <parent link="{parent}"/>',
         f'    <child link="{child}"/>',
-        f'    <origin xyz="{_numbers(T[:3, 3])}" rpy="{_numbers(_rpy(T[:3, :3]))}"/>',
+        f'    <origin xyz="{_numbers(T[:3, 3])}" rpy="{_numbers(roll_pitch_yaw(T[:3, :3]))}"/>',
         "  </joint>",
     ]
-
-
-def _rpy(R: Array) -> Array:
-    """
-    Split a rotation Rz(yaw)·Ry(pitch)·Rx(roll), exactly even where pitch is ±90° (as on every KUKA's flange).
-
-    There yaw is ill-determined; pitch and roll are taken after undoing it, so that whatever it is, the three fit
-    together.
-    """
-    yaw = np.arctan2(R[1, 0], R[0, 0]) if np.hypot(R[1, 0], R[0, 0]) > 1e-12 else 0.0
-    c, s = np.cos(yaw), np.sin(yaw)
-    M = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
-    return np.array([np.arctan2(-M[1, 2], M[1, 1]), np.arctan2(-M[2, 0], M[0, 0]), yaw])
 
 
 def _link(name: str, link: Link | None, origin: Array) -> list[str]:

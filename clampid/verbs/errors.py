@@ -16,6 +16,7 @@ _WRONG_INPUT = (
     ("experiments.simulate", "SimulationError"),
     ("kinematics.robot", "DescriptionError"),
     ("kinematics.dh_conversion", "DHError"),
+    ("kinematics.kuka", "MachineDataError"),
     ("clampid.effect", "EffectError"),
     ("clampid.model", "ModelError"),
     ("clampid.fit", "FitError"),

@@ -1,4 +1,4 @@
-"""``clampid export``: the compensated robot as a Denavit–Hartenberg table or as URDF; its dynamics as JSON."""
+"""``clampid export``: the compensated robot as a Denavit–Hartenberg table, URDF or KUKA machine data; its dynamics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["export"]
 
-export = typer.Typer(help="Write the robot as a DH table, as URDF, or its dynamics.", no_args_is_help=True)
+export = typer.Typer(
+    help="Write the robot as a DH table, URDF or KUKA machine data, or its dynamics.", no_args_is_help=True
+)
 
 Session = Annotated[int, typer.Option(min=1, help="Whose base and flange, where the model has several sessions.")]
 Robot = Annotated[
@@ -113,6 +115,54 @@ def urdf(
 
 
 @export.command()
+def kuka(
+    model: ModelFile,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE.dat", help="Where to; stdout without it.")
+    ] = None,
+    lever: Annotated[
+        float, typer.Option(metavar="M", help="From the flange to the tool's point, which is to err least.")
+    ] = 0.2,
+    campaign: Annotated[
+        Path | None, typer.Option(metavar="CAMPAIGN", help="Poses on which to say what these data alone leave.")
+    ] = None,
+    session: Session = 1,
+    temperature: Temperature = 20.0,
+    robot: Robot = None,
+    effects_from: EffectsFrom = None,
+    quiet: Quiet = False,
+) -> None:
+    """The part of KUKA machine data that is geometry, and what this form alone leaves over the joints' ranges."""
+    out = Output(quiet)
+    _writable(output)
+
+    from clampid.kuka_export import kuka_machine_data
+    from clampid.model import load_model, write_text
+    from experiments.campaign import read_campaign
+
+    poses = None if campaign is None else read_campaign(campaign)
+    loaded = load_model(model)
+    found = kuka_machine_data(
+        loaded,
+        session=session - 1,
+        robot=_robot(robot),
+        temperature=temperature,
+        lever=lever,
+        left_out=_left_out(loaded, effects_from, out),
+        campaign=poses,
+    )
+    if output is None:
+        sys.stdout.write(found.text)
+        return
+    write_text(output, found.text)
+    out.say(f"machine data: {output}; static geometry at {temperature:g} degC")
+    out.say(f"what this form alone leaves: {found.left}")
+    out.say(f"what nominal machine data leave: {found.nominal}")
+    if found.measured:
+        out.say(found.measured)
+
+
+@export.command()
 def dynamics(
     model: ModelFile,
     consistent: Annotated[
@@ -154,8 +204,8 @@ def dynamics(
     out.say(f"dynamics: {output}")
 
 
-def _left_out(model: Model, effects_from: Path | None, out: Output) -> None:
-    """Say which effects of the poses a static geometry cannot hold."""
+def _left_out(model: Model, effects_from: Path | None, out: Output) -> list[str]:
+    """Which effects of the poses a static geometry cannot hold; they are said."""
     from clampid.catalogue import with_user_effects
 
     effects = with_user_effects(effects_from)
@@ -163,6 +213,7 @@ def _left_out(model: Model, effects_from: Path | None, out: Output) -> None:
     others = dict.fromkeys(t.effect for t in terms if t.effect not in effects or effects[t.effect].family != "geometry")
     if others:
         out.step(f"not in a static geometry, and left to clampid ik: {', '.join(others)}")
+    return list(others)
 
 
 def _told(found: Mapping[str, Any]) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -26,6 +26,10 @@ def identify(
         int, typer.Option(metavar="N", help="Draw whole poses anew N times, for standard errors of poses.")
     ] = 0,
     seed: Seed = 0,
+    cost: Annotated[
+        Literal["least-squares", "mean-norm"],
+        typer.Option(help="Of poses; mean-norm is the universal model's, by SLSQP."),
+    ] = "least-squares",
     joint: Annotated[
         bool, typer.Option("--joint", help="All tables in one fit, with the parameters that they share.")
     ] = False,
@@ -52,7 +56,14 @@ def identify(
         read = read_checked(campaigns, out)
     with out.working("identifying"):
         model = fit_model(
-            read, chosen, holdout=holdout, seed=seed, joint=joint, user_effects=effects_from, bootstrap=bootstrap
+            read,
+            chosen,
+            holdout=holdout,
+            seed=seed,
+            joint=joint,
+            user_effects=effects_from,
+            bootstrap=bootstrap,
+            cost=cost,
         )
     save_model(model, output)
     show_model(model, with_user_effects(effects_from), out)

@@ -72,6 +72,8 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
             out.table(title, ("base parameter", "described", "value", "± std", "unit", ""), base_rows(stage.base))
     for sentence in contradictions(model):
         out.warn(sentence)
+    for sentence in universal_words(model):
+        out.say(sentence)
     if model.joint:
         out.say("all tables in one fit, with the parameters that they share")
     show_rounds(model.ledger, out)
@@ -88,6 +90,16 @@ def bootstrap_words(stage: StageModel) -> str:
         f"{stage.bootstrap.count} draws of whole poses: standard errors are {ratio.min():.2f} ({least}) to "
         f"{ratio.max():.2f} ({most}) times those above, {float(np.median(ratio)):.2f} times in the middle"
     )
+
+
+def universal_words(model: Model) -> list[str]:
+    """The universal model's figures of a fit by its cost, beside those of least squares."""
+    out = []
+    for entry in model.ledger:
+        for name, figures in (entry.evidence.get("universal") or {}).items():
+            told = ", ".join(f"{key} {error_text(value, 'm')}" for key, value in figures.items())
+            out.append(f"{entry.stage} by {name}, fitted points: {told}")
+    return out
 
 
 def contradictions(model: Model) -> list[str]:

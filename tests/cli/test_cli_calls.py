@@ -15,7 +15,7 @@ from cli_runner import Clampid
 
 VERBS = (
     "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "effects", "export", "simulate",
-    "ik", "serve",
+    "ik", "serve", "base",
 )  # fmt: skip
 
 
@@ -73,6 +73,7 @@ def test_version(clampid: Clampid) -> None:
         ("export dh {model} --convention denavit", "'denavit' is not one of 'standard', 'hayati'"),
         ("export dh {model} --session 2", "session 2: the model has sessions 1 to 1"),
         ("export urdf {model}", "Missing option"),
+        ("export kuka {model} -o arm.dat", "ur10: expected an ortho-parallel arm"),
         ("simulate -o c --hide backlach", "did you mean 'backlash'?"),
         ("simulate -o c --hide backlash@elbow", "expected joint1, joint2"),
         ("simulate -o c --hide backlash:much", "expected a number after ':', found 'much'"),

@@ -123,6 +123,18 @@ def test_export_dh_to_stdout_and_to_a_file(clampid: Clampid, model: Path, tmp_pa
     assert path.read_text() == printed.out
 
 
+def test_the_universal_models_cost(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
+    call = ("identify", poses_only, "--effects", "poses=geometry", "--cost", "mean-norm")
+    ran = clampid(*call, "-o", tmp_path / "m.json", "-q")
+    assert ran.code == 0, ran.err
+    assert "poses by mean-norm, fitted points: P_mean" in ran.out
+    assert "poses by least-squares, fitted points: P_mean" in ran.out
+    ran = clampid(*call, "--joint", "-o", tmp_path / "j.json", "-q")
+    assert ran.code == 2
+    assert "cost mean-norm" in ran.complaint
+    assert not (tmp_path / "j.json").exists()
+
+
 def test_export_urdf(clampid: Clampid, model: Path, tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     assert clampid("export", "urdf", model, "-o", path).code == 0

@@ -1,0 +1,147 @@
+"""The universal model's own fit: the mean of the errors' norms, by sequential quadratic programming.
+
+P̄ = (1/N) Σ |e_i| of the measured points' errors e_i is what the universal model minimises, with SLSQP (Kraft1988); its
+tables give P̄, σ_P and P_max. Least squares, the default, weighs a point by its squared error, and is the better
+estimate where errors are Gaussian; the mean norm is pulled less by few large errors. Here it begins where least squares
+ends, on the rows that these left, and keeps the priors' influence: a prior of precision A counts as κ/2 δ'Aδ beside
+Σ |e_i|, with κ = 2/3 √(2/π) σ, at which both costs have the same curvature for Gaussian errors of deviation σ an axis.
+
+Standard errors are those of an M-estimator, a sandwich over visits: H⁻¹ (Σ_v g_v g_v' + κ² A) H⁻¹ with
+H = Σ J_i' (1 - u_i u_i') J_i / |e_i| + κ A, u_i = e_i/|e_i| and g_v = Σ J_i' u_i over a visit. Source: Huber, Robust
+Statistics, 1981, ch. 6; Liang, Zeger, Biometrika 73, 1986.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg, optimize
+
+from clampid.fit import FLANK_ROUNDS, Estimate, FitError, inverse_of, limits_of, stage_point
+from clampid.noise import Noise
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array
+from experiments.metrics import norm_metrics
+
+__all__ = ["compared", "mean_norm"]
+
+ALIKE = 2 / 3 * np.sqrt(2 / np.pi)  # E[1 - uu']/|e|, times sigma, an axis: of Gaussian errors in three dimensions
+TOLERANCE, STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
+NEAREST = 1e-3  # of sigma: a point that is met more closely than this counts as that far off in H
+
+
+def mean_norm(estimate: Estimate) -> Estimate:
+    """The same model where the mean of the errors' norms is least.
+
+    Parameters
+    ----------
+    estimate
+        A least-squares fit of the stage ``poses``: the start, the rows without outliers, the priors.
+
+    Returns
+    -------
+    Estimate
+        Weighted so that its normal equations hold: a point's variance is κ |e_i|. Orientations have no part in it.
+
+    Raises
+    ------
+    FitError
+        It is no fit of poses, or SLSQP does not converge.
+    """
+    if estimate.experiment.stage != "poses":
+        raise FitError(
+            f"the mean norm is of measured points: expected the stage poses, found {estimate.experiment.stage}"
+        )
+    rows = estimate.experiment.rows
+    used = rows.used.copy()
+    used[:, 3:] = False
+    trial = estimate.experiment.with_rows(replace(rows, used=used))
+    sigma = float(np.sqrt(np.mean(estimate.residual[used[:, 0], :3] ** 2)))
+    kappa = ALIKE * sigma
+    theta, held = estimate.theta, trial.with_flanks(estimate.theta)
+    for _ in range(FLANK_ROUNDS):
+        theta = _search(held, theta, estimate, kappa)
+        moved = trial.with_flanks(theta)
+        if moved is trial or np.array_equal(moved.rows.signals["flank"], held.rows.signals["flank"]):
+            break
+        held = moved
+    error = np.linalg.norm(held.residual(theta)[0][:, :3], axis=1)
+    variance = kappa * np.maximum(error, NEAREST * sigma)
+    noise = Noise(np.repeat(np.sqrt(variance)[:, None], rows.measured.shape[1], axis=1))
+    point = stage_point(held, noise, theta)
+    return replace(
+        estimate,
+        experiment=trial,
+        theta=theta,
+        covariance=_covariance(held, theta, estimate.prior_precision, kappa, NEAREST * sigma),
+        noise=noise,
+        whitened=point.white,
+        residual=point.residual,
+        scatter=None,
+    )
+
+
+def compared(estimate: Estimate, squares: Estimate) -> dict[str, dict[str, float | None]]:
+    """P_mean, P_std and P_max, m, of the fitted points by the mean norm, and by least squares beside it."""
+    used = estimate.experiment.rows.used[:, 0]
+    fits = {"mean-norm": estimate, "least-squares": squares}
+    return {name: norm_metrics(np.linalg.norm(e.residual[used, :3], axis=1)) for name, e in fits.items()}
+
+
+def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> Array:
+    """SLSQP from ``theta``, flanks held, in coordinates in which least squares would be a ball."""
+    A, mean = estimate.prior_precision, estimate.prior_mean
+    free = np.flatnonzero(~trial.held())
+    J = estimate.whitened.jacobian
+    L = linalg.cholesky(inverse_of(J.T @ J + A)[np.ix_(free, free)], lower=True)
+    used = trial.rows.used[:, 0]
+
+    def at(z: Array) -> Array:
+        out = theta.copy()
+        out[free] += L @ z
+        return out
+
+    def cost(z: Array) -> tuple[float, Array]:
+        here = at(z)
+        residual, by = trial.residual(here)
+        e = residual[used, :3]
+        norm = np.linalg.norm(e, axis=1)
+        u = e / np.maximum(norm, 1e-15)[:, None]
+        off = here - mean
+        gradient = A @ off - np.einsum("ni,nip->p", u, by[used, :3]) / kappa
+        return float(norm.sum() / kappa + 0.5 * off @ A @ off), L.T @ gradient[free]
+
+    limits = limits_of(trial)
+    rows = [(sign * L[k], sign * (theta[j] - bound)) for k, j in enumerate(free) if limits.bounded[j]
+            for sign, bound in ((1.0, limits.lower[j]), (-1.0, limits.upper[j])) if np.isfinite(bound)]  # fmt: skip
+    constraints = []
+    if rows:
+        by_z, slack = np.array([r for r, _ in rows]), np.array([s for _, s in rows])
+        constraints.append({"type": "ineq", "fun": lambda z: by_z @ z + slack, "jac": lambda z: by_z})
+    found = optimize.minimize(
+        cost, np.zeros(len(free)), jac=True, method="SLSQP", constraints=constraints,
+        options={"ftol": TOLERANCE, "maxiter": STEPS},
+    )  # fmt: skip
+    if not found.success or not np.all(np.isfinite(found.x)):
+        raise FitError(f"poses: SLSQP did not find the least mean norm: {found.message}")
+    return at(found.x)
+
+
+def _covariance(trial: Experiment, theta: Array, precision: Array, kappa: float, nearest: float) -> Array:
+    """The sandwich ``(P, P)`` of the module's docstring."""
+    residual, by = trial.residual(theta)
+    used = trial.rows.used[:, 0]
+    e, J = residual[used, :3], by[used, :3]
+    norm = np.linalg.norm(e, axis=1)
+    along = np.einsum("ni,nip->np", e / np.maximum(norm, nearest)[:, None], J)
+    weight = 1.0 / np.maximum(norm, nearest)
+    whole = np.einsum("n,nip,niq->pq", weight, J, J, optimize=True)
+    H = whole - (along * weight[:, None]).T @ along + kappa * precision
+    _, visit = np.unique(trial.rows.unit[used], return_inverse=True)
+    g = np.zeros((int(visit.max()) + 1, len(theta)))
+    np.add.at(g, visit, along)
+    inverse = inverse_of(H)
+    told = max(len(theta) - float(np.sum(inverse * precision) * kappa), 0.0)
+    small = len(g) / max(len(g) - told / 3, 1.0)  # a visit has three coordinates or more
+    return np.asarray(inverse @ (small * g.T @ g + kappa**2 * precision) @ inverse)
