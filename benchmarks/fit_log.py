@@ -28,7 +28,7 @@ from virtual_log import rows_of, virtual_log
 
 from clampid.catalogue import catalogue
 from clampid.fit import prior_of, start_of
-from clampid.fit_log import fit_log
+from clampid.fit_log import LogPrior, fit_log
 from clampid.identify_folder import STANDARD
 from clampid.identify_log import LogStage
 from clampid.layout import layout_of
@@ -159,9 +159,8 @@ def fitted(stage: LogStage) -> tuple[np.ndarray, int]:
     """The stage's parameters by its whole procedure, and how many rows were rejected."""
     kept = np.ones(len(stage.folds), dtype=bool)
     priors = description_priors(stage.folds)
-    precision, mean = prior_of(stage.experiment, priors)
-    start = start_of(stage.experiment, None, priors)
-    result = fit_log(stage.design, kept, precision, mean, stage.experiment.sizes(), start)
+    prior = LogPrior(*prior_of(stage.experiment, priors), stage.experiment.sizes())
+    result = fit_log(stage.design, kept, prior, start_of(stage.experiment, None, priors))
     return result.moments.at, len(result.outliers)
 
 

@@ -211,7 +211,7 @@ def identify(
         if stage == "free_air" and not resting:
             log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
         if log is not None and log.linear:
-            parts.append(log.fit(held_out_folds(log.folds, holdout, seed)))
+            parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))
         else:
             rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
             parts.append(fit_stage(rows, catalogue, wanted, before, held=held_out_folds(rows, holdout, seed)))

@@ -98,7 +98,7 @@ def identify_folder(
             f"effects {', '.join(t.label for t in terms)}: expected effects linear in their parameters, found some "
             "that are not; read the campaign whole to fit these"
         )
-    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed))
+    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
     warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None

@@ -22,7 +22,7 @@ from clampid.stages.temperatures import temperatures
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel
 from experiments.log_windows import Window, windows
 
-__all__ = ["Block", "Channel", "LogDesign"]
+__all__ = ["Block", "Channel", "LogDesign", "Sampled"]
 
 KEPT_BYTES = 1 << 28  # of a short log all windows are kept
 
@@ -71,6 +71,16 @@ class Block:
     channels: tuple[Channel, ...]
 
 
+@dataclass(frozen=True)
+class Sampled:
+    """Some rows of one motor that count: rows of the log ``(k,)``, parameters ``(p,)`` and derivatives ``(k, p)``."""
+
+    motor: int
+    row: Integers
+    columns: Integers
+    values: Array
+
+
 @dataclass
 class _Held:
     """The way that joints and motors last moved, before a window begins."""
@@ -99,6 +109,8 @@ class LogDesign:
         Rows at once.
     kept_bytes
         How much of the design may be kept between passes.
+    sampled
+        How many rows of the log, about, the first pass sets aside.
     """
 
     def __init__(
@@ -111,6 +123,7 @@ class LogDesign:
         *,
         window: int = WINDOW,
         kept_bytes: int = KEPT_BYTES,
+        sampled: int = 0,
     ) -> None:
         self.parts, self.facts, self.chain, self.wrist = parts, facts, chain, tuple(wrist)
         self.accelerating, self.window, self.kept_bytes = accelerating, window, kept_bytes
@@ -119,7 +132,10 @@ class LogDesign:
         found = {part.session: torque_kernel(part.campaign, chain) for part in parts}
         self.kernels: dict[int, TorqueKernel] = {s: k for s, k in found.items() if k is not None}
         self.linear = len(self.kernels) == len(found)
+        self._every = max(1, facts.rows // max(sampled, 1))
         self._kept: list[Block] | None = None
+        self._too_long = False
+        self._sample: list[Sampled] | None = None
 
     @property
     def offset_keys(self) -> Integers:
@@ -131,24 +147,49 @@ class LogDesign:
         """P + K: slots, and frictions of joints that stand still for a whole run."""
         return len(self.chain.slots) + len(self.offset_keys)
 
+    @property
+    def fold_rows(self) -> Integers:
+        """``(F,)``: rows of each fold."""
+        if len(self.facts.runs) > 1:
+            return self.facts.length
+        ends = [-(-k * self.facts.rows // FIFTHS) for k in range(FIFTHS + 1)]  # where `folds_of` begins the next
+        return np.diff(np.array(ends, dtype=np.int64))
+
+    def sample(self) -> list[Sampled]:
+        """Rows spread over the log, motor by motor."""
+        if self._sample is None:
+            for _ in self:
+                pass
+        return self._sample or []
+
     def forget(self) -> None:
         """Drop what was kept between passes."""
-        self._kept = None
+        self._kept = self._sample = None
 
     def __iter__(self) -> Iterator[Block]:
         if self._kept is not None:
             yield from self._kept
             return
-        kept: list[Block] | None = []
+        kept: list[Block] | None = None if self._too_long else []
+        sample: list[Sampled] = []
         size = 0
         for block in self._blocks():
+            sample += self._some(block)
             size += sum(c.both.nbytes + 5 * c.row.nbytes for c in block.channels)
             if size > self.kept_bytes:
-                kept = None
+                kept, self._too_long = None, True
             elif kept is not None:
                 kept.append(block)
             yield block
-        self._kept = kept
+        self._kept, self._sample = kept, sample
+
+    def _some(self, block: Block) -> list[Sampled]:
+        """What is set aside of a window."""
+        out = []
+        for c, channel in enumerate(block.channels):
+            chosen = channel.own + np.flatnonzero(channel.row[channel.own :] % self._every == 0)
+            out.append(Sampled(c, channel.row[chosen], channel.columns, channel.both[chosen, :-1]))
+        return out
 
     def _blocks(self) -> Iterator[Block]:
         read = {name for kernel in self.kernels.values() for name, _ in kernel.signals}

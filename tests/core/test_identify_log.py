@@ -17,6 +17,7 @@ from clampid.identify import has_inertia, held_out_folds, stage_rows
 from clampid.identify_log import FittedLog, LogStage
 from clampid.layout import layout_of
 from clampid.slots import Term
+from clampid.stages.counting import folds_of
 from clampid.stages.log_facts import LogPart, log_parts
 from experiments.campaign import Campaign, Tool
 from experiments.log_windows import LogTable, windows
@@ -128,6 +129,15 @@ def test_one_run_without_speeds(free_air: Campaign) -> None:
     fitted, errors, _ = held_whole([alone], STANDARD, 0.0)
     assert_same(by_windows([alone], STANDARD), fitted, errors)
     assert_same(by_windows([alone], STANDARD, window=700), fitted, errors)
+
+
+@pytest.mark.parametrize("rows", [1, 4, 5, 998, 1001])
+def test_fifths_of_a_log_of_one_run_are_counted_without_its_rows(free_air: Campaign, rows: int) -> None:
+    table = free_air.tables["free_air"]
+    alone = replace(free_air, tables={"free_air": table[table["run"] == 1][:rows].reset_index(drop=True)})
+    design = LogStage(log_parts([alone]), layout_of([alone]), catalogue(), [Term("gravity")], False).design
+    fold = folds_of(design.facts, np.zeros(rows, dtype=np.int64), np.arange(rows))
+    np.testing.assert_array_equal(design.fold_rows, np.bincount(fold, minlength=5))
 
 
 def test_a_parquet_file_is_read_as_it_is_needed(free_air: Campaign, tmp_path: Path) -> None:
