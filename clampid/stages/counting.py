@@ -105,8 +105,9 @@ def negligible(inertia: Array, facts: LogFacts) -> Bools:
 
 def standing_joints(facts: LogFacts, wrist: Sequence[int]) -> Integers:
     """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
-    keys = [(r, j) for j in wrist for r in range(len(facts.moved)) if not facts.moved[r, j]]
-    return np.array(keys, dtype=np.int64).reshape(-1, 2)
+    joints = np.array(wrist, dtype=np.int64)
+    which, run = np.nonzero(~facts.moved[:, joints].T)
+    return np.c_[run, joints[which]].astype(np.int64)
 
 
 def folds_of(facts: LogFacts, run: Integers, row: Integers) -> Integers:

@@ -137,7 +137,7 @@ class LogDesign:
         self._too_long = False
         self._sample: list[Sampled] | None = None
 
-    @property
+    @cached_property
     def offset_keys(self) -> Integers:
         """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
         return standing_joints(self.facts, self.wrist)
