@@ -266,6 +266,9 @@ def session_of(campaign: Campaign, reference: Array | None) -> Session:
     """What a model keeps of a campaign that it was fitted on."""
     temperature = None
     for table in ("poses", "free_air", "clamped"):
+        if table in campaign.long and temperature is None:
+            temperature = campaign.long[table].warmth
+            continue
         columns = [c for c in campaign.tables.get(table, ()) if str(c).startswith("temp_")]
         if columns and temperature is None:
             values = campaign.tables[table][columns].to_numpy(float)

@@ -18,15 +18,14 @@ from clampid.slots import Term, parse_term
 from clampid.stages.log_facts import LogPart, steady_share
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
-from experiments.columns import table_format
+from experiments.columns import LOGS, table_format
 from experiments.errors import fault
-from experiments.fingerprint import fingerprint_of_files
+from experiments.fingerprint import fingerprint
 from experiments.header import read_header
 from experiments.log_windows import LogTable
 
 __all__ = ["identify_folder"]
 
-LOGS = ("free_air", "wrist")
 STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
 
 
@@ -78,7 +77,7 @@ def identify_folder(
         targets=header.targets,
         instrument=header.instrument,
         tables=MappingProxyType({}),
-        fingerprint=fingerprint_of_files(header.raw, files),
+        fingerprint=fingerprint(header.raw, files),
         header=header.raw,
     )
     parts = [LogPart(campaign, 0, name, table) for name, table in tables.items()]

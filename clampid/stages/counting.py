@@ -107,7 +107,7 @@ def standing_joints(facts: LogFacts, wrist: Sequence[int]) -> Integers:
     """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
     joints = np.array(wrist, dtype=np.int64)
     which, run = np.nonzero(~facts.moved[:, joints].T)
-    return np.c_[run, joints[which]].astype(np.int64)
+    return np.asarray(np.c_[run, joints[which]], dtype=np.int64)
 
 
 def folds_of(facts: LogFacts, run: Integers, row: Integers) -> Integers:

@@ -153,7 +153,7 @@ class LogDesign:
         if len(self.facts.runs) > 1:
             return self.facts.length
         ends = [-(-k * self.facts.rows // FIFTHS) for k in range(FIFTHS + 1)]  # where `folds_of` begins the next
-        return np.diff(np.array(ends, dtype=np.int64))
+        return np.asarray(np.diff(np.array(ends)), dtype=np.int64)
 
     def sample(self) -> list[Sampled]:
         """Rows spread over the log, motor by motor."""
