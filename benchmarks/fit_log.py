@@ -27,7 +27,7 @@ import pinocchio as pin
 from virtual_log import rows_of, virtual_log
 
 from clampid.catalogue import catalogue
-from clampid.fit import prior_of, start_of
+from clampid.fit import limits_of, prior_of, start_of
 from clampid.fit_log import LogPrior, fit_log
 from clampid.identify_folder import STANDARD
 from clampid.identify_log import LogStage
@@ -159,7 +159,7 @@ def fitted(stage: LogStage) -> tuple[np.ndarray, int]:
     """The stage's parameters by its whole procedure, and how many rows were rejected."""
     kept = np.ones(len(stage.folds), dtype=bool)
     priors = description_priors(stage.folds)
-    prior = LogPrior(*prior_of(stage.experiment, priors), stage.experiment.sizes())
+    prior = LogPrior(*prior_of(stage.experiment, priors), limits_of(stage.experiment))
     result = fit_log(stage.design, kept, prior, start_of(stage.experiment, None, priors))
     return result.moments.at, len(result.outliers)
 

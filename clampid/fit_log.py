@@ -1,9 +1,10 @@
 """The fit of a torque log by passes over its windows: the results of `clampid.fit.fit`, without holding the log.
 
-For effects linear in their parameters: one pass sums the normal equations, another finds what the residual says of
-outliers and noise, two where the log is long; then twice the prewhitened equations are summed, once more by parts, from
-which cross-validation has its fits too. Source of the reduction: Golub & Van Loan, Matrix
-Computations (2013), section 5.3.8 (normal equations); they are balanced before they are solved, as everywhere here.
+For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
+outliers and noise, two where the log is long; then twice the prewhitened equations are summed, the second time by
+parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped Gauss-Newton.
+Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
+balanced before they are solved, as everywhere here.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
+from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
 from clampid.moments import Moments, minimise
 from clampid.noise import NORMAL
 from clampid.prewhitening import ORDER, Predictors, Whitener, autocorrelation, lag_products
@@ -56,7 +57,7 @@ class LogFit:
     part
         ``(F,)``: into which parts the folds were divided, if they were.
     sums
-        Part → the prewhitened sums over its rows, at zero parameters.
+        Part → the prewhitened sums over its rows, where the design is.
     """
 
     moments: Moments
@@ -79,11 +80,44 @@ def used_of(channel: Channel, folds: Bools, outliers: Integers) -> tuple[Integer
 
 @dataclass(frozen=True)
 class LogPrior:
-    """The prior of a fit and the reasonable sizes: ``(P + K, P + K)``, ``(P + K,)``, ``(P + K,)``, SI."""
+    """The prior of a fit and what it keeps to: ``(P + K, P + K)``, ``(P + K,)``, SI."""
 
     precision: Array
     mean: Array
-    size: Array
+    limits: Limits
+
+    @property
+    def size(self) -> Array:
+        """Reasonable sizes ``(P + K,)``, SI."""
+        return self.limits.size
+
+    def free(self, theta: Array) -> Bools:
+        """Which parameters ``(P + K,)`` do not rest on a bound."""
+        limits = self.limits
+        return np.asarray(~(limits.bounded & ((theta <= limits.lower) | (theta >= limits.upper))))
+
+
+@dataclass(frozen=True)
+class _LogPoint:
+    """A log at one parameter vector, as `clampid.fit.descend` sees it."""
+
+    moments: Moments
+    sums: dict[int, Moments]
+
+    @property
+    def theta(self) -> Array:
+        return self.moments.at
+
+    @property
+    def cost(self) -> float:
+        return self.moments.squares
+
+    @property
+    def count(self) -> int:
+        return self.moments.count
+
+    def normal(self) -> tuple[Array, Array]:
+        return self.moments.normal, self.moments.slope
 
 
 def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part: Integers | None = None) -> LogFit:
@@ -104,13 +138,22 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
     outliers = np.zeros(0, dtype=np.int64)
 
     def solved(noise: LogNoise, theta: Array, part: Integers | None = None) -> tuple[Moments, dict[int, Moments]]:
-        sums = summed(design, folds, outliers, noise, part)
-        total = sum(sums.values(), Moments.none(design.parameters))
-        if not total.count:
-            raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
-        if not np.isfinite(total.squares):
-            raise FitError("free_air: the model gives no finite prediction; are the units right?")
-        return minimise(total, theta, prior.precision, prior.mean, prior.size), sums
+        def at(here: Array) -> _LogPoint:
+            design.move(here)
+            sums = summed(design, folds, outliers, noise, part)
+            total = sum(sums.values(), Moments.none(design.at))
+            if not total.count:
+                raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
+            if not np.isfinite(total.squares):
+                raise FitError("free_air: the model gives no finite prediction; are the units right?")
+            return _LogPoint(total.moved(here), sums)
+
+        if design.linear:
+            point = at(theta)
+            return minimise(point.moments, theta, prior.precision, prior.mean, prior.size), point.sums
+        best, _ = descend(at, theta, prior.precision, prior.mean, prior.limits)
+        design.move(best.theta)
+        return best.moments, best.sums
 
     found, _ = solved(LogNoise(np.ones(design.n)), start)
     rows = int(design.fold_rows[folds].sum())
@@ -134,7 +177,7 @@ def summed(
     noise: LogNoise,
     part: Integers | None = None,
 ) -> dict[int, Moments]:
-    """Whitened sums at zero parameters, of all rows or per part of the folds.
+    """Whitened sums where the design is, of all rows or per part of the folds.
 
     Parameters
     ----------
@@ -142,7 +185,7 @@ def summed(
         ``(F,)``: which part each fold is of; by default all are of part 0.
     """
     parts = np.unique(part[folds]) if part is not None else np.zeros(1, dtype=np.int64)
-    out = {int(p): Moments.none(design.parameters) for p in parts}
+    out = {int(p): Moments.none(design.at) for p in parts}
     for block in design:
         for c, channel in enumerate(block.channels):
             used, own = used_of(channel, folds, outliers)
@@ -181,11 +224,12 @@ class Residuals:
     values: Array
     _channel: Channel
     _used: Integers | slice
+    _design_at: Array
 
     def at(self, theta: Array, part: Integers) -> Array:
         """The same ``(k,)`` at the parameters ``(parts, P + K)`` of the part that each fold ``(F,)`` is of."""
         both, columns = self._channel.both[self._used], self._channel.columns
-        every = both[:, :-1] @ theta[:, columns].T
+        every = both[:, :-1] @ (theta - self._design_at)[:, columns].T
         return np.asarray(both[:, -1] - every[np.arange(len(every)), part[self.fold]])
 
 
@@ -198,9 +242,10 @@ def residuals(design: LogDesign, folds: Bools, outliers: Integers, theta: Array)
         found = []
         for c, channel in enumerate(block.channels):
             used, own = used_of(channel, folds, outliers)
-            values = (channel.both[:, -1] - channel.both[:, :-1] @ theta[channel.columns])[used]
+            step = (theta - design.at)[channel.columns]
+            values = (channel.both[:, -1] - channel.both[:, :-1] @ step)[used]
             row, stretch, fold = channel.row[used], channel.stretch[used], channel.fold[used]
-            found.append(Residuals(block, c, row, stretch, fold, own, values, channel, used))
+            found.append(Residuals(block, c, row, stretch, fold, own, values, channel, used, design.at))
         yield found
 
 

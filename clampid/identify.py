@@ -210,7 +210,7 @@ def identify(
         log = None
         if stage == "free_air" and not resting:
             log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
-        if log is not None and log.linear:
+        if log is not None and (log.linear or not joint):
             parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))
         else:
             rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)

@@ -10,7 +10,7 @@ import numpy as np
 
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
-from clampid.identify import MOSTLY, has_inertia, held_out_folds
+from clampid.identify import MOSTLY, has_friction_state, has_inertia, held_out_folds
 from clampid.identify_log import LogStage
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session
@@ -91,12 +91,12 @@ def identify_folder(
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
     elif steady_share(parts) < MOSTLY:
         terms = (*terms, Term("inertia"))
-    stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
-    if not stage.linear:
+    if has_friction_state(terms, catalogue):
         raise EffectError(
-            f"effects {', '.join(t.label for t in terms)}: expected effects linear in their parameters, found some "
-            "that are not; read the campaign whole to fit these"
+            f"effects {', '.join(t.label for t in terms)}: expected none that reads a state of friction, which follows "
+            "the whole run, found one; read the campaign whole to fit it"
         )
+    stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
     fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)

@@ -12,7 +12,7 @@ from clampid.accuracy import StageErrors
 from clampid.base_names import BaseParameter
 from clampid.base_parameters import INERTIAL, MOST_ROWS, grouped
 from clampid.effect import Effect
-from clampid.fit import prior_of, start_of
+from clampid.fit import limits_of, prior_of, start_of
 from clampid.fit_log import LogFit, LogPrior, fit_log
 from clampid.log_errors import log_errors, parts_of
 from clampid.log_sample import sampled_columns
@@ -62,7 +62,7 @@ class FittedLog:
     def with_solution(self, theta: Array, covariance: Array, told: Prior) -> FittedLog:
         """The same stage at the solution ``(P + K,)`` of a joint fit; ``told`` is what the other stages say."""
         fit = replace(self.fit, moments=self.fit.moments.moved(theta))
-        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.size)
+        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.limits)
         model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, told)
         return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
 
@@ -112,7 +112,7 @@ class LogStage:
 
     @property
     def linear(self) -> bool:
-        """Whether the effects are linear in their parameters; if not, the log has to be held to be fitted."""
+        """Whether the effects are linear in their parameters; then a fit takes fewer passes."""
         return self.design.linear
 
     def fit(
@@ -129,8 +129,10 @@ class LogStage:
         """
         kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)
         priors = description_priors(self.folds)
-        prior = LogPrior(*prior_of(self.experiment, priors), self.experiment.sizes())
         at = start_of(self.experiment, start, priors)
+        precision, mean = prior_of(self.experiment, priors)
+        mean = np.where(self.experiment.held(), at, mean)
+        prior = LogPrior(precision, mean, limits_of(self.experiment))
         part = None if seed is None or any(held) else parts_of(self.folds, kept, seed)
         fit = fit_log(self.design, kept, prior, at, part)
         covariance = covariance_of(fit.moments, prior.precision)

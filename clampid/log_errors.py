@@ -135,10 +135,11 @@ def _cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, 
     for k in range(int(part[kept].max()) + 1):
         chosen = kept & (part == k)
         out = sums[k]
-        train = sum((m for p, m in sums.items() if p != k), Moments.none(design.parameters))
+        train = sum((m for p, m in sums.items() if p != k), Moments.none(design.at))
         if not train.count:
             train = train + out
-        at = minimise(train, fit.moments.at, prior.precision, prior.mean, prior.size).at
+        found = fit.moments.at
+        at = minimise(train, found, prior.precision, prior.mean, prior.size, prior.free(found)).at
         theta.append(_with_offsets(design, out, at, prior, chosen))
     return np.array(theta)
 

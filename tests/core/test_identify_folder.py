@@ -47,9 +47,9 @@ def test_share_of_steady_motion_and_fingerprint_are_those_of_the_tables(folder: 
     assert fingerprint(campaign.header, files) == campaign.fingerprint
 
 
-def test_effects_that_are_not_linear_or_act_elsewhere_are_refused(folder: Path) -> None:
-    with pytest.raises(EffectError, match="linear in their parameters"):
-        identify_folder(folder, ["gravity", "stribeck_friction"])
+def test_effects_with_a_state_or_that_act_elsewhere_are_refused(folder: Path) -> None:
+    with pytest.raises(EffectError, match="a state of friction"):
+        identify_folder(folder, ["gravity", "presliding_friction"])
     with pytest.raises(EffectError, match="geometry does not act in free_air"):
         identify_folder(folder, ["geometry"])
 

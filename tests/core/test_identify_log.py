@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +72,6 @@ def by_windows(
         window=window,
         kept_bytes=kept,
     )
-    assert stage.linear
     return stage.fit(held)
 
 
@@ -164,7 +164,24 @@ def test_every_row_is_of_one_window_and_has_its_neighbours() -> None:
     assert cut <= 2
 
 
-def test_shape_parameters_need_the_whole_log(free_air: Campaign) -> None:
-    effects = catalogue()
-    terms = [Term("gravity"), Term("stribeck_friction")]
-    assert not LogStage(log_parts([free_air]), layout_of([free_air]), effects, terms, False).linear
+@pytest.mark.parametrize("holdout", [0.0, 0.3])
+@pytest.mark.parametrize(("window", "kept"), [(1 << 14, 1 << 28), (1700, 0)])
+def test_shape_parameters_are_those_of_the_log_held(both: Campaign, holdout: float, window: int, kept: int) -> None:
+    names = (*STANDARD, "stribeck_friction")
+    fitted, errors, held = held_whole([both], names, holdout)
+    found = by_windows([both], names, held, window, kept)
+    assert not found.stage.linear
+    assert_same(found, fitted, errors)
+
+
+def test_shape_parameters_on_their_bounds(free_air: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A speed that ends at its bound rests there in cross-validation too."""
+    effects = dict(catalogue())
+    amplitude, speed = effects["stribeck_friction"].parameters
+    narrow = (amplitude, replace(speed, bounds=(0.05, 20.0)))
+    effects["stribeck_friction"] = replace(effects["stribeck_friction"], parameters=narrow)
+    monkeypatch.setattr(sys.modules[__name__], "catalogue", lambda: effects)
+    names = ("gravity", "viscous_friction", "stribeck_friction")
+    fitted, errors, _ = held_whole([free_air], names, 0.0)
+    assert 20.0 in fitted.model.theta
+    assert_same(by_windows([free_air], names, window=4000), fitted, errors)
