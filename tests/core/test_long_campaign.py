@@ -9,9 +9,11 @@ import pandas as pd
 import pytest
 
 from clampid.identify import identify
+from clampid.layout import layout_of
+from clampid.stages.torques import torque_rows
+from experiments import long_log
 from experiments.campaign import Campaign, CampaignError, read_campaign, write_campaign
 from experiments.check import check_campaign, holdings
-from experiments.long_log import STRETCH_ROWS, STRETCHES
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
 
@@ -43,17 +45,28 @@ def test_the_model_is_that_of_the_log_held(whole: Campaign, pieces: Campaign, ef
     assert held.sessions == read.sessions
 
 
+def test_rows_that_have_to_be_held_are_those_of_the_file_and_not_of_the_extract(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(long_log, "STRETCH_ROWS", 500)
+    path = repeated(folder, tmp_path, "none", 20_000)
+    expected, found = (torque_rows([c], layout_of([c])) for c in (read_campaign(path), read_campaign(path, held=1000)))
+    np.testing.assert_array_equal(found.measured, expected.measured)
+    np.testing.assert_array_equal(found.used, expected.used)
+    np.testing.assert_array_equal(found.signals["link_temperature"], expected.signals["link_temperature"])
+
+
 def test_it_holds_what_the_log_held_holds(whole: Campaign, pieces: Campaign) -> None:
     assert holdings(pieces) == holdings(whole)
     notes = [f.message for f in check_campaign(pieces) if f not in check_campaign(whole)]
     assert any("all of them follow the contract" in note for note in notes)
 
 
-def repeated(folder: Path, to: Path, change: str) -> Path:
+def repeated(folder: Path, to: Path, change: str, rows: int = 140_000) -> Path:
     """A copy of the folder with a long log and one thing wrong far down in it."""
     campaign = read_campaign(folder)
     one = campaign.tables["free_air"]
-    times = 140_000 // len(one) + 1
+    times = rows // len(one) + 1
     table = pd.concat([one.assign(run=one["run"] + 100 * k) for k in range(times)], ignore_index=True)
     row = 70_000
     if change == "late":
@@ -86,12 +99,15 @@ def test_bad_rows_far_down_are_named(folder: Path, tmp_path: Path, change: str, 
         read_campaign(repeated(folder, tmp_path, change), held=1000)
 
 
-def test_the_extract_is_of_stretches_spread_over_the_log(folder: Path, tmp_path: Path) -> None:
+def test_the_extract_is_of_stretches_spread_over_the_log(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(long_log, "STRETCH_ROWS", 1000)
     path = repeated(folder, tmp_path, "none")
     log = read_campaign(path, held=1000)
     table, whole = log.tables["free_air"], read_campaign(path).tables["free_air"]
     expected = np.concatenate([np.arange(a, a + k) for a, k in log.long["free_air"].stretches])
-    assert len(table) == len(expected) <= STRETCHES * STRETCH_ROWS
+    assert len(table) == len(expected) == long_log.STRETCHES * 1000
     pd.testing.assert_frame_equal(
         table.drop(columns="run"), whole.drop(columns="run").iloc[expected].reset_index(drop=True)
     )
