@@ -37,8 +37,9 @@ from clampid.priors import description_priors
 from clampid.slots import Term
 from clampid.stages.log_facts import facts_of, log_parts
 from clampid.threads import single_threaded
-from experiments.campaign import Campaign, Instrument, Tool
+from experiments.campaign import Campaign, Tool
 from experiments.signals import segments
+from experiments.simulate import declared_campaign
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 
@@ -211,14 +212,7 @@ def main() -> None:
     asked = parser.parse_args()
     robot = load_robot("kuka_kr20_r1810")
     header, tables = virtual_log(robot)
-    tool = Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"]))
-
-    def campaign_of(rows: int) -> Campaign:
-        log = {"free_air": rows_of(tables, rows)}
-        instrument = Instrument("virtual", 1e-5, None)
-        return Campaign("benchmark", None, robot, np.array(header["gravity_m_s2"]), tool, {}, instrument, log, "0" * 64)
-
-    data, unseen = campaign_of(asked.rows), campaign_of(10_000)
+    data, unseen = (declared_campaign(header, {"free_air": rows_of(tables, k)}, robot) for k in (asked.rows, 10_000))
     layout, effects, terms = layout_of([data]), catalogue(), [Term(name) for name in STANDARD]
 
     def stage_of(campaign: Campaign) -> LogStage:
