@@ -95,6 +95,7 @@ def main() -> None:
             ("clampid identify", (VERB, "identify", str(folder), "-o", model, "--quiet")),
         ):
             said, wall, cpu, peak = run(*arguments)
+            said = said if arguments[0] == FIT else ""  # the verbs' own tables are not wanted here
             print(
                 f"{name:18}{wall:8.1f} s, of the processor {cpu:8.1f} s, peak {peak:6.0f} MiB  {said.strip()}",
                 flush=True,
