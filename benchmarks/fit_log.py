@@ -27,8 +27,8 @@ import pinocchio as pin
 from virtual_log import rows_of, virtual_log
 
 from clampid.catalogue import catalogue
-from clampid.fit import prior_of, start_of
-from clampid.fit_log import fit_log
+from clampid.fit import limits_of, prior_of, start_of
+from clampid.fit_log import LogPrior, fit_log
 from clampid.identify_folder import STANDARD
 from clampid.identify_log import LogStage
 from clampid.layout import layout_of
@@ -37,8 +37,9 @@ from clampid.priors import description_priors
 from clampid.slots import Term
 from clampid.stages.log_facts import facts_of, log_parts
 from clampid.threads import single_threaded
-from experiments.campaign import Campaign, Instrument, Tool
+from experiments.campaign import Campaign, Tool
 from experiments.signals import segments
+from experiments.simulate import declared_campaign
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 
@@ -159,9 +160,8 @@ def fitted(stage: LogStage) -> tuple[np.ndarray, int]:
     """The stage's parameters by its whole procedure, and how many rows were rejected."""
     kept = np.ones(len(stage.folds), dtype=bool)
     priors = description_priors(stage.folds)
-    precision, mean = prior_of(stage.experiment, priors)
-    start = start_of(stage.experiment, None, priors)
-    result = fit_log(stage.design, kept, precision, mean, stage.experiment.sizes(), start)
+    prior = LogPrior(*prior_of(stage.experiment, priors), limits_of(stage.experiment))
+    result = fit_log(stage.design, kept, prior, start_of(stage.experiment, None, priors))
     return result.moments.at, len(result.outliers)
 
 
@@ -212,14 +212,7 @@ def main() -> None:
     asked = parser.parse_args()
     robot = load_robot("kuka_kr20_r1810")
     header, tables = virtual_log(robot)
-    tool = Tool(header["tool"]["mass_kg"], np.array(header["tool"]["com_m"]))
-
-    def campaign_of(rows: int) -> Campaign:
-        log = {"free_air": rows_of(tables, rows)}
-        instrument = Instrument("virtual", 1e-5, None)
-        return Campaign("benchmark", None, robot, np.array(header["gravity_m_s2"]), tool, {}, instrument, log, "0" * 64)
-
-    data, unseen = campaign_of(asked.rows), campaign_of(10_000)
+    data, unseen = (declared_campaign(header, {"free_air": rows_of(tables, k)}, robot) for k in (asked.rows, 10_000))
     layout, effects, terms = layout_of([data]), catalogue(), [Term(name) for name in STANDARD]
 
     def stage_of(campaign: Campaign) -> LogStage:

@@ -2,14 +2,14 @@
 
     python benchmarks/long_log.py [--rows 1000000] [--keep FOLDER]
 
-The log is written to a temporary folder first (``--rows 10000000`` is the full size: about 1.5 GB), fitted in
-a process of its own, and that process' peak of resident memory is printed, beside that of one that only imports.
+The log is written to a temporary folder first (``--rows 10000000`` is the full size: about 1.7 GB), or taken from the
+folder of an earlier run with ``--keep``. Then each way that a user has to fit it runs in a process of its own: Python,
+``clampid check`` and ``clampid identify``; time and that process' peak of resident memory are printed.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -31,21 +31,14 @@ from kinematics.description import load_robot
 TEMPLATE_ROWS = 100_000  # of the virtual robot; a longer log repeats them with noise of its own
 NOISE = 0.05  # Nm
 
+IMPORTS = "import clampid.identify_folder"
 FIT = """
-import json, resource, sys, time
+import sys
 from clampid.identify_folder import identify_folder
-def peak():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-before = peak()
-out = {"before": before}
-if len(sys.argv) > 1:
-    start, cpu = time.perf_counter(), time.process_time()
-    model = identify_folder(sys.argv[1])
-    stage = model.stages["free_air"]
-    out |= {"wall": time.perf_counter() - start, "cpu": time.process_time() - cpu, "peak": peak(),
-            "parameters": len(stage.slots), "heldout": model.ledger[0].heldout_rms}
-print(json.dumps(out))
+model = identify_folder(sys.argv[1])
+print(f"{len(model.stages['free_air'].slots)} parameters, held out {model.ledger[0].heldout_rms:.4f} times the noise")
 """
+VERB = "from clampid.cli import main; raise SystemExit(main())"
 
 
 def write_log(folder: Path, rows: int) -> Path:
@@ -68,27 +61,45 @@ def write_log(folder: Path, rows: int) -> Path:
     return folder
 
 
-def run(*arguments: str) -> dict[str, float]:
-    """What the process that fits says of itself."""
-    done = subprocess.run([sys.executable, "-c", FIT, *arguments], check=True, capture_output=True, text=True)
-    return dict(json.loads(done.stdout))
+def run(*arguments: str) -> tuple[str, float, float, float]:
+    """What a Python process prints; how long it takes by the clock and of the processor, s; and its peak, MiB."""
+    start = perf_counter()
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as out:
+        process = subprocess.Popen([sys.executable, "-c", *arguments], stdout=out)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            raise SystemExit(f"{arguments[1:]} ended with {process.returncode}")
+        out.seek(0)
+        return out.read(), perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
 
 
 def main() -> None:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=1_000_000)
-    parser.add_argument("--keep", type=Path, help="write the log here and keep it")
+    parser.add_argument("--keep", type=Path, help="keep the log here; if there is one already, it is taken")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
-        start = perf_counter()
-        folder = write_log(asked.keep or Path(scratch) / "log", asked.rows)
-        size = (folder / "free_air.parquet").stat().st_size / 2**20
-        print(f"{asked.rows} rows written, {size:.0f} MiB, in {perf_counter() - start:.0f} s")
-        found = run(str(folder))
-    print(f"fitted, {found['parameters']:.0f} parameters: {found['wall']:.0f} s, of the processor {found['cpu']:.0f} s")
-    print(f"error on held-out runs: {found['heldout']:.4f} times the noise")
-    print(f"peak of resident memory: {found['peak']:.0f} MiB; with the imports alone: {found['before']:.0f} MiB")
+        start, folder = perf_counter(), asked.keep or Path(scratch) / "log"
+        if not (folder / "campaign.toml").is_file():
+            write_log(folder, asked.rows)
+        file = folder / "free_air.parquet"
+        rows, size = pa_parquet.read_metadata(file).num_rows, file.stat().st_size / 2**20
+        print(f"{rows} rows, {size:.0f} MiB, there after {perf_counter() - start:.0f} s")
+        model = str(Path(scratch) / "model.json")
+        for name, arguments in (
+            ("imports alone", (IMPORTS,)),
+            ("identify_folder", (FIT, str(folder))),
+            ("clampid check", (VERB, "check", str(folder), "--quiet")),
+            ("clampid identify", (VERB, "identify", str(folder), "-o", model, "--quiet")),
+        ):
+            said, wall, cpu, peak = run(*arguments)
+            said = said if arguments[0] == FIT else ""  # the verbs' own tables are not wanted here
+            print(
+                f"{name:18}{wall:8.1f} s, of the processor {cpu:8.1f} s, peak {peak:6.0f} MiB  {said.strip()}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

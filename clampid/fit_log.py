@@ -1,20 +1,22 @@
 """The fit of a torque log by passes over its windows: the results of `clampid.fit.fit`, without holding the log.
 
-For effects linear in their parameters: one pass sums the normal equations, another finds what the residual says of
-outliers and noise; the third and fifth sum the prewhitened ones. Source of the reduction: Golub & Van Loan, Matrix
-Computations (2013), section 5.3.8 (normal equations); they are balanced before they are solved, as everywhere here.
+For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
+outliers and noise, two where the log is long; then twice the prewhitened equations are summed, the second time by
+parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped Gauss-Newton.
+Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
+balanced before they are solved, as everywhere here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy import stats
 
-from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError
+from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
 from clampid.moments import Moments, minimise
 from clampid.noise import NORMAL
 from clampid.prewhitening import ORDER, Predictors, Whitener, autocorrelation, lag_products
@@ -22,7 +24,7 @@ from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
 
-__all__ = ["LogFit", "LogNoise", "Residuals", "fit_log", "residuals", "summed"]
+__all__ = ["LogFit", "LogNoise", "LogPrior", "Residuals", "fit_log", "residuals", "summed"]
 
 ENOUGH = 20  # rows of a motor from which a median says what an outlier is
 
@@ -52,11 +54,17 @@ class LogFit:
         What weighted the rows.
     outliers
         Rows of the log rejected, in order.
+    part
+        ``(F,)``: into which parts the folds were divided, if they were.
+    sums
+        Part → the prewhitened sums over its rows, where the design is.
     """
 
     moments: Moments
     noise: LogNoise
     outliers: Integers
+    part: Integers | None
+    sums: Mapping[int, Moments]
 
 
 def used_of(channel: Channel, folds: Bools, outliers: Integers) -> tuple[Integers | slice, int]:
@@ -70,45 +78,96 @@ def used_of(channel: Channel, folds: Bools, outliers: Integers) -> tuple[Integer
     return used, int(np.searchsorted(used, channel.own))
 
 
-def fit_log(design: LogDesign, folds: Bools, precision: Array, mean: Array, size: Array, start: Array) -> LogFit:
+@dataclass(frozen=True)
+class LogPrior:
+    """The prior of a fit and what it keeps to: ``(P + K, P + K)``, ``(P + K,)``, SI."""
+
+    precision: Array
+    mean: Array
+    limits: Limits
+
+    @property
+    def size(self) -> Array:
+        """Reasonable sizes ``(P + K,)``, SI."""
+        return self.limits.size
+
+    def free(self, theta: Array) -> Bools:
+        """Which parameters ``(P + K,)`` do not rest on a bound."""
+        limits = self.limits
+        return np.asarray(~(limits.bounded & ((theta <= limits.lower) | (theta >= limits.upper))))
+
+
+@dataclass(frozen=True)
+class _LogPoint:
+    """A log at one parameter vector, as `clampid.fit.descend` sees it."""
+
+    moments: Moments
+    sums: dict[int, Moments]
+
+    @property
+    def theta(self) -> Array:
+        return self.moments.at
+
+    @property
+    def cost(self) -> float:
+        return self.moments.squares
+
+    @property
+    def count(self) -> int:
+        return self.moments.count
+
+    def normal(self) -> tuple[Array, Array]:
+        return self.moments.normal, self.moments.slope
+
+
+def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part: Integers | None = None) -> LogFit:
     """Fit the rows of some folds ``(F,)``; weighting and rejection as in `clampid.fit.fit`.
 
     Parameters
     ----------
-    precision, mean
-        The prior: ``(P + K, P + K)`` and ``(P + K,)``, SI.
-    size, start
-        Reasonable sizes and start ``(P + K,)``, SI.
+    start
+        ``(P + K,)``, SI.
+    part
+        ``(F,)``: into which parts the folds are divided for cross-validation; by default all are of part 0.
 
     Raises
     ------
     FitError
         There are no rows to fit, or the model gives no finite prediction.
     """
-    white = LogNoise(np.ones(design.n))
     outliers = np.zeros(0, dtype=np.int64)
 
-    def solved(noise: LogNoise, theta: Array) -> Moments:
-        total = summed(design, folds, outliers, noise)[0]
-        if not total.count:
-            raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
-        if not np.isfinite(total.squares):
-            raise FitError("free_air: the model gives no finite prediction; are the units right?")
-        return minimise(total, theta, precision, mean, size)
+    def solved(noise: LogNoise, theta: Array, part: Integers | None = None) -> tuple[Moments, dict[int, Moments]]:
+        def at(here: Array) -> _LogPoint:
+            design.move(here)
+            sums = summed(design, folds, outliers, noise, part)
+            total = sum(sums.values(), Moments.none(design.at))
+            if not total.count:
+                raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
+            if not np.isfinite(total.squares):
+                raise FitError("free_air: the model gives no finite prediction; are the units right?")
+            return _LogPoint(total.moved(here), sums)
 
-    found = solved(white, start)
-    rows = int(sum(folds[b.fold].sum() for b in design))
+        if design.linear:
+            point = at(theta)
+            return minimise(point.moments, theta, prior.precision, prior.mean, prior.size), point.sums
+        best, _ = descend(at, theta, prior.precision, prior.mean, prior.limits)
+        design.move(best.theta)
+        return best.moments, best.sums
+
+    found, _ = solved(LogNoise(np.ones(design.n)), start)
+    rows = int(design.fold_rows[folds].sum())
+    noise: LogNoise | None = None
     for _ in range(OUTLIER_PASSES):
-        bad = _outliers(design, folds, outliers, found.at)
+        bad, noise = _looked(design, folds, outliers, found.at)
         if not len(bad) or (len(bad) + len(outliers)) / rows > OUTLIER_SHARE:
             break
-        outliers = np.union1d(outliers, bad)
-        found = solved(white, found.at)
-    noise = white
-    for _ in range(2):
-        noise = _learned(design, folds, outliers, found.at)
-        found = solved(noise, found.at)
-    return LogFit(found, noise, outliers)
+        outliers, noise = np.union1d(outliers, bad), None
+        found, _ = solved(LogNoise(np.ones(design.n)), found.at)
+    found, _ = solved(noise or _learned(design, folds, outliers, found.at), found.at)
+    noise = _learned(design, folds, outliers, found.at)
+    found, sums = solved(noise, found.at, part)
+    return LogFit(found, noise, outliers, part, sums)
 
 
 def summed(
@@ -118,7 +177,7 @@ def summed(
     noise: LogNoise,
     part: Integers | None = None,
 ) -> dict[int, Moments]:
-    """Whitened sums at zero parameters, of all rows or per part of the folds.
+    """Whitened sums where the design is, of all rows or per part of the folds.
 
     Parameters
     ----------
@@ -126,7 +185,7 @@ def summed(
         ``(F,)``: which part each fold is of; by default all are of part 0.
     """
     parts = np.unique(part[folds]) if part is not None else np.zeros(1, dtype=np.int64)
-    out = {int(p): Moments.none(design.parameters) for p in parts}
+    out = {int(p): Moments.none(design.at) for p in parts}
     for block in design:
         for c, channel in enumerate(block.channels):
             used, own = used_of(channel, folds, outliers)
@@ -146,75 +205,106 @@ def summed(
 
 @dataclass(frozen=True)
 class Residuals:
-    """Residuals of one motor's rows that count in a window ``(k,)``, Nm; the first ``own`` are of the window before."""
+    """Residuals of one motor's rows that count in a window; the first ``own`` are of the window before.
+
+    Attributes
+    ----------
+    row, stretch, fold
+        ``(k,)``, as in `Channel`.
+    values
+        ``(k,)``, Nm.
+    """
 
     block: Block
     motor: int
     row: Integers
     stretch: Integers
+    fold: Integers
     own: int
     values: Array
+    _channel: Channel
+    _used: Integers | slice
+    _design_at: Array
+
+    def at(self, theta: Array, part: Integers) -> Array:
+        """The same ``(k,)`` at the parameters ``(parts, P + K)`` of the part that each fold ``(F,)`` is of."""
+        both, columns = self._channel.both[self._used], self._channel.columns
+        every = both[:, :-1] @ (theta - self._design_at)[:, columns].T
+        return np.asarray(both[:, -1] - every[np.arange(len(every)), part[self.fold]])
 
 
-def residuals(
-    design: LogDesign, folds: Bools, outliers: Integers, theta: Array, part: Integers | None = None
-) -> Iterator[list[Residuals]]:
+def residuals(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> Iterator[list[Residuals]]:
     """Measured less predicted torques of the rows that count, window by window; of each, motor by motor.
 
-    Parameters
-    ----------
-    theta
-        ``(P + K,)``; or ``(parts, P + K)``, where folds ``(F,)`` are of several parts with parameters of their own.
+    ``theta``: ``(P + K,)``.
     """
     for block in design:
         found = []
         for c, channel in enumerate(block.channels):
             used, own = used_of(channel, folds, outliers)
-            if part is None:
-                predicted = channel.both[:, :-1] @ theta[channel.columns]
-            else:
-                every = channel.both[:, :-1] @ theta[:, channel.columns].T
-                predicted = every[np.arange(len(every)), part[channel.fold]]
-            values = (channel.both[:, -1] - predicted)[used]
-            found.append(Residuals(block, c, channel.row[used], channel.stretch[used], own, values))
+            step = (theta - design.at)[channel.columns]
+            values = (channel.both[:, -1] - channel.both[:, :-1] @ step)[used]
+            row, stretch, fold = channel.row[used], channel.stretch[used], channel.fold[used]
+            found.append(Residuals(block, c, row, stretch, fold, own, values, channel, used, design.at))
         yield found
 
 
-def _outliers(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> Integers:
-    """Rows far beyond what a clean table would show, as in `clampid.fit`."""
+class _Memory:
+    """Products of residuals, from which scale and autoregression of each motor's noise follow."""
+
+    def __init__(self, n: int) -> None:
+        self.products, self.pairs = np.zeros((2, n, ORDER + 1))
+
+    def add(self, found: Sequence[Residuals]) -> None:
+        """Add a window's."""
+        for r in found:
+            sums, counts = lag_products(r.values, r.row, r.stretch, r.own)
+            self.products[r.motor] += sums
+            self.pairs[r.motor] += counts
+
+    def noise(self) -> LogNoise:
+        """As `clampid.noise.learn_noise` finds it."""
+        sigma = np.maximum(np.sqrt(self.products[:, 0] / np.maximum(self.pairs[:, 0], 1)), 1e-12)
+        autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(self.products, self.pairs, strict=True))
+        return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
+
+
+def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> tuple[Integers, LogNoise]:
+    """Rows far beyond what a clean table would show, as in `clampid.fit`, and the noise, for where there are none."""
     count, largest = np.zeros((2, design.n))
+    memory: _Memory | None = None
 
     def sizes() -> Iterator[list[Array]]:
-        count[:], largest[:] = 0.0, 0.0
+        nonlocal memory
+        first, kept = memory is None, _Memory(design.n)
         for found in residuals(design, folds, outliers, theta):
             piece = [np.abs(r.values[r.own :]) for r in found]
-            count[:] += [len(p) for p in piece]
-            np.maximum(largest, [p.max(initial=0.0) for p in piece], out=largest)
+            if first:
+                count[:] += [len(p) for p in piece]
+                np.maximum(largest, [p.max(initial=0.0) for p in piece], out=largest)
+                kept.add(found)
             yield piece
+        memory = memory or kept
 
     scale = NORMAL * medians(sizes)
     limit = np.maximum(np.sqrt(stats.chi2.isf(OUTLIER_RATE / np.maximum(count, 1), 1)), 4.0)
     limit = np.where(count >= ENOUGH, limit * np.fmax(scale, 1e-12), np.inf)
-    if not np.any(largest > limit):
-        return np.zeros(0, dtype=np.int64)
-    bad = [
-        r.row[r.own :][np.abs(r.values[r.own :]) > limit[r.motor]]
-        for found in residuals(design, folds, outliers, theta)
-        for r in found
-    ]
-    return np.unique(np.concatenate(bad))
+    bad = [np.zeros(0, dtype=np.int64)]
+    if np.any(largest > limit):
+        bad += [
+            r.row[r.own :][np.abs(r.values[r.own :]) > limit[r.motor]]
+            for found in residuals(design, folds, outliers, theta)
+            for r in found
+        ]
+    return np.unique(np.concatenate(bad)), (memory or _Memory(design.n)).noise()
 
 
 def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> LogNoise:
-    """Scale and autoregression of each motor's residual, as in `clampid.noise.learn_noise`."""
-    products, pairs = np.zeros((2, design.n, ORDER + 1))
-    for r in (r for found in residuals(design, folds, outliers, theta) for r in found):
-        sums, counts = lag_products(r.values, r.row, r.stretch, r.own)
-        products[r.motor] += sums
-        pairs[r.motor] += counts
-    sigma = np.maximum(np.sqrt(products[:, 0] / np.maximum(pairs[:, 0], 1)), 1e-12)
-    autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(products, pairs, strict=True))
-    return LogNoise(np.where(pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
+    """The noise that residuals show."""
+    memory = _Memory(design.n)
+    for found in residuals(design, folds, outliers, theta):
+        memory.add(found)
+    return memory.noise()
 
 
 def _whitener(channel: Channel, used: Integers | slice) -> Whitener:

@@ -218,8 +218,8 @@ def identify(
         log = None
         if stage == "free_air" and not resting:
             log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
-        if log is not None and log.linear:
-            parts.append(log.fit(held_out_folds(log.folds, holdout, seed)))
+        if log is not None and (log.linear or not joint):
+            parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))
         else:
             rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
             held, own = held_out_folds(rows, holdout, seed), cost if stage == "poses" else "least-squares"
@@ -275,6 +275,9 @@ def session_of(campaign: Campaign, reference: Array | None) -> Session:
     """What a model keeps of a campaign that it was fitted on."""
     temperature = None
     for table in ("poses", "free_air", "clamped"):
+        if table in campaign.long and temperature is None:
+            temperature = campaign.long[table].warmth
+            continue
         columns = [c for c in campaign.tables.get(table, ()) if str(c).startswith("temp_")]
         if columns and temperature is None:
             values = campaign.tables[table][columns].to_numpy(float)

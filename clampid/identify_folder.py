@@ -10,7 +10,7 @@ import numpy as np
 
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
-from clampid.identify import MOSTLY, has_inertia, held_out_folds
+from clampid.identify import MOSTLY, has_friction_state, has_inertia, held_out_folds
 from clampid.identify_log import LogStage
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session
@@ -18,15 +18,14 @@ from clampid.slots import Term, parse_term
 from clampid.stages.log_facts import LogPart, steady_share
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
-from experiments.columns import table_format
+from experiments.columns import LOGS, table_format
 from experiments.errors import fault
-from experiments.fingerprint import fingerprint_of_files
+from experiments.fingerprint import fingerprint
 from experiments.header import read_header
 from experiments.log_windows import LogTable
 
 __all__ = ["identify_folder"]
 
-LOGS = ("free_air", "wrist")
 STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
 
 
@@ -78,7 +77,7 @@ def identify_folder(
         targets=header.targets,
         instrument=header.instrument,
         tables=MappingProxyType({}),
-        fingerprint=fingerprint_of_files(header.raw, files),
+        fingerprint=fingerprint(header.raw, files),
         header=header.raw,
     )
     parts = [LogPart(campaign, 0, name, table) for name, table in tables.items()]
@@ -92,13 +91,13 @@ def identify_folder(
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
     elif steady_share(parts) < MOSTLY:
         terms = (*terms, Term("inertia"))
-    stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
-    if not stage.linear:
+    if has_friction_state(terms, catalogue):
         raise EffectError(
-            f"effects {', '.join(t.label for t in terms)}: expected effects linear in their parameters, found some "
-            "that are not; read the campaign whole to fit these"
+            f"effects {', '.join(t.label for t in terms)}: expected none that reads a state of friction, which follows "
+            "the whole run, found one; read the campaign whole to fit it"
         )
-    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed))
+    stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
+    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
     warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None

@@ -12,9 +12,9 @@ from clampid.accuracy import StageErrors
 from clampid.base_names import BaseParameter
 from clampid.base_parameters import INERTIAL, MOST_ROWS, grouped
 from clampid.effect import Effect
-from clampid.fit import prior_of, start_of
-from clampid.fit_log import LogFit, fit_log
-from clampid.log_errors import LogPrior, log_errors
+from clampid.fit import limits_of, prior_of, start_of
+from clampid.fit_log import LogFit, LogPrior, fit_log
+from clampid.log_errors import log_errors, parts_of
 from clampid.log_sample import sampled_columns
 from clampid.model import StageModel
 from clampid.moments import covariance_of
@@ -62,7 +62,7 @@ class FittedLog:
     def with_solution(self, theta: Array, covariance: Array, told: Prior) -> FittedLog:
         """The same stage at the solution ``(P + K,)`` of a joint fit; ``told`` is what the other stages say."""
         fit = replace(self.fit, moments=self.fit.moments.moved(theta))
-        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.size)
+        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.limits)
         model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, told)
         return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
 
@@ -98,18 +98,29 @@ class LogStage:
         bare = self._bare(layout, np.zeros((0, 2), dtype=np.int64))
         chain = experiment(bare, effects, slots).chain
         self.design = LogDesign(
-            parts, self.facts, chain, layout.wrist, accelerating, window=window, kept_bytes=kept_bytes
+            parts,
+            self.facts,
+            chain,
+            layout.wrist,
+            accelerating,
+            window=window,
+            kept_bytes=kept_bytes,
+            sampled=MOST_ROWS,
         )
         self.folds = self._bare(layout, self.design.offset_keys)
         self.experiment = experiment(self.folds, effects, slots)
 
     @property
     def linear(self) -> bool:
-        """Whether the effects are linear in their parameters; if not, the log has to be held to be fitted."""
+        """Whether the effects are linear in their parameters; then a fit takes fewer passes."""
         return self.design.linear
 
-    def fit(self, held: Sequence[Sequence[int]], start: Mapping[Slot, float] | None = None) -> FittedLog:
+    def fit(
+        self, held: Sequence[Sequence[int]], start: Mapping[Slot, float] | None = None, seed: int | None = None
+    ) -> FittedLog:
         """Fit all folds but those held out (per session their local numbers): what `clampid.identify` does with rows.
+
+        ``seed``: of the cross-validation, if errors are to be asked for; it then takes no passes of its own.
 
         Raises
         ------
@@ -118,9 +129,12 @@ class LogStage:
         """
         kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)
         priors = description_priors(self.folds)
-        prior = LogPrior(*prior_of(self.experiment, priors), self.experiment.sizes())
         at = start_of(self.experiment, start, priors)
-        fit = fit_log(self.design, kept, prior.precision, prior.mean, prior.size, at)
+        precision, mean = prior_of(self.experiment, priors)
+        mean = np.where(self.experiment.held(), at, mean)
+        prior = LogPrior(precision, mean, limits_of(self.experiment))
+        part = None if seed is None or any(held) else parts_of(self.folds, kept, seed)
+        fit = fit_log(self.design, kept, prior, at, part)
         covariance = covariance_of(fit.moments, prior.precision)
         model = self.model_of(fit, prior, covariance, kept, tuple(tuple(f) for f in held))
         return FittedLog(self, model, fit, prior, covariance, kept)
@@ -163,7 +177,7 @@ class LogStage:
         if not any(s.effect in INERTIAL for s in slots):
             return ()
         steady = not any(effects[s.effect].family == "inertia" for s in slots)
-        columns = sampled_columns(self.design, self.parts, slots, fit.noise.sigma, MOST_ROWS, steady)
+        columns = sampled_columns(self.design, self.parts, slots, fit.noise.sigma, steady)
         return grouped(self.experiment, fit.moments.at[: len(slots)], covariance, precision, *columns)
 
     def _place(self, row: int) -> tuple[int, str, int]:

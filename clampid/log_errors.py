@@ -7,24 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clampid.accuracy import FOLDS, QUIET_S, StageErrors
-from clampid.fit_log import LogFit, LogNoise, residuals, summed
+from clampid.fit_log import LogFit, LogNoise, LogPrior, residuals, summed
 from clampid.moments import Moments, minimise
 from clampid.stages.log_design import LogDesign
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["LogPrior", "log_errors"]
+__all__ = ["log_errors", "parts_of"]
 
 ENOUGH = 20  # triples of rows from which noise is read
 _NONE = np.zeros(0, dtype=np.int64)
-
-
-@dataclass(frozen=True)
-class LogPrior:
-    """The prior of a fit and the reasonable sizes: ``(P + K, P + K)``, ``(P + K,)``, ``(P + K,)``, SI."""
-
-    precision: Array
-    mean: Array
-    size: Array
 
 
 @dataclass
@@ -34,6 +25,10 @@ class _Squares:
     squares: Array
     count: Array
     rows: int = 0
+
+    @staticmethod
+    def none(n: int) -> _Squares:
+        return _Squares(np.zeros(n), np.zeros(n))
 
     def add(self, motor: int, values: Array) -> None:
         self.squares[motor] += float(values @ values)
@@ -86,48 +81,44 @@ def log_errors(
     held
         Whether the others were held out on purpose.
     """
-    floor, fitted = _fitted(design, fit, kept)
     if held:
         white = summed(design, ~kept, _NONE, LogNoise(np.ones(design.n)))[0]
-        theta = _with_offsets(design, white, fit.moments.at, prior, ~kept)
-        test = _squares(design, ~kept, _NONE, theta[None], np.zeros(len(kept), dtype=np.int64))
+        theta = _with_offsets(design, white, fit.moments.at, prior, ~kept)[None]
+        part = np.zeros(len(kept), dtype=np.int64)
     else:
-        part = _parts(folds, kept, seed)
-        test = _squares(design, kept, fit.outliers, _cross_fitted(design, fit, prior, kept, part), part)
-    return StageErrors(rms=fitted.rms(floor), heldout_rms=test.rms(floor), noise_floor=1.0, heldout_rows=test.rows)
-
-
-def _fitted(design: LogDesign, fit: LogFit, kept: Bools) -> tuple[Array, _Squares]:
-    """The noise floor of the motors ``(n,)``, Nm, and what the fit leaves."""
+        part = parts_of(folds, kept, seed)
+        theta = _cross_fitted(design, fit, prior, kept, part)
     floor = _Floor(max(1, round(QUIET_S / max(design.facts.spacing, 1e-9))), design.n)
-    squares = _Squares(np.zeros(design.n), np.zeros(design.n))
-    for found in residuals(design, kept, fit.outliers, fit.moments.at):
+    fitted, test = _Squares.none(design.n), _Squares.none(design.n)
+    for found in residuals(design, np.ones_like(kept) if held else kept, fit.outliers, fit.moments.at):
         block = found[0].block
-        table = np.full((block.stop - block.first, design.n), np.nan)
+        table, tested = np.full((block.stop - block.first, design.n), np.nan), np.zeros(block.stop - block.first, bool)
         for r in found:
-            table[r.row[r.own :] - block.first, r.motor] = r.values[r.own :]
-            squares.add(r.motor, r.values[r.own :])
-        inside = kept[block.fold]
-        floor.add(block.run[inside], table[inside])
-    bent, all_of_it = floor.squares / np.maximum(floor.count, 1) / 1.5, squares.squares / np.maximum(squares.count, 1)
+            own = np.arange(r.own, len(r.row))
+            own, out = (own[kept[r.fold[own]]], own[~kept[r.fold[own]]]) if held else (own, own)
+            table[r.row[own] - block.first, r.motor] = r.values[own]
+            fitted.add(r.motor, r.values[own])
+            test.add(r.motor, r.at(theta, part)[out])
+            tested[r.row[out] - block.first] = True
+        of_fit = kept[block.fold]
+        floor.add(block.run[of_fit], table[of_fit])
+        test.rows += int(tested.sum())
+    noise = _noise_floor(floor, fitted)
+    return StageErrors(fitted.rms(noise), test.rms(noise), noise_floor=1.0, heldout_rows=test.rows)
+
+
+def _noise_floor(floor: _Floor, fitted: _Squares) -> Array:
+    """The noise floor of the motors ``(n,)``, Nm."""
+    bent, all_of_it = floor.squares / np.maximum(floor.count, 1) / 1.5, fitted.squares / np.maximum(fitted.count, 1)
     spread = np.sqrt(np.where(floor.count > ENOUGH, bent, all_of_it))
-    return np.maximum(np.where(squares.count > 0, spread, 1.0), 1e-12), squares
+    return np.asarray(np.maximum(np.where(fitted.count > 0, spread, 1.0), 1e-12))
 
 
-def _squares(design: LogDesign, folds: Bools, outliers: Integers, theta: Array, part: Integers) -> _Squares:
-    """Squares of the residuals of folds at the parameters ``(parts, P + K)`` of the part that each is of."""
-    out = _Squares(np.zeros(design.n), np.zeros(design.n))
-    for found in residuals(design, folds, outliers, theta, part):
-        counts = np.zeros(found[0].block.stop - found[0].block.first, dtype=bool)
-        for r in found:
-            out.add(r.motor, r.values[r.own :])
-            counts[r.row[r.own :] - r.block.first] = True
-        out.rows += int(counts.sum())
-    return out
+def parts_of(folds: Rows, kept: Bools, seed: int) -> Integers:
+    """Which of five parts of a cross-validation each fold ``(F,)`` is of; 0 where it is not fitted.
 
-
-def _parts(folds: Rows, kept: Bools, seed: int) -> Integers:
-    """Which of five parts each fold ``(F,)`` is of; 0 where it is not fitted."""
+    ``folds``: one row per fold.
+    """
     inside = folds.take(np.flatnonzero(kept))
     order = inside.shuffled_folds(seed)
     place = np.argsort(order)
@@ -138,15 +129,17 @@ def _parts(folds: Rows, kept: Bools, seed: int) -> Integers:
 
 def _cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers) -> Array:
     """Parameters ``(parts, P + K)`` that fits without each part give, with that part's own offsets."""
-    sums = summed(design, kept, fit.outliers, fit.noise, part)
+    alike = fit.part is not None and np.array_equal(part[kept], fit.part[kept])
+    sums = fit.sums if alike else summed(design, kept, fit.outliers, fit.noise, part)
     theta = []
     for k in range(int(part[kept].max()) + 1):
         chosen = kept & (part == k)
         out = sums[k]
-        train = sum((m for p, m in sums.items() if p != k), Moments.none(design.parameters))
+        train = sum((m for p, m in sums.items() if p != k), Moments.none(design.at))
         if not train.count:
             train = train + out
-        at = minimise(train, fit.moments.at, prior.precision, prior.mean, prior.size).at
+        found = fit.moments.at
+        at = minimise(train, found, prior.precision, prior.mean, prior.size, prior.free(found)).at
         theta.append(_with_offsets(design, out, at, prior, chosen))
     return np.array(theta)
 

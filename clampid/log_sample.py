@@ -18,9 +18,9 @@ _OF_LINK = ("m", "mx", "my", "mz")
 
 
 def sampled_columns(
-    design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot], sigma: Array, rows: int, at_rest: bool
+    design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot], sigma: Array, at_rest: bool
 ) -> tuple[Array, Array]:
-    """The derivative of the prediction in some rows that count, over the noise.
+    """The derivative of the prediction in the rows of the design's sample, over the noise.
 
     Parameters
     ----------
@@ -28,8 +28,6 @@ def sampled_columns(
         The log.
     sigma
         Standard deviation of the motors' noise ``(n,)``, Nm.
-    rows
-        How many rows of the log, about.
     at_rest
         Masses and first moments as in rest: the little acceleration of steady rows must not blur what gravity cannot
         tell apart.
@@ -39,17 +37,13 @@ def sampled_columns(
     Array, Array
         Of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
     """
-    every = max(1, design.facts.rows // rows)
     row, motor, values = [], [], []
-    for block in design:
-        for c, channel in enumerate(block.channels):
-            own = np.arange(channel.own, len(channel.row))
-            chosen = own[channel.row[own] % every == 0]
-            wide = np.zeros((len(chosen), design.parameters))
-            wide[:, channel.columns] = channel.both[chosen, :-1]
-            row.append(channel.row[chosen])
-            motor.append(np.full(len(chosen), c))
-            values.append(wide)
+    for part in design.sample():
+        wide = np.zeros((len(part.row), design.parameters))
+        wide[:, part.columns] = part.values
+        row.append(part.row)
+        motor.append(np.full(len(part.row), part.motor))
+        values.append(wide)
     at, which, columns = np.concatenate(row), np.concatenate(motor), np.concatenate(values)
     if at_rest:
         _weigh(columns, at, which, design, parts, slots)

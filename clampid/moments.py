@@ -33,9 +33,9 @@ class Moments:
     count: int = 0
 
     @staticmethod
-    def none(parameters: int) -> Moments:
-        """No rows yet; at zero."""
-        return Moments(np.zeros(parameters), np.zeros((parameters, parameters)), np.zeros(parameters))
+    def none(at: Array) -> Moments:
+        """No rows yet; at ``at`` ``(P,)``."""
+        return Moments(at, np.zeros((len(at), len(at))), np.zeros(len(at)))
 
     def add(self, columns: Integers, both: Array, sigma: float = 1.0) -> None:
         """Add rows ``(k, p + 1)``, the columns of X that are not zero and r, all in units of ``sigma``."""
@@ -61,7 +61,9 @@ class Moments:
         return Moments(theta, self.normal, slope, self.squares - float(step @ (self.slope + slope)), self.count)
 
 
-def minimise(moments: Moments, theta: Array, precision: Array, mean: Array, size: Array) -> Moments:
+def minimise(
+    moments: Moments, theta: Array, precision: Array, mean: Array, size: Array, free: Bools | None = None
+) -> Moments:
     """Least squares with prior by the steps of `clampid.fit.solve`; the sums at the solution.
 
     Parameters
@@ -72,8 +74,10 @@ def minimise(moments: Moments, theta: Array, precision: Array, mean: Array, size
         The prior: ``(P, P)`` and ``(P,)``.
     size
         Reasonable sizes ``(P,)``, which scale the equations.
+    free
+        Which parameters ``(P,)`` may move; by default all.
     """
-    free: Bools = np.ones(len(theta), dtype=bool)
+    free = np.ones(len(theta), dtype=bool) if free is None else free
     for _ in range(ITERATIONS):
         moments = moments.moved(theta)
         off = theta - mean

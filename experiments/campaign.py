@@ -13,6 +13,7 @@ import tomllib
 import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -21,10 +22,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from experiments.columns import TABLES, table_format
+from experiments.columns import LOGS, TABLES, table_format
 from experiments.errors import CampaignError, fault
 from experiments.fingerprint import fingerprint
 from experiments.header import FORMAT, HEADER_FILE, Instrument, Tool, read_header
+from experiments.long_log import LongLog, is_long, read_long
 from experiments.tables import TableFile, read_table
 from experiments.toml_text import toml_text
 from experiments.validate import validate_table
@@ -61,6 +63,8 @@ class Campaign:
         SHA-256 of header and tables; the same for CSV and Parquet with equal numbers.
     header
         ``campaign.toml`` as it was read, unknown keys included.
+    long
+        Torque logs that are not held; ``tables`` has extracts of them.
     """
 
     name: str
@@ -73,15 +77,19 @@ class Campaign:
     tables: Mapping[str, pd.DataFrame]
     fingerprint: str
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    long: Mapping[str, LongLog] = field(default_factory=dict, repr=False)
 
 
-def read_campaign(folder: str | Path) -> Campaign:
+def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
     """Read a campaign folder and hold it against the contract.
 
     Parameters
     ----------
     folder
         The folder with ``campaign.toml``.
+    held
+        How many rows of a torque log may be held. Of a Parquet file with more of them, every row is held against the
+        contract all the same, but ``tables`` has an extract only, and ``long`` the file.
 
     Returns
     -------
@@ -95,12 +103,17 @@ def read_campaign(folder: str | Path) -> Campaign:
     """
     path = Path(folder)
     header = read_header(path)
-    tables = {}
+    tables: dict[str, pd.DataFrame] = {}
+    long: dict[str, LongLog] = {}
     for name in TABLES:
         if name in header.tables:
             source = TableFile(path / header.tables[name])
             layout = table_format(name, header.robot.n)
-            tables[name] = validate_table(read_table(source.path), layout, source, header.targets)
+            if name in LOGS and is_long(source.path, held):
+                long[name], tables[name] = read_long(source.path, layout, header.robot.n)
+            else:
+                tables[name] = validate_table(read_table(source.path), layout, source, header.targets)
+    hashed: dict[str, pd.DataFrame | Path] = {**tables, **{name: path / header.tables[name] for name in long}}
     return Campaign(
         name=path.resolve().name,
         path=path,
@@ -110,8 +123,9 @@ def read_campaign(folder: str | Path) -> Campaign:
         targets=header.targets,
         instrument=header.instrument,
         tables=MappingProxyType(tables),
-        fingerprint=fingerprint(header.raw, tables),
+        fingerprint=fingerprint(header.raw, hashed),
         header=header.raw,
+        long=MappingProxyType(long),
     )
 
 

@@ -56,6 +56,7 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
         *motion_findings(campaign, wrong),
         *speed_findings(campaign, wrong),
     ]
+    findings += [Finding("note", table, None, None, log.words) for table, log in campaign.long.items()]
     if "clamped" in campaign.tables and campaign.robot.transmission_known and "clamped" not in wrong | weighed:
         findings += sweep_findings(campaign)
     return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
@@ -89,17 +90,18 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
 
 
 def _table(campaign: Campaign, table: str) -> dict[str, Any]:
-    frame = campaign.tables[table]
+    frame, long = campaign.tables[table], campaign.long.get(table)
     summary: dict[str, Any] = {
-        "rows": len(frame),
-        "duration_s": float(np.ptp(frame["time_s"].to_numpy(dtype=np.float64))),
+        "rows": long.table.rows if long else len(frame),
+        "duration_s": long.seconds if long else float(np.ptp(frame["time_s"].to_numpy(dtype=np.float64))),
         "joints_moved": [i + 1 for i in moved_joints(campaign, table)],
         "temperatures": list(temperature_columns(map(str, frame.columns))),
     }
     if table == "clamped":
         return summary | {"sweeps": int(frame["sweep"].nunique()), "fixture": "fixture_x_m" in frame}
     if table in ("free_air", "wrist"):
-        return summary | {"runs": int(frame["run"].nunique()), "velocities": "qd1_rad_s" in frame}
+        runs = long.runs if long else int(frame["run"].nunique())
+        return summary | {"runs": runs, "velocities": "qd1_rad_s" in frame}
     return summary | {
         "poses": int(frame["pose"].nunique()),
         "visits": len(frame[["pose", "visit"]].drop_duplicates()),

@@ -68,8 +68,8 @@ def moved_joints(campaign: Campaign, table: str) -> list[int]:
     """
     if table == "clamped":
         return sorted({int(j) - 1 for j in campaign.tables[table]["joint"]})
-    q = joint_angles(campaign, table)
-    return [int(i) for i in np.flatnonzero(np.ptp(q, axis=0) > STILL_RAD)]
+    travel = campaign.long[table].travel if table in campaign.long else np.ptp(joint_angles(campaign, table), axis=0)
+    return [int(i) for i in np.flatnonzero(travel > STILL_RAD)]
 
 
 def replicates(campaign: Campaign) -> int:

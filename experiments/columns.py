@@ -12,6 +12,7 @@ from difflib import get_close_matches
 from typing import Literal
 
 __all__ = [
+    "LOGS",
     "TABLES",
     "Column",
     "TableFormat",
@@ -21,6 +22,7 @@ __all__ = [
     "temperature_columns",
 ]
 
+LOGS = ("free_air", "wrist")
 TABLES = ("free_air", "wrist", "clamped", "poses", "verification")
 QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x_m", "y_m", "z_m")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,10 @@ import pyarrow.parquet as pa_parquet
 
 from experiments.log_windows import batches
 
-__all__ = ["fingerprint", "fingerprint_of_files"]
+__all__ = ["fingerprint"]
 
 
-def fingerprint(raw: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> str:
+def fingerprint(raw: Mapping[str, Any], tables: Mapping[str, pd.DataFrame | Path]) -> str:
     """Hash the header and all tables.
 
     Numbers count by value (all as float64), columns by name, rows in their order. The order of keys and columns, the
@@ -29,7 +29,7 @@ def fingerprint(raw: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> s
     raw
         Content of ``campaign.toml``; its ``[tables]`` is left out.
     tables
-        The validated tables.
+        The validated tables; or Parquet files of numbers, which are read column by column and piece by piece.
 
     Returns
     -------
@@ -40,38 +40,23 @@ def fingerprint(raw: Mapping[str, Any], tables: Mapping[str, pd.DataFrame]) -> s
     header = {key: _plain(value) for key, value in raw.items() if key != "tables"}
     digest.update(json.dumps(header, sort_keys=True, default=str).encode())
     for name in sorted(tables):
-        frame = tables[name]
-        for column in sorted(map(str, frame.columns)):
-            digest.update(f"\n{name}/{column}/{len(frame)}\n".encode())
-            digest.update(_content(frame[column]))
+        for title, cells in _columns(name, tables[name]):
+            digest.update(title.encode())
+            for piece in cells:
+                digest.update(_content(piece))
     return digest.hexdigest()
 
 
-def fingerprint_of_files(raw: Mapping[str, Any], files: Mapping[str, Path]) -> str:
-    """The fingerprint of tables in Parquet files, read column by column and piece by piece.
-
-    Parameters
-    ----------
-    raw
-        Content of ``campaign.toml``.
-    files
-        Path by table; their columns hold numbers.
-
-    Returns
-    -------
-    str
-        What `fingerprint` gives of the same tables.
-    """
-    digest = hashlib.sha256()
-    header = {key: _plain(value) for key, value in raw.items() if key != "tables"}
-    digest.update(json.dumps(header, sort_keys=True, default=str).encode())
-    for name in sorted(files):
-        with pa_parquet.ParquetFile(files[name]) as file:
-            for column in sorted(file.schema_arrow.names):
-                digest.update(f"\n{name}/{column}/{file.metadata.num_rows}\n".encode())
-                for batch in batches(file, [column]):
-                    digest.update(_content(batch.column(0).to_pandas()))
-    return digest.hexdigest()
+def _columns(name: str, table: pd.DataFrame | Path) -> Iterator[tuple[str, Iterator[pd.Series]]]:
+    """What is hashed of each column: what it is, and its cells, piece by piece."""
+    if isinstance(table, pd.DataFrame):
+        for column in sorted(map(str, table.columns)):
+            yield f"\n{name}/{column}/{len(table)}\n", iter([table[column]])
+        return
+    with pa_parquet.ParquetFile(table) as file:
+        for column in sorted(file.schema_arrow.names):
+            pieces = (batch.column(0).to_pandas() for batch in batches(file, [column]))
+            yield f"\n{name}/{column}/{file.metadata.num_rows}\n", pieces
 
 
 def _content(cells: pd.Series) -> bytes:

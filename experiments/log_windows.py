@@ -76,6 +76,10 @@ class LogTable:
             reason = str(error).strip().splitlines()[0]
             raise fault(source, expected="a whole Parquet file", found=f"none that can be read ({reason})") from error
 
+    def frame(self, names: Sequence[str]) -> pd.DataFrame:
+        """Columns of all of its rows, held."""
+        return pd.concat([pd.DataFrame(dict(c)) for c in self.chunks(names)], ignore_index=True)
+
     def chunks(self, names: Sequence[str]) -> Iterator[Columns]:
         """Columns in pieces, one after the other: all at once if the table is held."""
         if isinstance(self.source, pd.DataFrame):

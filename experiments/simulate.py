@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import os
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from experiments.campaign import Campaign, Instrument, Tool, write_campaign
 from experiments.virtual_robot import Hidden, Measured, Plant, measure
 from kinematics.description import RobotDescription, load_robot
 
-__all__ = ["SimulationError", "hidden_file", "measured_campaign", "simulate"]
+__all__ = ["SimulationError", "declared_campaign", "hidden_file", "measured_campaign", "simulate"]
 
 
 class SimulationError(ValueError):
@@ -113,7 +114,13 @@ def measured_campaign(measured: Measured, robot: RobotDescription, name: str = "
     Campaign
         Without a path; its fingerprint is of no file.
     """
-    header = measured.header
+    return declared_campaign(measured.header, measured.tables, robot, name)
+
+
+def declared_campaign(
+    header: Mapping[str, Any], tables: Mapping[str, pd.DataFrame], robot: RobotDescription, name: str = "virtual"
+) -> Campaign:
+    """Tables of a virtual robot with the content of ``campaign.toml``, as :func:`measured_campaign` gives them."""
     tool, instrument = header["tool"], header["instrument"]
     return Campaign(
         name=name,
@@ -123,7 +130,7 @@ def measured_campaign(measured: Measured, robot: RobotDescription, name: str = "
         tool=Tool(tool["mass_kg"], np.array(tool["com_m"])),
         targets={target: np.array(point) for target, point in header["targets_m"].items()},
         instrument=Instrument(instrument["name"], instrument["position_std_m"], instrument.get("orientation_std_rad")),
-        tables=measured.tables,
+        tables=tables,
         fingerprint="0" * 64,
     )
 

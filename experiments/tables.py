@@ -16,14 +16,15 @@ import pyarrow.parquet as pa_parquet
 
 from experiments.errors import CampaignError, fault
 
-__all__ = ["TableFile", "read_table"]
+__all__ = ["TableFile", "read_table", "refuse_duplicates"]
 
 
 @dataclass(frozen=True)
 class TableFile:
-    """A table as a file: knows how to point at one of its cells."""
+    """A table as a file, or a piece of one from row ``first`` on: knows how to point at one of its cells."""
 
     path: Path
+    first: int = 0
 
     def fault(self, *, expected: str, found: str, row: int | None = None, column: str | None = None) -> CampaignError:
         """Word an error about this file.
@@ -42,9 +43,13 @@ class TableFile:
         CampaignError
             To be raised by the caller.
         """
-        number = None if row is None else row + 1
+        number = None if row is None else self.number(row)
         line = self._line(row) if row is not None else None
         return fault(self.path, expected=expected, found=found, row=number, line=line, column=column)
+
+    def number(self, row: int) -> int:
+        """The file's number, from 1, of a row of the piece from 0."""
+        return self.first + row + 1
 
     def cell(self, row: int, column: str, value: object) -> str:
         """Show what stands in one cell, as the user would see it in the file.
@@ -125,7 +130,7 @@ def _read_parquet(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         reason = str(error).strip().splitlines()[0]
         raise fault(path, expected="a whole Parquet file", found=f"a truncated or damaged one ({reason})") from error
-    _refuse_duplicates(path, table.column_names)
+    refuse_duplicates(path, table.column_names)
     return table
 
 
@@ -138,7 +143,7 @@ def _read_csv(path: Path) -> pa.Table:
         for separator, name in ((";", "semicolons"), ("\t", "tabs")):
             if separator in header[0]:
                 raise fault(path, expected="columns separated by commas", found=name, line=1)
-    _refuse_duplicates(path, header)
+    refuse_duplicates(path, header)
     data = text.encode()
     # Arrow guesses a column's type from the first block only; with one block, an odd cell far down makes the column
     # text, and can then be named, instead of failing the whole conversion.
@@ -171,7 +176,14 @@ def _records(text: str) -> Iterator[tuple[int, list[str]]]:
             yield reader.line_num, record
 
 
-def _refuse_duplicates(path: Path, names: Sequence[str]) -> None:
+def refuse_duplicates(path: Path, names: Sequence[str]) -> None:
+    """Refuse a table that names a column twice.
+
+    Raises
+    ------
+    CampaignError
+        It does.
+    """
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         positions = [i + 1 for i, name in enumerate(names) if name == twice[0]]

@@ -12,7 +12,7 @@ from experiments.columns import QUATERNION, Column, TableFormat, lookalike, temp
 from experiments.errors import CampaignError
 from experiments.tables import TableFile
 
-__all__ = ["validate_table"]
+__all__ = ["increasing", "validate_table"]
 
 # Nine printed digits give a norm right to 1e-8. Rounding to three digits stays within 1e-3; a wrong order or sign of
 # components does not change the norm, so that what exceeds this is not a unit quaternion at all.
@@ -128,7 +128,7 @@ def _cell_fault(cells: pd.Series, column: Column, bad: npt.NDArray[np.intp], sou
     row = int(bad[0])
     found = source.cell(row, column.name, cells.iloc[row])
     if bad.size > 1:
-        found += f" (and {bad.size - 1} more such rows, the last in row {int(bad[-1]) + 1})"
+        found += f" (and {bad.size - 1} more such rows, the last in row {source.number(int(bad[-1]))})"
     return source.fault(expected=column.expected, found=found, row=row, column=column.name)
 
 
@@ -140,17 +140,18 @@ def _refuse_unordered(frame: pd.DataFrame, run: str, source: TableFile) -> None:
         row = int(repeated[0])
         first = int(np.flatnonzero((runs == runs[row]) & (time == time[row]))[0])
         whole = ", the whole row repeated" if _equal_rows(frame, row)[first] else ""
-        found = f"the time of row {first + 1} again ({time[row]:.10g} s{whole})" + _more(repeated.size)
-        raise source.fault(expected=_increasing(run, runs[row]), found=found, row=row, column="time_s")
+        found = f"the time of row {source.number(first)} again ({time[row]:.10g} s{whole})" + _more(repeated.size)
+        raise source.fault(expected=increasing(run, runs[row]), found=found, row=row, column="time_s")
     order = np.argsort(runs, kind="stable")
     late = np.flatnonzero((np.diff(runs[order]) == 0) & (np.diff(time[order]) < 0.0))
     if late.size:
         before, row = int(order[late[0]]), int(order[late[0] + 1])
-        found = f"{time[row]:.10g} s after {time[before]:.10g} s in row {before + 1}" + _more(late.size)
-        raise source.fault(expected=_increasing(run, runs[row]), found=found, row=row, column="time_s")
+        found = f"{time[row]:.10g} s after {time[before]:.10g} s in row {source.number(before)}" + _more(late.size)
+        raise source.fault(expected=increasing(run, runs[row]), found=found, row=row, column="time_s")
 
 
-def _increasing(run: str, number: int) -> str:
+def increasing(run: str, number: int) -> str:
+    """What a log's time must do, in words."""
     return f"time increasing within {run} {number}"
 
 

@@ -18,7 +18,7 @@ from clampid.effect import Effect
 from clampid.layout import layout_of
 from clampid.planning.bench import imagined
 from clampid.slots import Slot, parse_term, slots_of_terms
-from clampid.stages.counting import INERTIA_SHARE
+from clampid.stages.counting import counting, negligible
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.log_facts import CLEAR_MOTION
 from clampid.stages.rows import Array, Bools, Integers
@@ -32,6 +32,7 @@ __all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise", "torque_noise_of"]
 
 STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
 NOISE_SHARE = 0.01  # of the rated torque
+STILL = 1e-9  # rad/s: planned motion has no noise
 SETTLING = 0.25  # s after a change of speed in which a differentiated log still shows it
 
 
@@ -64,6 +65,19 @@ class TorqueNoise:
         """For the plan."""
         each = ", ".join(f"{s:.3g}" for s in self.sigma)
         return f"motor torques: {each} Nm, {self.slow:.0%} of the variance correlated over {self.memory:g} s"
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """The thresholds that a fit will find in the log; see `clampid.stages.counting.Thresholds`."""
+
+    rest: Array
+    rest_motor: Array
+    clear: Array
+    clear_motor: Array
+    steady: Array
+    noise: Array  # between neighbouring rows
+    moved: Bools
 
 
 @dataclass(frozen=True)
@@ -165,24 +179,24 @@ class LogBench:
         """Which motors' torques a fit would use ``(N, n)``."""
         robot = self.cell.robot
         T = np.asarray(robot.transmission)
-        top = np.array([j.max_speed or 1.0 for j in robot.joints]) / np.abs(np.diag(T))
-        fastest = np.maximum(np.abs(signals["motor_speed"]).max(axis=0), max(self.fastest, 1e-3) * top)
-        moving = np.abs(signals["motor_speed"]) > CLEAR_MOTION * fastest
-        steady = np.concatenate([_steady(course, self.rate) for course in courses])
-        inertial = np.abs(signals["inertia_torque"] @ T.T)
-        # The noise between neighbouring rows, as a fit would find it in the log.
-        between = self.noise.sigma * np.sqrt(
-            (1 - self.noise.slow) + self.noise.slow * (1 - np.exp(-1 / self.rate / self.noise.memory))
+        gear = np.abs(np.diag(T))
+        top = np.array([j.max_speed or 1.0 for j in robot.joints]) / gear
+        motor_speed, speed = (np.abs(signals[f"{which}_speed"]) for which in ("motor", "joint"))
+        moving = signals["joint_motion"] != 0
+        between = 1 - self.noise.slow * np.exp(-1 / self.rate / self.noise.memory)
+        planned = _Planned(
+            rest=np.full(robot.n, STILL),
+            rest_motor=np.full(robot.n, STILL),
+            clear=CLEAR_MOTION * np.maximum(speed.max(axis=0), self.fastest * top * gear),
+            clear_motor=CLEAR_MOTION * np.maximum(motor_speed.max(axis=0), max(self.fastest, 1e-3) * top),
+            steady=np.full(robot.n, np.inf),
+            noise=self.noise.sigma * np.sqrt(between),
+            moved=np.array([moving[run == r].any(axis=0) for r in range(len(courses))]),
         )
-        # The dry friction of a coupled joint that creeps, or has not moved yet in its run, is not known.
-        speed, motion = np.abs(signals["joint_speed"]), signals["joint_motion"]
-        clear = CLEAR_MOTION * np.maximum(speed.max(axis=0), self.fastest * top * np.abs(np.diag(T)))
-        open_ = np.zeros_like(moving, dtype=float)
-        for j in self.layout.wrist:
-            creeping = (speed[:, j] > 1e-9) & (speed[:, j] <= clear[j])
-            open_[:, j] = ((motion[:, j] == 0) | creeping) & _moves_later(motion[:, j], run)
-        undecided = (open_ @ (T != 0).T.astype(float)) > 0
-        return np.asarray(moving & steady[:, None] & (inertial <= INERTIA_SHARE * between) & ~undecided)
+        # The course itself says where it is steady.
+        steady = np.concatenate([_steady(course, self.rate) for course in courses])
+        counts = counting(signals, T, planned, run, self.layout.wrist, accelerating=True)
+        return np.asarray(counts & steady[:, None] & negligible(signals["inertia_torque"] @ T.T, planned))
 
     def _course(self, jacobian: Array, used: Bools, time: Array, move: Integers, moves: int) -> Told:
         """Information of each move of one run, the run's unknown constants taken off the whole in proportion."""
@@ -220,11 +234,3 @@ def _steady(course: Course, rate: float) -> Bools:
     move, since = course.phase(time)
     T, r = course.duration[move], course.ramp[move]
     return np.asarray((since > r + SETTLING) & (since < T - r - SETTLING))
-
-
-def _moves_later(motion: Array, run: Integers) -> Bools:
-    """Whether a joint moves at all in the run that a row belongs to ``(N,)``."""
-    out = np.zeros(len(motion), dtype=bool)
-    for r in np.unique(run):
-        out[run == r] = bool(motion[run == r].any())
-    return out

@@ -9,6 +9,7 @@ unknown constant of the run.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -20,6 +21,29 @@ __all__ = ["FIFTHS", "INERTIA_SHARE", "counting", "folds_of", "motion_signals", 
 
 FIFTHS = 5  # a log of one run is held out by contiguous fifths
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
+
+
+class Thresholds(Protocol):
+    """What of :class:`clampid.stages.log_facts.LogFacts` says which rows count; a log that is only planned has it too.
+
+    ``(n,)`` each: speeds of rest and of clear motion of joints and of motors, rad/s; accelerations of steady motion,
+    rad/s²; noise of the torques between neighbouring rows, Nm. ``(R, n)``: whether the joint moves in that run.
+    """
+
+    @property
+    def rest(self) -> Array: ...
+    @property
+    def rest_motor(self) -> Array: ...
+    @property
+    def clear(self) -> Array: ...
+    @property
+    def clear_motor(self) -> Array: ...
+    @property
+    def steady(self) -> Array: ...
+    @property
+    def noise(self) -> Array: ...
+    @property
+    def moved(self) -> Bools: ...
 
 
 def motion_signals(
@@ -58,7 +82,7 @@ def motion_signals(
 def counting(
     signals: Mapping[str, Array],
     transmission: Array,
-    facts: LogFacts,
+    facts: Thresholds,
     run: Integers,
     wrist: Sequence[int],
     accelerating: bool,
@@ -94,7 +118,7 @@ def counting(
     return np.asarray(out)
 
 
-def negligible(inertia: Array, facts: LogFacts) -> Bools:
+def negligible(inertia: Array, facts: Thresholds) -> Bools:
     """Whether motor torques of inertia ``(N, n)``, Nm, are little against the noise.
 
     Masses are described well enough for gravity, not for full dynamics: what they give in acceleration is taken off,
@@ -105,8 +129,9 @@ def negligible(inertia: Array, facts: LogFacts) -> Bools:
 
 def standing_joints(facts: LogFacts, wrist: Sequence[int]) -> Integers:
     """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
-    keys = [(r, j) for j in wrist for r in range(len(facts.moved)) if not facts.moved[r, j]]
-    return np.array(keys, dtype=np.int64).reshape(-1, 2)
+    joints = np.array(wrist, dtype=np.int64)
+    which, run = np.nonzero(~facts.moved[:, joints].T)
+    return np.asarray(np.c_[run, joints[which]], dtype=np.int64)
 
 
 def folds_of(facts: LogFacts, run: Integers, row: Integers) -> Integers:

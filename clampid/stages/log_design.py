@@ -1,4 +1,4 @@
-"""A torque log as what a fit linear in its parameters needs of it, a window at a time: motors' rows of the design.
+"""A torque log as what a fit needs of it, a window at a time: motors' rows of the design, linear about some parameters.
 
 The same rows count as in `clampid.stages.torques`, and the same torques are predicted; but nothing is kept of a row
 besides, and of a long log not even that: its windows are read again whenever they are gone through.
@@ -7,7 +7,7 @@ besides, and of a long log not even that: its windows are read again whenever th
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,12 +17,12 @@ from clampid.chain import Chain
 from clampid.prewhitening import REACH, Whitener
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
-from clampid.stages.rows import Array, Integers
+from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.temperatures import temperatures
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel
 from experiments.log_windows import Window, windows
 
-__all__ = ["Block", "Channel", "LogDesign"]
+__all__ = ["Block", "Channel", "LogDesign", "Sampled"]
 
 KEPT_BYTES = 1 << 28  # of a short log all windows are kept
 
@@ -44,7 +44,7 @@ class Channel:
     columns
         ``(p,)``: which parameters can touch this motor here.
     both
-        ``(k, p + 1)``: the prediction's derivative; last, measured less predicted torque at zero parameters, Nm.
+        ``(k, p + 1)``: the prediction's derivative; last, measured less predicted torque where the design is, Nm.
     """
 
     row: Integers
@@ -71,6 +71,48 @@ class Block:
     channels: tuple[Channel, ...]
 
 
+@dataclass(frozen=True)
+class Sampled:
+    """Some rows of one motor that count: rows of the log ``(k,)``, parameters ``(p,)`` and derivatives ``(k, p)``."""
+
+    motor: int
+    row: Integers
+    columns: Integers
+    values: Array
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A window's rows, as far as they do not depend on any parameter.
+
+    Attributes
+    ----------
+    signals
+        Name → ``(k, …)``, of the rows of which some motor counts by its motion.
+    counts, measured
+        ``(k, n)``: which motors count, and their torques, Nm.
+    row, stretch, run, fold
+        ``(k,)``.
+    bare
+        The window, no channels yet.
+    """
+
+    kernel: TorqueKernel
+    signals: Mapping[str, Array]
+    counts: Bools
+    measured: Array
+    row: Integers
+    stretch: Integers
+    run: Integers
+    fold: Integers
+    bare: Block
+
+    @property
+    def size(self) -> int:
+        """Bytes, about."""
+        return self.measured.nbytes + sum(v.nbytes for v in self.signals.values()) + 6 * self.row.nbytes
+
+
 @dataclass
 class _Held:
     """The way that joints and motors last moved, before a window begins."""
@@ -82,6 +124,9 @@ class _Held:
 
 class LogDesign:
     """A log's design, to be gone through as often as wanted.
+
+    Where the effects are not linear in their parameters, it is that about ``at`` ``(P + K,)``, at first zero;
+    :meth:`move` moves it.
 
     Parameters
     ----------
@@ -99,6 +144,8 @@ class LogDesign:
         Rows at once.
     kept_bytes
         How much of the design may be kept between passes.
+    sampled
+        How many rows of the log, about, the first pass sets aside.
     """
 
     def __init__(
@@ -111,17 +158,23 @@ class LogDesign:
         *,
         window: int = WINDOW,
         kept_bytes: int = KEPT_BYTES,
+        sampled: int = 0,
     ) -> None:
         self.parts, self.facts, self.chain, self.wrist = parts, facts, chain, tuple(wrist)
         self.accelerating, self.window, self.kept_bytes = accelerating, window, kept_bytes
         self.n = parts[0].campaign.robot.n
         self.T = np.asarray(parts[0].campaign.robot.transmission)
-        found = {part.session: torque_kernel(part.campaign, chain) for part in parts}
-        self.kernels: dict[int, TorqueKernel] = {s: k for s, k in found.items() if k is not None}
-        self.linear = len(self.kernels) == len(found)
+        campaigns = {part.session: part.campaign for part in parts}
+        self.kernels = {session: torque_kernel(campaign, chain) for session, campaign in campaigns.items()}
+        self.linear = all(kernel.linear for kernel in self.kernels.values())
+        self._every = max(1, facts.rows // max(sampled, 1))
         self._kept: list[Block] | None = None
+        self._too_long = False
+        self._sample: list[Sampled] | None = None
+        self._prepared: list[_Prepared] | None = None
+        self.at = np.zeros(self.parameters)
 
-    @property
+    @cached_property
     def offset_keys(self) -> Integers:
         """``(K, 2)``: run and joint of the coupled joints that stand still for a whole run."""
         return standing_joints(self.facts, self.wrist)
@@ -131,26 +184,71 @@ class LogDesign:
         """P + K: slots, and frictions of joints that stand still for a whole run."""
         return len(self.chain.slots) + len(self.offset_keys)
 
+    @property
+    def fold_rows(self) -> Integers:
+        """``(F,)``: rows of each fold."""
+        if len(self.facts.runs) > 1:
+            return self.facts.length
+        ends = [-(-k * self.facts.rows // FIFTHS) for k in range(FIFTHS + 1)]  # where `folds_of` begins the next
+        return np.asarray(np.diff(np.array(ends)), dtype=np.int64)
+
+    def sample(self) -> list[Sampled]:
+        """Rows spread over the log, motor by motor."""
+        if self._sample is None:
+            for _ in self:
+                pass
+        return self._sample or []
+
     def forget(self) -> None:
         """Drop what was kept between passes."""
-        self._kept = None
+        self._kept = self._sample = self._prepared = None
+
+    def move(self, theta: Array) -> None:
+        """Make it the design about these slots' values ``(P + K,)``; constants of runs are linear, and stay zero."""
+        at = np.r_[theta[: len(self.chain.slots)], np.zeros(len(self.offset_keys))]
+        if not self.linear and not np.array_equal(at, self.at):
+            self.at = at
+            self._kept = self._sample = None
 
     def __iter__(self) -> Iterator[Block]:
         if self._kept is not None:
             yield from self._kept
             return
-        kept: list[Block] | None = []
+        kept: list[Block] | None = None if self._too_long else []
+        sample: list[Sampled] = []
         size = 0
         for block in self._blocks():
+            sample += self._some(block)
             size += sum(c.both.nbytes + 5 * c.row.nbytes for c in block.channels)
             if size > self.kept_bytes:
-                kept = None
+                kept, self._too_long = None, True
             elif kept is not None:
                 kept.append(block)
             yield block
-        self._kept = kept
+        self._kept, self._sample = kept, sample
+
+    def _some(self, block: Block) -> list[Sampled]:
+        """What is set aside of a window."""
+        out = []
+        for c, channel in enumerate(block.channels):
+            chosen = channel.own + np.flatnonzero(channel.row[channel.own :] % self._every == 0)
+            out.append(Sampled(c, channel.row[chosen], channel.columns, channel.both[chosen, :-1]))
+        return out
 
     def _blocks(self) -> Iterator[Block]:
+        if self._prepared is not None:
+            yield from map(self._block, self._prepared)
+            return
+        kept: list[_Prepared] | None = None if self.linear or self._too_long else []
+        size = 0
+        for window in self._windows():
+            if kept is not None:
+                size += window.size
+                kept = [*kept, window] if size <= self.kept_bytes else None
+            yield self._block(window)
+        self._prepared = kept
+
+    def _windows(self) -> Iterator[_Prepared]:
         read = {name for kernel in self.kernels.values() for name, _ in kernel.signals}
         names = [*self.facts.motions.columns, *joint_columns("tau", "Nm", self.n)]
         before = 0
@@ -159,11 +257,11 @@ class LogDesign:
             chosen = names + (warm if any(name.endswith("_temperature") for name in read) else [])
             held: _Held | None = None
             for w in windows(part.table, chosen, self.window, self.facts.halo):
-                block, held = self._block(w, p, before, held)
-                yield block
+                prepared, held = self._prepare(w, p, before, held)
+                yield prepared
             before += part.table.rows
 
-    def _block(self, w: Window, p: int, before: int, held: _Held | None) -> tuple[Block, _Held | None]:
+    def _prepare(self, w: Window, p: int, before: int, held: _Held | None) -> tuple[_Prepared, _Held | None]:
         part, facts = self.parts[p], self.facts
         kernel = self.kernels[part.session]
         motion = facts.motions.of(p, w)
@@ -180,36 +278,50 @@ class LogDesign:
         chosen = np.flatnonzero(counts.any(axis=1))
         if any(name.endswith("_temperature") for name, _ in kernel.signals):
             every |= temperatures(pd.DataFrame(dict(w.columns)), self.n)
-        inertial, design = kernel.evaluate({name: every[name][chosen] for name, _ in kernel.signals})
-        counts = counts[chosen]
-        if not self.accelerating:
-            counts &= negligible(inertial, facts)
         breaks = np.r_[True, (run[1:] != run[:-1]) | (np.abs(np.diff(time) - facts.step) > 0.5 * facts.step)]
-        stretch = np.cumsum(breaks)
         row = before + w.first + np.arange(len(time))
         fold = folds_of(facts, run, row)
-        own = before + w.first + w.start
+        first, mine = before + w.first + w.start, slice(w.start, w.stop)
+        prepared = _Prepared(
+            kernel=kernel,
+            signals={name: every[name][chosen] for name, _ in kernel.signals},
+            counts=counts[chosen],
+            measured=measured[chosen],
+            row=row[chosen],
+            stretch=np.cumsum(breaks)[chosen],
+            run=run[chosen],
+            fold=fold[chosen],
+            bare=Block(first, first + w.stop - w.start, run[mine], fold[mine], ()),
+        )
+        return prepared, held
+
+    def _block(self, window: _Prepared) -> Block:
+        """A window's channels at the parameters that the design is about."""
+        kernel = window.kernel
+        inertial, design = kernel.evaluate(self.at[: len(self.chain.slots)], window.signals)
+        counts = window.counts
+        if not self.accelerating:
+            counts = counts & negligible(inertial, self.facts)
         channels = []
         for c in range(self.n):
             used = np.flatnonzero(counts[:, c])
-            at_row = chosen[used]
-            columns, extra = self._still(run[at_row], c)
+            columns, extra = self._still(window.run[used], c)
             both = design[c][used]
-            both[:, -1] = measured[at_row, c] - both[:, -1]
+            both[:, -1] = window.measured[used, c] - both[:, -1]
             if len(columns):
                 both = np.concatenate([both[:, :-1], extra, both[:, -1:]], axis=1)
+            row = window.row[used]
             channels.append(
                 Channel(
-                    row=row[at_row],
-                    own=int(np.count_nonzero(row[at_row] < own)),
-                    stretch=stretch[at_row],
-                    fold=fold[at_row],
+                    row=row,
+                    own=int(np.count_nonzero(row < window.bare.first)),
+                    stretch=window.stretch[used],
+                    fold=window.fold[used],
                     columns=np.r_[kernel.touched[c], columns],
                     both=both,
                 )
             )
-        mine = slice(w.start, w.stop)
-        return Block(own, own + w.stop - w.start, run[mine], fold[mine], tuple(channels)), held
+        return replace(window.bare, channels=tuple(channels))
 
     def _held_on(self, signals: dict[str, Array], w: Window, run: Integers, held: _Held | None) -> _Held | None:
         """Carry the signs of the last motion on from before the window, and say what they are before the next."""

@@ -14,6 +14,7 @@ import numpy as np
 from clampid import prewhitening
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
+from experiments.columns import LOGS
 from experiments.log_windows import LogTable, Window, windows
 from experiments.signals import acceleration, medians, speed_counts, speeds, threshold_of_counts
 
@@ -42,10 +43,10 @@ class LogPart:
 def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
     """The tables free_air and wrist of campaigns, in order."""
     return [
-        LogPart(campaign, s, name, LogTable.of(campaign.tables[name]))
+        LogPart(campaign, s, name, campaign.long[name].table if name in campaign.long else LogTable.of(table))
         for s, campaign in enumerate(campaigns)
-        for name in ("free_air", "wrist")
-        if name in campaign.tables
+        for name in LOGS
+        if (table := campaign.tables.get(name)) is not None
     ]
 
 

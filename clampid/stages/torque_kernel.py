@@ -1,4 +1,4 @@
-"""The torque prediction of one row and its derivative as one compiled function, for effect sets linear in parameters.
+"""The torque prediction of one row and its derivative as one compiled function.
 
 It is the chain's own function with the loads' regressors put in as expressions of the posture, so that they are never
 stored: of a motor's row only the parameters that can touch it are left. See `clampid.stages.torques`.
@@ -6,6 +6,7 @@ stored: of a motor's row only the parameters that can touch it are left. See `cl
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -33,7 +34,7 @@ POSTURE = ("q", "joint_speed", "joint_acceleration")
 
 @dataclass(frozen=True)
 class TorqueKernel:
-    """Torques of one session's rows without deviations, and what the parameters add to them.
+    """Torques of one session's rows, and what the parameters change of them.
 
     Attributes
     ----------
@@ -41,23 +42,29 @@ class TorqueKernel:
         Names and widths of the signals that the function reads, in order.
     touched
         Per motor the parameters ``(p,)`` that can change its torque.
+    linear
+        Whether the torques are linear in the parameters.
     """
 
     signals: tuple[tuple[str, int], ...]
     touched: tuple[Integers, ...]
+    linear: bool
     function: Blocks | Lanes
 
-    def evaluate(self, signals: dict[str, Array]) -> tuple[Array, list[Array]]:
-        """Motor torques of inertia ``(N, n)``, Nm; per motor ``(N, p + 1)``: derivatives, and the torque predicted."""
+    def evaluate(self, theta: Array, signals: Mapping[str, Array]) -> tuple[Array, list[Array]]:
+        """Motor torques of inertia ``(N, n)``, Nm; per motor ``(N, p + 1)``: derivatives, and the torque predicted.
+
+        ``theta``: the parameters ``(P,)``; where the torques are linear in them, they are predicted at zero.
+        """
         count, n = len(signals["q"]), len(self.touched)
         columns = [np.reshape(signals[name], (count, width)) for name, width in self.signals]
-        values = self.function(np.zeros(0), *columns)[0]
+        values = self.function(theta[: 0 if self.linear else None], *columns)[0]
         ends = n + np.cumsum([0, *(len(t) + 1 for t in self.touched)])
         return values[:, :n], [values[:, a:b] for a, b in pairwise(ends)]
 
 
-def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel | None:
-    """The kernel of a session, or None where the effects are not linear in their parameters.
+def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel:
+    """The kernel of a session.
 
     Parameters
     ----------
@@ -81,9 +88,10 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel | None:
     inertia = T @ computed["inertia_torque"]
     deviation = T @ stacked[chain.offsets["joint_torque"]] + stacked[chain.offsets["motor_torque"]]
     jacobian = ca.jacobian(deviation, theta)
-    if ca.depends_on(jacobian, theta):
-        return None
-    predicted = ca.substitute(deviation, theta, ca.DM.zeros(len(chain.slots))) + T @ computed["gravity_torque"]
+    linear = not ca.depends_on(jacobian, theta)
+    if linear:
+        deviation, theta = ca.substitute(deviation, theta, ca.DM.zeros(len(chain.slots))), ca.SX(0, 1)
+    predicted = deviation + T @ computed["gravity_torque"]
     rows, touched = [], []
     for motor in range(n):
         row = jacobian[motor, :]
@@ -92,9 +100,9 @@ def torque_kernel(campaign: Campaign, chain: Chain) -> TorqueKernel | None:
         derivative = row[[int(c) for c in columns]].T if len(columns) else ca.SX(0, 1)
         rows += [derivative, predicted[motor] + inertia[motor]]
     output = ca.densify(ca.vertcat(inertia, *rows))
-    function = ca.Function("torques", [ca.SX(0, 1), ca.vertcat(*inputs.values())], [ca.cse(output)])
+    function = ca.Function("torques", [theta, ca.vertcat(*inputs.values())], [ca.cse(output)])
     widths = tuple((name, symbol.shape[0]) for name, symbol in inputs.items())
-    return TorqueKernel(widths, tuple(touched), compile_rows(function))
+    return TorqueKernel(widths, tuple(touched), linear, compile_rows(function))
 
 
 def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from clampid.stages.presliding import friction_states
 from clampid.stages.rows import Array, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
-from experiments.log_windows import windows
+from experiments.log_windows import LogTable, windows
 from experiments.signals import segments, typical_step
 
 __all__ = ["residual", "torque_rows"]
@@ -68,7 +68,7 @@ def torque_rows(
     facts = facts_of(parts)
     robot, n = campaigns[0].robot, campaigns[0].robot.n
     T = np.asarray(robot.transmission)
-    joined = pd.concat([part.campaign.tables[part.name] for part in parts], ignore_index=True)
+    joined = pd.concat([part.table.frame(_columns(part.table, n)) for part in parts], ignore_index=True)
     lengths = [part.table.rows for part in parts]
     session = np.repeat([part.session for part in parts], lengths)
     _, run = np.unique(np.c_[np.repeat(np.arange(len(parts)), lengths), joined["run"]], axis=0, return_inverse=True)
@@ -114,6 +114,12 @@ def torque_rows(
         },
         per_row=("time", "run"),
     )
+
+
+def _columns(table: LogTable, n: int) -> list[str]:
+    """The columns of a log that rows are made of."""
+    names = ["run", "time_s", *joint_columns("q", "rad", n), *joint_columns("tau", "Nm", n)]
+    return names + [name for name in table.names if name.startswith("temp_")]
 
 
 def _motion_of(parts: Sequence[LogPart], facts: LogFacts) -> Motion:

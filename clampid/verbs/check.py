@@ -18,9 +18,10 @@ def check(campaign: OneCampaign, json: Json = None, quiet: Quiet = False) -> Non
     from clampid.identify import TABLES_OF, stages_of, standard_effects
     from experiments.campaign import CampaignError, read_campaign
     from experiments.check import check_campaign, holdings
+    from experiments.long_log import LONG_ROWS
 
     out = Output(quiet, json)
-    read = read_campaign(campaign)
+    read = read_campaign(campaign, held=LONG_ROWS)
     holds, findings = holdings(read), check_campaign(read)
     standard = standard_effects([read]) if stages_of([read]) else {}
     stages = {

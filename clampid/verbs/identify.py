@@ -51,9 +51,10 @@ def identify(
     from clampid.identify import identify as fit_model
     from clampid.model import save_model
     from clampid.verbs.show import model_json, show_drives, show_model
+    from experiments.long_log import LONG_ROWS
 
     with out.working("reading"):
-        read = read_checked(campaigns, out)
+        read = read_checked(campaigns, out, held=LONG_ROWS)
     with out.working("identifying"):
         model = fit_model(
             read,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -17,8 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["finding_text", "numbers_of", "read_checked", "split_effects", "split_terms"]
 
 
-def read_checked(folders: Sequence[Path], out: Output) -> list[Campaign]:
+def read_checked(folders: Sequence[Path], out: Output, held: float = inf) -> list[Campaign]:
     """Read campaigns and look at them: warnings are printed, errors refuse the campaign.
+
+    ``held``: how many rows of a torque log may be held; `experiments.campaign.read_campaign`.
 
     Raises
     ------
@@ -30,7 +33,7 @@ def read_checked(folders: Sequence[Path], out: Output) -> list[Campaign]:
 
     campaigns = []
     for folder in folders:
-        campaign = read_campaign(folder)
+        campaign = read_campaign(folder, held=held)
         findings = check_campaign(campaign)
         for finding in findings:
             if finding.severity == "warning":

@@ -13,7 +13,7 @@ from clampid.identify import identify
 from clampid.identify_folder import identify_folder
 from clampid.stages.log_facts import LogPart, log_parts, steady_share
 from experiments.campaign import CampaignError, read_campaign, write_campaign
-from experiments.fingerprint import fingerprint_of_files
+from experiments.fingerprint import fingerprint
 from experiments.log_windows import LogTable
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
@@ -44,12 +44,12 @@ def test_share_of_steady_motion_and_fingerprint_are_those_of_the_tables(folder: 
     parts = [LogPart(campaign, 0, name, LogTable.of(folder / f"{name}.parquet")) for name in ("free_air", "wrist")]
     assert steady_share(parts, window=900) == pytest.approx(steady_share(log_parts([campaign])), abs=1e-12)
     files = {part.name: folder / f"{part.name}.parquet" for part in parts}
-    assert fingerprint_of_files(campaign.header, files) == campaign.fingerprint
+    assert fingerprint(campaign.header, files) == campaign.fingerprint
 
 
-def test_effects_that_are_not_linear_or_act_elsewhere_are_refused(folder: Path) -> None:
-    with pytest.raises(EffectError, match="linear in their parameters"):
-        identify_folder(folder, ["gravity", "stribeck_friction"])
+def test_effects_with_a_state_or_that_act_elsewhere_are_refused(folder: Path) -> None:
+    with pytest.raises(EffectError, match="a state of friction"):
+        identify_folder(folder, ["gravity", "presliding_friction"])
     with pytest.raises(EffectError, match="geometry does not act in free_air"):
         identify_folder(folder, ["geometry"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from clampid.identify import has_inertia, held_out_folds, stage_rows
 from clampid.identify_log import FittedLog, LogStage
 from clampid.layout import layout_of
 from clampid.slots import Term
+from clampid.stages.counting import folds_of
 from clampid.stages.log_facts import LogPart, log_parts
 from experiments.campaign import Campaign, Tool
 from experiments.log_windows import LogTable, windows
@@ -70,7 +72,6 @@ def by_windows(
         window=window,
         kept_bytes=kept,
     )
-    assert stage.linear
     return stage.fit(held)
 
 
@@ -130,6 +131,15 @@ def test_one_run_without_speeds(free_air: Campaign) -> None:
     assert_same(by_windows([alone], STANDARD, window=700), fitted, errors)
 
 
+@pytest.mark.parametrize("rows", [1, 4, 5, 998, 1001])
+def test_fifths_of_a_log_of_one_run_are_counted_without_its_rows(free_air: Campaign, rows: int) -> None:
+    table = free_air.tables["free_air"]
+    alone = replace(free_air, tables={"free_air": table[table["run"] == 1][:rows].reset_index(drop=True)})
+    design = LogStage(log_parts([alone]), layout_of([alone]), catalogue(), [Term("gravity")], False).design
+    fold = folds_of(design.facts, np.zeros(rows, dtype=np.int64), np.arange(rows))
+    np.testing.assert_array_equal(design.fold_rows, np.bincount(fold, minlength=5))
+
+
 def test_a_parquet_file_is_read_as_it_is_needed(free_air: Campaign, tmp_path: Path) -> None:
     free_air.tables["free_air"].to_parquet(tmp_path / "free_air.parquet", index=False, row_group_size=2500)
     empty = replace(free_air, tables={})
@@ -154,7 +164,24 @@ def test_every_row_is_of_one_window_and_has_its_neighbours() -> None:
     assert cut <= 2
 
 
-def test_shape_parameters_need_the_whole_log(free_air: Campaign) -> None:
-    effects = catalogue()
-    terms = [Term("gravity"), Term("stribeck_friction")]
-    assert not LogStage(log_parts([free_air]), layout_of([free_air]), effects, terms, False).linear
+@pytest.mark.parametrize("holdout", [0.0, 0.3])
+@pytest.mark.parametrize(("window", "kept"), [(1 << 14, 1 << 28), (1700, 0)])
+def test_shape_parameters_are_those_of_the_log_held(both: Campaign, holdout: float, window: int, kept: int) -> None:
+    names = (*STANDARD, "stribeck_friction")
+    fitted, errors, held = held_whole([both], names, holdout)
+    found = by_windows([both], names, held, window, kept)
+    assert not found.stage.linear
+    assert_same(found, fitted, errors)
+
+
+def test_shape_parameters_on_their_bounds(free_air: Campaign, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A speed that ends at its bound rests there in cross-validation too."""
+    effects = dict(catalogue())
+    amplitude, speed = effects["stribeck_friction"].parameters
+    narrow = (amplitude, replace(speed, bounds=(0.05, 20.0)))
+    effects["stribeck_friction"] = replace(effects["stribeck_friction"], parameters=narrow)
+    monkeypatch.setattr(sys.modules[__name__], "catalogue", lambda: effects)
+    names = ("gravity", "viscous_friction", "stribeck_friction")
+    fitted, errors, _ = held_whole([free_air], names, 0.0)
+    assert 20.0 in fitted.model.theta
+    assert_same(by_windows([free_air], names, window=4000), fitted, errors)
