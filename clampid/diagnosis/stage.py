@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from clampid.accuracy import noise_floor
-from clampid.diagnosis.confirm import cross_fitted_p, held_out_p, probe_held_out_p, stability
+from clampid.diagnosis.confirm import cross_fitted_p, event_p, held_out_p, probe_held_out_p, stability
 from clampid.diagnosis.entries import (
     confusable_with,
     considered_of,
@@ -85,7 +85,11 @@ def diagnose_stage(
         trial = refit(terms, fitted, best.candidate.shapes)
         trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, refit)
         new = held_out(trial.estimate, verification, floor, noise, seed)
-        p_held, falls = _falls(best, held, new, seed)
+        if effects[best.candidate.name].event is not None:  # no other sweep tells it: other blocks of its own do
+            p_held = event_p(trial.estimate, best.candidate.name, seed)
+            falls = p_held <= HELD_OUT_RATE
+        else:
+            p_held, falls = _falls(best, held, new, seed)
         again = stability(look.space, look.named, best, look.folds, seed)
         if not falls or again < STABLE:
             rejected.add(best.candidate.label)

@@ -24,7 +24,7 @@ from experiments.campaign import Campaign
 from experiments.signals import slip_states
 from kinematics.poe import forward, space_jacobian
 
-__all__ = ["clamped_rows", "fixture_motion", "loop_compliance", "residual"]
+__all__ = ["BLOCK_ROWS", "clamped_rows", "fixture_motion", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
@@ -159,11 +159,12 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     reference = np.array([q[sweep == s].mean(axis=0) for s in range(sweeps)])
     rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
     motion = np.zeros((count, n))
-    used, fraction = np.ones((count, n), dtype=bool), np.zeros(count)
+    used, fraction, progress = np.ones((count, n), dtype=bool), np.zeros(count), np.zeros(count)
     typical = _typical_steps(motor, driven, sweep)
     for s in range(sweeps):
         rows = np.flatnonzero(sweep == s)
         fraction[rows] = np.linspace(0.0, 1.0, len(rows))
+        progress[rows] = s + np.arange(len(rows)) / len(rows)
         steps = _steps(motor[rows])
         for j in range(n):
             # A coupled joint's sweep turns several motors a little: each has its own friction, by its own steps.
@@ -196,6 +197,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "fixture_motion": _watched(joined, sweep),
         "slip": slip_states(q, _widths(q, driven, sweep), sweep),
         "sweep_fraction": fraction,
+        "sweep_progress": progress,
         **temperatures(joined, n),
     }
     _, blocks = np.unique(np.c_[sweep, np.arange(count) // BLOCK_ROWS], axis=0, return_inverse=True)

@@ -114,6 +114,11 @@ class Experiment:
             seen.add((slot.effect, slot.parameter))
         return out
 
+    def own(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` belong to single runs or sweeps: their offsets, and what happened in one."""
+        events = [self.effects[slot.effect].event is not None for slot in self.slots]
+        return np.array([*events, *([True] * self.offsets)], dtype=bool)
+
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
         own = [p.clear for p in self.parameters]
