@@ -128,41 +128,68 @@ def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
 
     With less than a block of rows before it or after it, an event is as good as the sweep's beginning or end.
     """
-    rows, white = estimate.experiment.rows, estimate.whitened
+    rows, white, k = estimate.experiment.rows, estimate.whitened, steps.shape[2]
     position, length = _positions(rows)
     run, progress = rows.constants["run"], rows.signals["sweep_progress"]
-    entries = {int(s): np.flatnonzero(run[white.entry] == s) for s in np.unique(run)}
-    parts = {s: (own, space.basis[own], space.residual[own]) for s, own in entries.items()}
+    starts = np.arange(BLOCK_ROWS, int(length.max(initial=0)) - BLOCK_ROWS + 1)
+    sums: dict[int, _Sums] = {}
+    for first, stop in channel_starts(white):
+        channel, entry = int(white.channel[first]), run[white.entry[first:stop]]
+        stepped = steps[:, channel, None, :] * (position[:, None] >= starts)[:, :, None]
+        columns = estimate.noise.whiten_channel(rows, channel, stepped.reshape(len(rows), -1))
+        for sweep in np.unique(entry):
+            own = np.flatnonzero(entry == sweep)
+            D, place = columns[own], first + own
+            mine = sums.setdefault(int(sweep), _Sums.zero(len(starts), k, space.basis.shape[1]))
+            mine.add(D, space.basis[place], space.residual[place])
     time, explained = [], []
-    for start in range(BLOCK_ROWS, int(length.max(initial=0)) - BLOCK_ROWS + 1):
-        here = np.flatnonzero((position == start) & (position + BLOCK_ROWS <= length))
-        columns = _whitened_step(estimate, steps, position >= start)
-        for row in here:
-            own, basis, residual = parts[int(run[row])]
-            D = columns[own]
-            absorbed = basis.T @ D
-            value = _explained(D.T @ D, absorbed, D.T @ residual)
-            if value is not None:
-                time.append(float(progress[row]) - 0.5 / float(length[row]))
-                explained.append(value / space.scale**2)
+    for row in np.flatnonzero((position >= BLOCK_ROWS) & (position + BLOCK_ROWS <= length)):
+        value = sums[int(run[row])].explained(int(position[row]) - BLOCK_ROWS) if int(run[row]) in sums else None
+        if value is not None:
+            time.append(float(progress[row]) - 0.5 / float(length[row]))
+            explained.append(value / space.scale**2)
     return Scan(np.array(time), np.array(explained)) if time else None
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """What a score needs of an event's columns D at each of S times in one sweep, filled channel by channel.
+
+    D'D ``(S, k, k)``, Q'D ``(S, r, k)`` and D'r ``(S, k)``.
+    """
+
+    gram: Array
+    absorbed: Array
+    amplitude: Array
+
+    @classmethod
+    def zero(cls, times: int, k: int, r: int) -> _Sums:
+        return cls(np.zeros((times, k, k)), np.zeros((times, r, k)), np.zeros((times, k)))
+
+    def add(self, D: Array, basis: Array, residual: Array) -> None:
+        """Add one channel: ``(L, S k)``, ``(L, r)``, ``(L,)``."""
+        times, k = self.amplitude.shape
+        by_time = D.reshape(len(D), times, k).transpose(1, 0, 2)
+        self.gram[:] += by_time.transpose(0, 2, 1) @ by_time
+        self.absorbed[:] += (basis.T @ D).reshape(-1, times, k).transpose(1, 0, 2)
+        self.amplitude[:] += (residual @ D).reshape(times, k)
+
+    def explained(self, time: int) -> float | None:
+        """Sum of squares that the columns explain at a time; None where what is active absorbs them all."""
+        gram, absorbed = self.gram[time], self.absorbed[time]
+        length = np.sqrt(np.diag(gram))
+        if not length.all():
+            return None
+        values, vectors = np.linalg.eigh((gram - absorbed.T @ absorbed) / np.outer(length, length))
+        keep = values > ABSORBED
+        parts = (vectors.T @ (self.amplitude[time] / length))[keep]
+        return float(np.sum(parts**2 / values[keep])) if keep.any() else None
 
 
 def _whitened_step(estimate: Estimate, steps: Array, after: Array) -> Array:
     """Whitened columns ``(M, k)`` of a step in every sweep at once, from the rows ``after`` ``(N,)`` on."""
     stepped = steps * after[:, None, None]
     return estimate.noise.whiten(estimate.experiment.rows, np.zeros(stepped.shape[:2]), stepped).jacobian
-
-
-def _explained(gram: Array, absorbed: Array, amplitude: Array) -> float | None:
-    """Sum of squares that columns explain, from D'D, Q'D and D'r; None where what is active absorbs them all."""
-    length = np.sqrt(np.diag(gram))
-    if not length.all():
-        return None
-    values, vectors = np.linalg.eigh((gram - absorbed.T @ absorbed) / np.outer(length, length))
-    keep = values > ABSORBED
-    parts = (vectors.T @ (amplitude / length))[keep]
-    return float(np.sum(parts**2 / values[keep])) if keep.any() else None
 
 
 def _candidate(estimate: Estimate, effect: Effect, steps: Array, time: float) -> Candidate:
