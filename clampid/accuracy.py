@@ -115,7 +115,7 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
     if experiment.stage == "clamped":
         full[count:] = clamping_offsets(experiment, full)
     free = experiment.own() & ~experiment.held()
-    precision = np.diag(np.where(free, 1e-2, 1e12) / experiment.sizes() ** 2)
+    precision = np.diag(np.where(free, 1.0 / experiment.prior_std() ** 2, 1e12 / experiment.sizes() ** 2))
     estimate = solve(experiment, full, noise or Noise(experiment.rows.sigma), precision, full)
     return estimate.residual
 
@@ -146,7 +146,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
         step = newton_step(A, b, size, 0.0, free)
         if len(its_own):  # a run or sweep that was not fitted shows its own constants itself
             shown = np.diag(A_out)[its_own] > 0
-            weak = np.diag(1e-2 / size[its_own] ** 2)
+            weak = np.diag(1.0 / experiment.prior_std()[its_own] ** 2)
             left = b_out[its_own] - A_out[np.ix_(its_own, shared)] @ step[shared] - weak @ estimate.theta[its_own]
             alone = newton_step(A_out[np.ix_(its_own, its_own)] + weak, left, size[its_own], 0.0, shown)
             step[its_own] = np.where(shown, alone, step[its_own])

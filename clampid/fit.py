@@ -430,13 +430,14 @@ def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors:
 
 
 def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
-    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds."""
+    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds; no friction is kept."""
     rows, n = experiment.rows, experiment.rows.robot.n
     torque = rows.constants["start_torque"]
     d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
     wound = rows.constants["wound"] + d.values[:, :n]
     run = rows.constants["run"]
-    return np.array([wound[run == sweep, joint].mean() for sweep, joint in rows.constants["offset_keys"]])
+    keys = rows.constants["offset_keys"]
+    return np.array([wound[run == sweep, joint].mean() if joint < n else 0.0 for sweep, joint in keys])
 
 
 def _outliers(rows: Rows, residual: Array) -> Bools:

@@ -95,14 +95,23 @@ class Experiment:
 
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
-        own = [p.size for p in self.parameters]
-        return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
+        return np.array([*(p.size for p in self.parameters), *self._offset_sizes[0]])
 
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
-        own = [p.prior_std for p in self.parameters]
-        std = np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
+        std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
         return np.where(self.held(), HELD * self.sizes(), std)
+
+    @cached_property
+    def _offset_sizes(self) -> tuple[list[float], list[float]]:
+        """Reasonable sizes of the offsets, and standard deviations of their priors ``(K,)`` each."""
+        friction = self.rows.constants.get("held_friction", np.zeros(0))
+        size, prior = [], []
+        for _, joint in self.rows.constants.get("offset_keys", ()):
+            kept = joint - self.rows.robot.n
+            size.append(OFFSET_SIZE[self.stage] if kept < 0 else float(friction[kept]))
+            prior.append(WEAK * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
+        return size, prior
 
     def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` a fit keeps where they start."""
@@ -121,8 +130,7 @@ class Experiment:
 
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
-        own = [p.clear for p in self.parameters]
-        return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
+        return np.array([*(p.clear for p in self.parameters), *self._offset_sizes[0]])
 
     def bounds(self) -> tuple[Array, Array]:
         """Physical limits ``(P + K,)`` each."""
