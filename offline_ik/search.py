@@ -1,8 +1,8 @@
 """Searches for postures where the analytic start and a few steps of Newton's method do not do.
 
 Levenberg and Marquardt's method from several starts, the likely ones first; then, for a few in a million, patient
-searches around a singularity and along the bottom of a valley. Source of the damping: Nielsen (1999), Damping parameter
-in Marquardt's method.
+searches around a singularity and along the valley in which it lies. Source of the damping: Nielsen (1999), Damping
+parameter in Marquardt's method.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ Rows = npt.NDArray[np.intp]
 WISHED = 1e-11  # what rounding allows, and what a start is improved to
 AROUND = 3e-3  # m: what calibrated arms differ from nominal ones by
 AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what is left after everything else
-ASIDE = (0.003, -0.003, 0.01, -0.01, 0.03, -0.03, 0.1, -0.1)  # rad, along the direction in which a pose hardly moves
-VALLEY, VALLEY_STEPS = 0.02, 60  # rad at most in each of so many steps
+ALONG, ALONG_STEPS = 0.05, 250  # rad: twice round, if a joint turns as fast as the step
 STARTS = 40  # of an arm without an analytic solution
 LM_STEPS = 80
 LONG_STEPS = 1500
@@ -111,7 +110,7 @@ class Search:
         return best
 
     def _last(self, best: Solved, rows: Rows, poses: Array, near: Array, signs: Array, conditions: Conditions) -> None:
-        """Improve the rows that nothing else solved: patient searches around, then along the bottom of a valley."""
+        """Improve the rows that nothing else solved: patient searches around, then along valleys."""
 
         def keep(found: Solved) -> None:
             better = np.abs(found.error).max(axis=1) < np.abs(best.error[rows]).max(axis=1)
@@ -123,24 +122,53 @@ class Search:
                 start = self._seed(self._aside(poses[rows], radius, turn), signs[rows], near[rows])
                 keep(self.refine(poses[rows], start, conditions, True, LM_STEPS))
         keep(self.refine(poses[rows], best.q[rows], conditions, True, LONG_STEPS))
-        _, J, _ = self.errors(poses[rows], best.q[rows], np.tile(conditions.vector, (len(rows), 1)), True)
-        weak = np.linalg.svd(J)[2][:, -1]
-        middle = best.q[rows].copy()
-        for aside in (0.0, *ASIDE):
-            keep(self._valley(poses[rows], middle + aside * weak, conditions))
+        for row in rows[np.abs(best.error[rows]).max(axis=1) > CONVERGED]:
+            # The other way to hold the wrist has a valley of its own.
+            other = np.r_[best.q[row, :3], self._flipped(best.q[row, 3:])]
+            starts = np.vstack([self._along(poses[row], q, conditions) for q in (best.q[row], other)])
+            if len(starts):
+                ends = self.refine(np.tile(poses[row], (len(starts), 1, 1)), starts, conditions, True, LONG_STEPS)
+                far = np.abs(wrapped(ends.q - near[row])).max(axis=1)
+                k = np.lexsort([far, ~ends.reached])[0]
+                if ends.reached[k]:
+                    best.q[row], best.error[row], best.pressing[row] = ends.q[k], ends.error[k], ends.pressing[k]
 
-    def _valley(self, poses: Array, start: Array, conditions: Conditions) -> Solved:
-        """Newton's method that may climb: in a bent valley every step along its bottom first climbs its side."""
-        given = np.tile(conditions.vector, (len(poses), 1))
+    def _flipped(self, wrist: Array) -> Array:
+        """Joints 4 to 6 ``(3,)`` of a spherical wrist that hold it the other way round, rad."""
+        assert self.solver.ortho is not None
+        return np.array([wrist[0] + np.pi, -2.0 * self.solver.ortho.psi - wrist[1], wrist[2] + np.pi])
+
+    def _along(self, pose: Array, start: Array, conditions: Conditions) -> Array:
+        """Postures ``(K, n)`` along the valley of a pose at which what is left changes sign or comes nearest to zero.
+
+        At a singular posture one direction hardly moves the pose. The valley is the curve along it on which the error
+        in all other directions is zero; the one that is left is a function along the curve, and its zeros are the
+        solutions, however far from the start.
+        """
+        found = []
+        for way in (1.0, -1.0):
+            q, height = self._traced(pose, start, conditions, way)
+            size = np.abs(height)
+            crossed = np.flatnonzero(height[:-1] * height[1:] <= 0)
+            lowest = 1 + np.flatnonzero((size[1:-1] < size[:-2]) & (size[1:-1] <= size[2:]))
+            found.append(q[np.unique(np.r_[crossed, crossed + 1, lowest])])
+        return np.vstack(found)
+
+    def _traced(self, pose: Array, start: Array, conditions: Conditions, way: float) -> tuple[Array, Array]:
+        """Postures ``(K, n)`` along a valley, and the error that is left in its direction ``(K,)``."""
         q = start.copy()
-        best = Solved(q.copy(), np.full((len(q), 6), np.inf), np.zeros_like(q))
-        for _ in range(VALLEY_STEPS):
-            error, J, pressing = self.errors(poses, q, given, True)
-            better = np.abs(error).max(axis=1) < np.abs(best.error).max(axis=1)
-            best.q[better], best.error[better], best.pressing[better] = q[better], error[better], pressing[better]
-            step = (np.linalg.pinv(J, rcond=1e-10) @ error[:, :, None])[:, :, 0]
-            q = q + step * np.minimum(1.0, VALLEY / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
-        return best
+        passed, height = np.empty((ALONG_STEPS, len(q))), np.empty(ALONG_STEPS)
+        ahead = left = np.zeros(0)
+        for k in range(ALONG_STEPS):
+            error, J, _ = self.errors(pose[None], q[None], conditions.vector[None], True)
+            U, size, Vt = np.linalg.svd(J[0])
+            # Neither singular vector may turn round from one step to the next.
+            ahead = way * Vt[-1] if k == 0 else np.copysign(1.0, Vt[-1] @ ahead) * Vt[-1]
+            left = U[:, -1] if k == 0 else np.copysign(1.0, U[:, -1] @ left) * U[:, -1]
+            passed[k], height[k] = q, left @ error[0]
+            aside = Vt[:-1].T @ ((U[:, :-1].T @ error[0]) / size[:-1])
+            q = q + np.clip(aside, -ALONG, ALONG) + ALONG * ahead
+        return passed, height
 
     def _starts(self, poses: Array, near: Array, signs: Array, conditions: Conditions, first: Array) -> Iterator[Array]:
         """Starts of a search, the likely ones first, each made only when it is its turn."""

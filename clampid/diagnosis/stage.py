@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from clampid.accuracy import noise_floor
-from clampid.diagnosis.confirm import cross_fitted_p, event_p, held_out_p, probe_held_out_p, stability
+from clampid.diagnosis.confirm import cross_fitted_p, event_p, probe_held_out_p, stability
 from clampid.diagnosis.entries import (
     confusable_with,
     considered_of,
@@ -61,10 +61,9 @@ def diagnose_stage(
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
-    noise = fitted.estimate.noise
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     result.outliers = outliers_of(fitted.estimate)
-    held = held_out(fitted.estimate, verification, floor, noise, seed)
+    held = held_out(fitted.estimate, verification, floor, seed)
     result.before = result.after = held.rms
     first = fitted.estimate
     rejected: set[str] = set()
@@ -84,7 +83,7 @@ def diagnose_stage(
         terms = [*fitted.model.terms, *best.candidate.terms]
         trial = refit(terms, fitted, best.candidate.shapes)
         trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, refit)
-        new = held_out(trial.estimate, verification, floor, noise, seed)
+        new = held_out(trial.estimate, verification, floor, seed)
         if effects[best.candidate.name].event is not None:  # no other sweep tells it: other blocks of its own do
             p_held = event_p(trial.estimate, best.candidate.name, seed)
             falls = p_held <= HELD_OUT_RATE
@@ -123,8 +122,8 @@ def _falls(best: Scored, held: HeldOut, new: HeldOut, seed: int) -> tuple[float,
     What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
     error that the model without it reaches, too; it must not raise it.
     """
-    p = held_out_p(held.squares, new.squares, held.unit, seed)
-    told = best.assumed > MOSTLY and held_out_p(new.squares, held.squares, held.unit, seed) > HELD_OUT_RATE
+    p = held.p_above(new, new.noise, seed)
+    told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
     return p, p <= HELD_OUT_RATE or told
 
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
+from clampid.diagnosis.confirm import held_out_p
 from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage
 from clampid.noise import Noise
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import experiment
-from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.rows import Array, Rows
 
 __all__ = ["HeldOut", "Refit", "held_out", "pruned"]
 
@@ -22,42 +23,61 @@ Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStag
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Squared errors of held-out rows, with the units that share their noise.
+    """Errors of rows that a fit has not seen.
 
     Attributes
     ----------
     rms
         In the stage's unit.
-    squares
-        ``(N,)``: of poses in m²; of logs prewhitened as the evidence is, since noise that lasts hides what falls.
+    rows, residual
+        The rows ``(N,)`` and their residuals ``(N, m)``, SI.
+    floor
+        What noise alone leaves.
+    noise
+        Of the estimate's own residuals.
     """
 
     rms: float
-    squares: Array
-    unit: Integers
+    rows: Rows
+    residual: Array
+    floor: Floor
+    noise: Noise
+
+    @property
+    def squares(self) -> Array:
+        """Squared errors ``(N,)``, m² or SI over the log's noise, zero of what does not count."""
+        size, counts = size_of(self.rows, self.residual, self.floor)
+        squares = np.where(counts, size**2, 0.0)
+        return np.asarray(squares if squares.ndim == 1 else squares.sum(axis=1))
+
+    def white_squares(self, noise: Noise) -> Array:
+        """Of a log: squared errors ``(N,)`` whitened by that noise, in units of it."""
+        white = noise.whiten(self.rows, self.residual, np.zeros((*self.residual.shape, 0)))
+        return np.asarray(np.bincount(white.entry, white.residual**2, minlength=len(self.rows)), dtype=float)
+
+    def p_above(self, other: HeldOut, noise: Noise, seed: int) -> float:
+        """One-sided p of how far these errors lie above another model's on the same rows.
+
+        Of logs, where noise lasts: half of the rate each for errors as they are, which only what acts slowly or
+        everywhere lowers by more than that noise, and for whitened ones, which see what is brief. The noise is to be
+        that of the larger model: what an effect leaves in a model without it looks like noise that lasts.
+        """
+        p = held_out_p(self.squares, other.squares, self.rows.unit, seed)
+        if self.rows.stage == "poses":
+            return p
+        white = held_out_p(self.white_squares(noise), other.white_squares(noise), self.rows.unit, seed)
+        return min(2.0 * min(p, white), 1.0)
 
 
-def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, noise: Noise, seed: int) -> HeldOut:
-    """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds.
-
-    Parameters
-    ----------
-    noise
-        The same for all estimates that are compared, of all rows of the stage.
-    """
+def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int) -> HeldOut:
+    """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds."""
     count = len(estimate.slots)
     if verification is not None:
         trial = experiment(verification, estimate.experiment.effects, estimate.slots)
         rows, residual = verification, predicted(trial, estimate.theta[:count])
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
-    if rows.stage == "poses":
-        size, counts = size_of(rows, residual, floor)
-        squares = np.where(counts, size**2, 0.0)
-    else:
-        white = noise.whiten(rows, residual, np.zeros((*residual.shape, 0)))
-        squares = np.bincount(white.entry, white.residual**2, minlength=len(rows))
-    return HeldOut(rms_of(rows, residual, floor), squares, rows.unit)
+    return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise)
 
 
 def pruned(
