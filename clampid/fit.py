@@ -430,14 +430,17 @@ def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors:
 
 
 def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
-    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds; no friction is kept."""
+    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds.
+
+    Of the friction that held motors keep: what their last motion left, or none where that is not known.
+    """
     rows, n = experiment.rows, experiment.rows.robot.n
     torque = rows.constants["start_torque"]
     d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
     wound = rows.constants["wound"] + d.values[:, :n]
     run = rows.constants["run"]
-    keys = rows.constants["offset_keys"]
-    return np.array([wound[run == sweep, joint].mean() if joint < n else 0.0 for sweep, joint in keys])
+    keys, kept = rows.constants["offset_keys"], rows.constants["kept_sign"] * rows.constants["held_friction"]
+    return np.array([wound[run == s, j].mean() if j < n else kept[s, j - n] for s, j in keys])
 
 
 def _outliers(rows: Rows, residual: Array) -> Bools:

@@ -230,6 +230,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             "time": time,
             "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
             "held_friction": loop_friction(motor, measured, motion, used, sweep),
+            "kept_sign": _kept_signs(motor, motion, typical, sweep, session),
             "driven": driven,
             "wound": q - reference[sweep],
             "reference": reference,
@@ -261,6 +262,21 @@ def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
             out[j] = np.median(moved)
     known = out[np.isfinite(out)]
     return np.where(np.isfinite(out), out, known.min() if len(known) else 1.0)
+
+
+def _kept_signs(motor: Array, motion: Array, typical: Array, sweep: Integers, session: Integers) -> Array:
+    """The side ``(sweeps, n)``, +1 or -1, of the friction that a motor keeps from the sweep before; 0 if not known.
+
+    It is that of its last motion, as long as the motor has not moved since.
+    """
+    sweeps = int(sweep.max(initial=-1)) + 1
+    out = np.zeros((sweeps, motor.shape[1]))
+    for s in range(1, sweeps):
+        last, first = np.flatnonzero(sweep == s - 1)[-1], np.flatnonzero(sweep == s)[0]
+        stayed = (np.abs(motor[first] - motor[last]) < STILL * typical) & (session[first] == session[last])
+        left = np.where(motion[last] != 0.0, motion[last], out[s - 1])
+        out[s] = np.where(stayed, left, 0.0)
+    return out
 
 
 def _watched(table: object, sweep: Integers) -> Array:
