@@ -138,9 +138,7 @@ def event_p(estimate: Estimate, name: str, seed: int) -> float:
     return _cross_fitted(J, residual, precision, moment, unit, first, seed)
 
 
-def _cross_fitted(
-    J: Array, r: Array, precision: Array, moment: Array, unit: Integers, first: int, seed: int
-) -> float:
+def _cross_fitted(J: Array, r: Array, precision: Array, moment: Array, unit: Integers, first: int, seed: int) -> float:
     """One-sided p of what the columns from ``first`` on bring, units ``(M,)`` predicted by the other four fifths."""
     names = np.unique(unit)
     part = (np.random.default_rng(seed).permutation(len(names)) % FOLDS)[np.searchsorted(names, unit)]

@@ -84,11 +84,7 @@ def diagnose_stage(
         trial = refit(terms, fitted, best.candidate.shapes)
         trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, refit)
         new = held_out(trial.estimate, verification, floor, seed)
-        if effects[best.candidate.name].event is not None:  # no other sweep tells it: other blocks of its own do
-            p_held = event_p(trial.estimate, best.candidate.name, seed)
-            falls = p_held <= HELD_OUT_RATE
-        else:
-            p_held, falls = _falls(best, held, new, seed)
+        p_held, falls = _falls(best, trial.estimate, held, new, seed)
         again = stability(look.space, look.named, best, look.folds, seed)
         if not falls or again < STABLE:
             rejected.add(best.candidate.label)
@@ -116,12 +112,17 @@ def diagnose_stage(
     return result
 
 
-def _falls(best: Scored, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
+def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
     """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
+
+    No other sweep tells of an event; other blocks of its own do.
 
     What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
     error that the model without it reaches, too; it must not raise it.
     """
+    if trial.experiment.effects[best.candidate.name].event is not None:
+        p = event_p(trial, best.candidate.name, seed)
+        return p, p <= HELD_OUT_RATE
     p = held.p_above(new, new.noise, seed)
     told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
     return p, p <= HELD_OUT_RATE or told
