@@ -31,7 +31,7 @@ EFFECT = Effect(
             bounds=(0.0, 1e6),
             meaning="when: sweeps before, and the share of the sweep's rows before; between two rows",
             shape=True,
-            grid=(0.5,),
+            grid=(0.47,),
             held="everywhere",
         ),
     ),

@@ -1,4 +1,4 @@
-"""A block that slips once in the middle of a sweep: found to the row, named, mended; and never where nothing slipped."""
+"""A block that slips once in the middle of a sweep: found to the row, named, mended; never where nothing slipped."""
 
 from __future__ import annotations
 
