@@ -100,7 +100,12 @@ class Experiment:
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
         std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
-        return np.where(self.held(), HELD * self.sizes(), std)
+        std = np.where(self.held(), HELD * self.sizes(), std)
+        for k, slot in enumerate(self.slots):
+            if self.effects[slot.effect].event == slot.parameter:  # somewhere between two rows
+                share = self.rows.signals["sweep_progress"] % 1.0
+                std[k] = float(np.min(share[share > 0.0], initial=1.0)) / np.sqrt(12.0)
+        return std
 
     @cached_property
     def _offset_sizes(self) -> tuple[list[float], list[float]]:
