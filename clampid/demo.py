@@ -159,15 +159,17 @@ def _draw(seed: int) -> str:
     return DRAWN[int(np.random.default_rng([20, row]).permutation(len(DRAWN))[place])]
 
 
-def terms_to_add(diagnosis: Mapping[str, Any]) -> tuple[dict[str, list[str]], dict[str, list[list[str]]]]:
-    """The terms that a diagnosis asks for, ``STAGE=EFFECT@PLACE``: stage → those confirmed, stage → alternatives."""
+def terms_to_add(
+    diagnosis: Mapping[str, Any],
+) -> tuple[dict[str, list[str]], dict[tuple[str, int], list[list[str]]]]:
+    """The terms that a diagnosis asks for, ``STAGE=EFFECT@PLACE``: confirmed by stage, alternatives by group of it."""
     confirmed: dict[str, list[str]] = {}
-    alternatives: dict[str, list[list[str]]] = {}
+    alternatives: dict[tuple[str, int], list[list[str]]] = {}
     for stage, part in diagnosis["stages"].items():
         for candidate in part["candidates"]:
             terms = [f"{stage}={candidate['effect']}@{place}" for place in candidate["where"]]
             if candidate["alternative"]:
-                alternatives.setdefault(stage, []).append(terms)
+                alternatives.setdefault((stage, candidate["group"]), []).append(terms)
             else:
                 confirmed.setdefault(stage, []).extend(terms)
     return confirmed, alternatives
@@ -185,7 +187,7 @@ def _mend(
     if found:
         model, addition = add(model, campaign, [t for terms in found.values() for t in terms], seed=seed)
         additions.append(addition.to_json())
-    for stage, several in alternatives.items():
+    for (stage, _), several in alternatives.items():
         tried = [(add(model, campaign, terms, seed=seed), terms) for terms in several]
         errors = [addition.to_json()["stages"][stage]["heldout_rms_after"] for (_, addition), _ in tried]
         (model, addition), terms = tried[int(np.argmin(errors))]

@@ -22,14 +22,22 @@ from clampid.noise import Noise
 from clampid.stages.pose_rows import join_rows
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["cross_fitted_p", "event_p", "held_out_p", "probe_held_out_p", "stability"]
+__all__ = [
+    "cross_fitted_p",
+    "event_p",
+    "first_without_parts",
+    "held_out_p",
+    "probe_held_out_p",
+    "same_effect",
+    "stability",
+]
 
 FOLDS = 5
 FLIPS = 999
 
 
-def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Integers, seed: int) -> float:
-    """Share of five parts in which the candidate, or one of its own effect, is first again without that part.
+def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, seed: int) -> list[Scored]:
+    """The candidate that is first without each of five parts of the rows.
 
     Parameters
     ----------
@@ -43,19 +51,24 @@ def stability(space: Space, scored: Sequence[Scored], chosen: Scored, fold: Inte
     by_part = Sums.of(part + 1, space.residual)
     absorbed = by_part.over(0, len(part)) @ space.basis
     amplitudes = [(s.candidate.columns.summed(by_part) - absorbed @ s.absorbed) @ s.weights for s in able]
-    again, parts = 0, min(len(names), FOLDS)
-    for k in range(parts):
-        best, best_value = None, -np.inf
-        for s, amplitude in zip(able, amplitudes, strict=True):
-            rest = amplitude.sum(axis=0) - amplitude[k + 1]
-            value = float(explained_by(s, rest, space.scale)) - s.cost
-            if value > best_value:
-                best, best_value = s, value
-        again += best is not None and _same(best, chosen)
-    return again / parts
+    first = []
+    for k in range(min(len(names), FOLDS)):
+        rest = [
+            float(explained_by(s, a.sum(axis=0) - a[k + 1], space.scale)) - s.cost
+            for s, a in zip(able, amplitudes, strict=True)
+        ]
+        if rest:
+            first.append(able[int(np.argmax(rest))])
+    return first
 
 
-def _same(a: Scored, b: Scored) -> bool:
+def stability(first: Sequence[Scored], chosen: Scored) -> float:
+    """Share of the parts without which the candidate, or one of its own effect, is :func:`first_without_parts`."""
+    return float(np.mean([same_effect(s, chosen) for s in first])) if first else 0.0
+
+
+def same_effect(a: Scored, b: Scored) -> bool:
+    """Whether two candidates are one effect, or probes of a common variable."""
     if a.candidate.terms or b.candidate.terms:
         return a.candidate.name == b.candidate.name
     return bool(set(a.candidate.depends_on) & set(b.candidate.depends_on))

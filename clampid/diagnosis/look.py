@@ -16,7 +16,7 @@ from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers
 from kinematics.description import RobotDescription
 
-__all__ = ["ABLE", "CONFUSABLE", "RATE", "Look", "look_at", "rivals_of"]
+__all__ = ["ABLE", "CONFUSABLE", "IMPOSSIBLE", "RATE", "Look", "look_at", "rivals_of"]
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
 CONFUSABLE = 0.8

@@ -14,6 +14,8 @@ _SEPARATORS: dict[frozenset[str], str] = {
          "inclinometer or a target on the base plate"),
         (("thermal_expansion", "base_tilt"), "restart cold and measure the same poses in another order"),
         (("gear_eccentricity", "coupling_ratio_error"), "poses over the full range of the joint"),
+        (("gear_eccentricity", "gravity_compensator"), "a log of torques in free air: a balancer's torque shows there, "
+         "a gear's error does not"),
         (("joint_compliance", "link_bending"), "loaded poses with the arm folded, or the same poses with two payloads"),
         (("joint_compliance", "bearing_tilt"), "the same poses with two payloads, joint 4 turned between"),
         (("joint_compliance", "base_tilt"), "poses at other angles of joint 1 with equal loads on joint 2, or a target "

@@ -6,22 +6,21 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from clampid.accuracy import noise_floor
-from clampid.diagnosis.confirm import cross_fitted_p, event_p, probe_held_out_p, stability
+from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.entries import (
-    confusable_with,
     considered_of,
     entry_of,
     merged,
     variables_of,
     with_stand_ins,
 )
-from clampid.diagnosis.look import Look, look_at, rivals_of
+from clampid.diagnosis.look import Look, rivals_of
 from clampid.diagnosis.next_measurement import NextPoses
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import HeldOut, Refit, held_out, pruned
+from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Refit, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import omission_of, outliers_of, summary_of
 from clampid.effect import Effect
@@ -31,9 +30,6 @@ from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]
 
-HELD_OUT_RATE = 0.05
-STABLE = 0.6
-MOSTLY = 0.5
 FAR_OFF = 2.0  # noise floors: so much is not noise, even if the instrument's maker was an optimist
 ROUNDS = 8
 
@@ -61,15 +57,16 @@ def diagnose_stage(
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
+    bench = Bench(effects, refit, verification, floor, seed, flips)
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     result.outliers = outliers_of(fitted.estimate)
-    held = held_out(fitted.estimate, verification, floor, seed)
+    held = bench.held_out(fitted)
     result.before = result.after = held.rms
     first = fitted.estimate
     rejected: set[str] = set()
-    refused: list[dict[str, Any]] = []
-    look = look_at(fitted.estimate, effects, flips, seed)
-    result.testability = testability_of(look.named, look.named_null, effects)
+    refused: dict[str, dict[str, Any]] = {}
+    look = bench.look(fitted, 0)
+    result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     if look.fires and look.probe is not None:
         result.depends_on = list(look.probe.candidate.depends_on)
     for number in range(1, ROUNDS + 1):
@@ -77,31 +74,28 @@ def diagnose_stage(
         if best is None or look.only_stands_in(best):
             break
         rivals = rivals_of(look.space, look.named, best, rejected)
-        if rivals:
-            _undecided(result, look, [best, *rivals], effects, fitted.estimate, propose)
-            break
-        terms = [*fitted.model.terms, *best.candidate.terms]
-        trial = refit(terms, fitted, best.candidate.shapes)
-        trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, refit)
-        new = held_out(trial.estimate, verification, floor, seed)
-        p_held, falls = _falls(best, trial.estimate, held, new, seed)
-        again = stability(look.space, look.named, best, look.folds, seed)
-        if not falls or again < STABLE:
+        tried = None if rivals else bench.try_out(best, look, fitted, held)
+        rivals = rivals or (tried.rivals if tried else [])
+        if tried is None or rivals:
+            beside = bench.beside(Undecided([best, *rivals], look), fitted, number)
+            if isinstance(beside, list):
+                _undecided(result, beside, effects, fitted.estimate, propose)
+                break
+            tried = bench.fitted_with(beside, fitted)
+        elif tried.reason:
             rejected.add(best.candidate.label)
-            reason = (
-                "the held-out error does not fall" if again >= STABLE else "without a fifth of the rows it is not first"
-            )
-            refused.append({**entry_of(best, look.named_null, effects, held.rms, new.rms), "reason": reason})
+            entry = entry_of(best, look.named_null, effects, held.rms, tried.held.rms)
+            refused[best.candidate.label] = {**entry, "reason": tried.reason}
             continue
-        entry = entry_of(best, look.named_null, effects, held.rms, new.rms, trial.estimate, kept)
-        entry |= {"stability": again, "p_held_out": p_held, "confusable_with": confusable_with(look.named, best)}
-        result.candidates.append(entry)
-        result.added += kept
+        refused.pop(tried.best.candidate.label, None)
+        result.candidates.append(tried.entry(effects, held.rms))
+        result.added += tried.kept
         result.verdict = "missing"
-        fitted, held = trial, new
+        fitted, held = tried.fitted, tried.held
         result.after = held.rms
-        look = look_at(fitted.estimate, effects, flips, seed + 2 * number)
-    result.considered = refused + considered_of(look.named, look.named_null)
+        rejected.clear()  # a ranking is valid for one step
+        look = bench.look(fitted, 2 * number)
+    result.considered = [*refused.values(), *considered_of(look.named, look.named_null)]
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
         _unknown(result, look, fitted.estimate, seed)
@@ -112,38 +106,23 @@ def diagnose_stage(
     return result
 
 
-def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
-    """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
-
-    No other sweep tells of an event; other blocks of its own do.
-
-    What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
-    error that the model without it reaches, too; it must not raise it.
-    """
-    if trial.experiment.effects[best.candidate.name].event is not None:
-        p = event_p(trial, best.candidate.name, seed)
-        return p, p <= HELD_OUT_RATE
-    p = held.p_above(new, new.noise, seed)
-    told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
-    return p, p <= HELD_OUT_RATE or told
-
-
 def _undecided(
     result: StageDiagnosis,
-    look: Look,
-    rivals: Sequence[Scored],
+    groups: Sequence[Undecided],
     effects: dict[str, Effect],
     estimate: Estimate,
     propose: Propose | None,
 ) -> None:
-    """Set down candidates that these rows cannot tell apart, and what would."""
+    """Set down candidates that these rows cannot tell apart, the first group first, and what would part that."""
     result.verdict = "ambiguous"
-    for s in rivals:
-        entry = entry_of(s, look.named_null, effects, result.after, None, rivals=rivals)
-        result.candidates.append({**entry, "alternative": True})
-    result.next_measurement = separating_measurement(s.candidate.family for s in rivals)
+    for number, group in enumerate(groups, start=1):
+        for s in group.members:
+            entry = entry_of(s, group.look.named_null, effects, result.after, None, rivals=group.members)
+            result.candidates.append({**entry, "alternative": True, "group": number})
+    first = groups[0]
+    result.next_measurement = separating_measurement(s.candidate.family for s in first.members)
     if propose is not None:
-        result.ask_for(propose(estimate, rivals, look.space.scale))
+        result.ask_for(propose(estimate, first.members, first.look.space.scale))
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:

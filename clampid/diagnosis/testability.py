@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from clampid.diagnosis.look import RATE
+from clampid.diagnosis.look import IMPOSSIBLE, RATE
 from clampid.diagnosis.score import Flips, Scored, log_tail
 from clampid.effect import Effect
-from clampid.slots import find_parameter
+from clampid.stages.experiment import parameter_of
+from kinematics.robot import RobotDescription
 
 __all__ = ["noncentrality", "testability_of"]
 
@@ -33,8 +34,13 @@ def noncentrality(freedom: int, null: Flips) -> float:
     return float(optimize.brentq(short, 0.0, 10.0 * critical + 200.0))
 
 
-def testability_of(named: Sequence[Scored], null: Flips, effects: dict[str, Effect]) -> list[dict[str, Any]]:
-    """For each candidate its state and the smallest parameter that is found with 90 % probability."""
+def testability_of(
+    named: Sequence[Scored], null: Flips, effects: dict[str, Effect], robot: RobotDescription
+) -> list[dict[str, Any]]:
+    """For each candidate its state and the smallest parameter that is found with 90 % probability.
+
+    A limit larger than anything that the parameter can be is None: no such effect would be seen.
+    """
     out, factor = [], {}
     for s in named:
         if s.freedom and s.freedom not in factor:
@@ -49,7 +55,10 @@ def testability_of(named: Sequence[Scored], null: Flips, effects: dict[str, Effe
             if together:
                 break
             limit = float(unit_limit * factor[s.freedom]) if s.freedom and np.isfinite(unit_limit) else None
-            limits.append({"name": slot.label, "limit": limit, "unit": find_parameter(slot, effects).unit})
+            parameter = parameter_of(slot, effects, robot)
+            if limit is not None and limit > IMPOSSIBLE * parameter.size:
+                limit = None
+            limits.append({"name": slot.label, "limit": limit, "unit": parameter.unit})
         entry = {"effect": s.candidate.family, "name": s.candidate.name, "where": list(s.candidate.places)}
         out.append({**entry, "state": s.state, "retained": s.retained, "limits": limits})
     return out

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
-from clampid.diagnosis.confirm import held_out_p
+from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
+from clampid.diagnosis.entries import confusable_with, entry_of
+from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of
+from clampid.diagnosis.score import Scored, canonical
+from clampid.effect import Effect
 from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage
 from clampid.noise import Noise
@@ -16,7 +21,12 @@ from clampid.slots import Slot, Term
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["HeldOut", "Refit", "held_out", "pruned"]
+__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "held_out", "pruned"]
+
+HELD_OUT_RATE = 0.05
+STABLE = 0.6
+GROUPS = 3  # of look-alikes, after which no more are looked for beside them
+MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
@@ -78,6 +88,144 @@ def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: 
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
     return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate with its fit, and how it did on rows that the fit has not seen.
+
+    Attributes
+    ----------
+    rivals
+        Look-alikes that are first instead of it without some of the rows, if that is all that speaks against it.
+    reason
+        Why it is refused; empty if it is not.
+    """
+
+    best: Scored
+    look: Look
+    fitted: FittedStage
+    kept: list[Term]
+    held: HeldOut
+    p_held_out: float
+    stability: float
+    rivals: list[Scored]
+    reason: str
+
+    def entry(self, effects: dict[str, Effect], before: float) -> dict[str, Any]:
+        """As the contract lists it, the held-out rms without it given."""
+        null, after, estimate = self.look.named_null, self.held.rms, self.fitted.estimate
+        return {
+            **entry_of(self.best, null, effects, before, after, estimate, self.kept),
+            "stability": self.stability,
+            "p_held_out": self.p_held_out,
+            "confusable_with": confusable_with(self.look.named, self.best),
+        }
+
+
+@dataclass(frozen=True)
+class Undecided:
+    """Candidates that the rows cannot tell apart, the best first, and the look that found them."""
+
+    members: list[Scored]
+    look: Look
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What every trial of a stage needs."""
+
+    effects: dict[str, Effect]
+    refit: Refit
+    verification: Rows | None
+    floor: Floor
+    seed: int
+    flips: int
+
+    def look(self, fitted: FittedStage, number: int) -> Look:
+        """A look at what a fit leaves, with its own stream of flips."""
+        return look_at(fitted.estimate, self.effects, self.flips, self.seed + number)
+
+    def held_out(self, fitted: FittedStage) -> HeldOut:
+        """A fit's errors on rows that it has not seen."""
+        return held_out(fitted.estimate, self.verification, self.floor, self.seed)
+
+    def try_out(self, best: Scored, look: Look, fitted: FittedStage, held: HeldOut) -> Tried:
+        """Fit a candidate along, and see whether it does on other rows what it promised on these."""
+        terms = [*fitted.model.terms, *best.candidate.terms]
+        trial = self.refit(terms, fitted, best.candidate.shapes)
+        trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, self.refit)
+        new = self.held_out(trial)
+        p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
+        first = first_without_parts(look.space, look.named, look.folds, self.seed)
+        again = stability(first, best)
+        rivals: list[Scored] = []
+        reason = "" if falls else "the held-out error does not fall"
+        if falls and again < STABLE:
+            alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
+            others = {s.candidate.label: s for s in alike if not same_effect(s, best)}
+            if len(alike) >= STABLE * len(first):
+                rivals = list(others.values())
+            else:
+                reason = "without a fifth of the rows it is not first"
+        return Tried(best, look, trial, kept, new, p_held, again, rivals, reason)
+
+    def beside(self, undecided: Undecided, fitted: FittedStage, number: int) -> Tried | list[Undecided]:
+        """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.
+
+        All of them are fitted along, so that what any of them could explain is not evidence.
+
+        Returns
+        -------
+        Tried or list of Undecided
+            What is confirmed beside them; where nothing is, these and further candidates that cannot be told apart.
+        """
+        groups = [undecided]
+        whole, look = self._along(groups, fitted, number)
+        held, rejected = self.held_out(whole), set[str]()
+        while len(groups) < GROUPS and (best := look.best(rejected)) is not None and not look.only_stands_in(best):
+            rivals = rivals_of(look.space, look.named, best, rejected)
+            tried = None if rivals else self.try_out(best, look, whole, held)
+            rivals = rivals or (tried.rivals if tried else [])
+            if rivals:
+                groups.append(Undecided([best, *rivals], look))
+                whole, look = self._along(groups, fitted, number)
+                held, rejected = self.held_out(whole), set()
+            elif tried is not None and not tried.reason:
+                return tried
+            else:
+                rejected.add(best.candidate.label)
+        return groups
+
+    def _along(self, groups: Sequence[Undecided], fitted: FittedStage, number: int) -> tuple[FittedStage, Look]:
+        """All that is undecided fitted along, and a look at what that leaves."""
+        members = [s for group in groups for s in group.members]
+        terms = dict.fromkeys(t for s in members for t in s.candidate.terms)
+        shapes = {slot: value for s in reversed(members) for slot, value in s.candidate.shapes.items()}
+        whole = self.refit([*fitted.model.terms, *terms], fitted, shapes)
+        return whole, self.look(whole, 2 * number - 1)
+
+    def fitted_with(self, tried: Tried, fitted: FittedStage) -> Tried:
+        """What was confirmed beside undecided candidates, fitted without them."""
+        shapes = {k: v for k, v in tried.fitted.model.values().items() if k in tried.best.candidate.shapes}
+        alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
+        return replace(tried, fitted=alone, held=self.held_out(alone))
+
+
+def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
+    """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
+
+    No other sweep tells of an event; other blocks of its own do.
+
+    What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
+    error that the model without it reaches, too; it must not raise it.
+    """
+    if trial.experiment.effects[best.candidate.name].event is not None:
+        p = event_p(trial, best.candidate.name, seed)
+        return p, p <= HELD_OUT_RATE
+    p = held.p_above(new, new.noise, seed)
+    told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
+    return p, p <= HELD_OUT_RATE or told
 
 
 def pruned(

@@ -79,8 +79,13 @@ def summary_of(result: StageDiagnosis) -> str:
         case "missing":
             return start + "Beyond that nothing stands out of the noise."
         case "ambiguous":
-            rest = [words(c) for c in result.candidates if c["alternative"]]
-            return start + f"These data cannot tell apart: {'; '.join(rest)}. To part them: {result.next_measurement}."
+            groups: dict[int, list[str]] = {}
+            for c in result.candidates:
+                if c["alternative"]:
+                    groups.setdefault(c["group"], []).append(words(c))
+            first, *more = ("; ".join(group) for group in groups.values())
+            nor = "".join(f" Nor, beside one of these: {group}." for group in more)
+            return f"{start}These data cannot tell apart: {first}. To part them: {result.next_measurement}.{nor}"
         case _:
             error = "" if confirmed else f" (held-out error {shown(result.after)}, {floor})"
             if not result.depends_on:

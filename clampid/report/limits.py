@@ -67,7 +67,7 @@ def detection_limits(testability: Sequence[Json]) -> list[Table]:
         rows.append((name, ", ".join(told) or "–", ", ".join(weak) or "–"))
     caption = (
         "Not in the model: sizes above these would have been found with 90 % probability. Hardly testable: the model "
-        "takes up nearly all of it on these rows, or it does not act on them."
+        "takes up nearly all of it on these rows, it does not act on them, or only a size that cannot be would be seen."
     )
     return (
         [as_table(("Effect", "Found with 90 % probability above", "Hardly testable at"), rows, caption)] if rows else []

@@ -106,7 +106,8 @@ def _verdict(stage: str, found: Json) -> str:
     title, verdict = stage_title(stage), str(found.get("verdict", ""))
     text = f"{title}: {verdict} – {MEANING[verdict]}." if verdict in MEANING else f"{title}: {verdict}."
     if found.get("depends_on"):
-        text += f" What is left depends on {', '.join(map(str, found['depends_on']))}."
+        left = "What is left depends" if verdict == "unknown" else "What the first model left depended"
+        text += f" {left} on {', '.join(map(str, found['depends_on']))}."
     if found.get("next_measurement"):
         text += f" Next measurement: {_next(found['next_measurement'])}"
     return text

@@ -21,7 +21,7 @@ def test_what_is_drawn_can_be_hidden_and_found_and_is_not_in_the_standard_model(
 
 def test_confirmed_candidates_and_alternatives_are_kept_apart() -> None:
     def candidate(effect: str, *where: str, alternative: bool = False) -> dict[str, object]:
-        return {"effect": effect, "where": list(where), "alternative": alternative}
+        return {"effect": effect, "where": list(where), "alternative": alternative, "group": 1}
 
     diagnosis = {
         "stages": {
@@ -37,7 +37,7 @@ def test_confirmed_candidates_and_alternatives_are_kept_apart() -> None:
     }
     confirmed, alternatives = terms_to_add(diagnosis)
     assert confirmed == {"poses": ["poses=a@joint1", "poses=a@joint2"]}
-    assert alternatives == {"poses": [["poses=b@base"], ["poses=c@base"]]}
+    assert alternatives == {("poses", 1): [["poses=b@base"], ["poses=c@base"]]}
 
 
 @pytest.mark.slow
