@@ -69,7 +69,8 @@ CASES: tuple[Case, ...] = (
     Case("cross_coupled_stiffness", "cross_coupled_stiffness", ("cross_coupled_stiffness@{place}",)),
     Case("fixture_compliance", "fixture_compliance", ("fixture_compliance",)),
     Case("fixture_compliance", "fixture_compliance", ("watched_fixture",), watched=True),
-    Case("fixture_shift", "fixture_compliance", ("watched_fixture",), watched=True),
+    Case("fixture_shift", "fixture_compliance", ("fixture_shift",)),
+    Case("fixture_shift", "fixture_compliance", ("fixture_shift",), watched=True),
 )
 
 

@@ -114,8 +114,8 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
     full = np.r_[theta, np.zeros(experiment.offsets)]
     if experiment.stage == "clamped":
         full[count:] = clamping_offsets(experiment, full)
-    size = experiment.sizes()
-    precision = np.diag(np.r_[1e12 / size[:count] ** 2, 1e-2 / size[count:] ** 2])
+    free = experiment.own() & ~experiment.held()
+    precision = np.diag(np.where(free, 1.0 / experiment.prior_std() ** 2, 1e12 / experiment.sizes() ** 2))
     estimate = solve(experiment, full, noise or Noise(experiment.rows.sigma), precision, full)
     return estimate.residual
 
@@ -123,6 +123,7 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
 def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Array]:
     """Residuals of the fitted rows, each predicted by a fit without its fold (whole poses, runs or sweeps; five parts).
 
+    What belongs to single runs or sweeps, such as the posture at which one was clamped, these show themselves.
     A fit without a fifth of its rows differs from the whole by about its standard errors, so that one Gauss-Newton step
     from the whole fit's normal equations, less those of the part, is that fit: all that is left out is the model's
     curvature within a standard error. Flanks stay where the whole fit has them.
@@ -131,8 +132,9 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     part = _parts(rows, seed)
     residual, jacobian = experiment.residual(estimate.theta)
     size = experiment.sizes()
-    count, own = len(experiment.slots), part[white.entry]
-    normals = {int(k): _normal(white.jacobian[own == k], white.residual[own == k]) for k in np.unique(own)}
+    its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.held()), part[white.entry]
+    shared = np.setdiff1d(np.arange(len(size)), its_own)
+    normals = {k: _normal(white.jacobian[of_part == k], white.residual[of_part == k]) for k in np.unique(of_part)}
     free = ~_resting(experiment, estimate.theta)
     lever = estimate.prior_precision @ (estimate.prior_mean - estimate.theta)
     for k, (A_out, b_out) in normals.items():
@@ -142,12 +144,12 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
         A = sum((n[0] for n in others), estimate.prior_precision)
         b = sum((n[1] for n in others), lever)
         step = newton_step(A, b, size, 0.0, free)
-        if len(size) > count:  # a run or sweep that was not fitted shows its own constants itself
-            shown = np.diag(A_out)[count:] > 0
-            weak = np.diag(1e-2 / size[count:] ** 2)
-            left = b_out[count:] - A_out[count:, :count] @ step[:count] - weak @ estimate.theta[count:]
-            alone = newton_step(A_out[count:, count:] + weak, left, size[count:], 0.0, shown)
-            step[count:] = np.where(shown, alone, step[count:])
+        if len(its_own):  # a run or sweep that was not fitted shows its own constants itself
+            shown = np.diag(A_out)[its_own] > 0
+            weak = np.diag(1.0 / experiment.prior_std()[its_own] ** 2)
+            left = b_out[its_own] - A_out[np.ix_(its_own, shared)] @ step[shared] - weak @ estimate.theta[its_own]
+            alone = newton_step(A_out[np.ix_(its_own, its_own)] + weak, left, size[its_own], 0.0, shown)
+            step[its_own] = np.where(shown, alone, step[its_own])
         mine = part == k
         residual[mine] -= jacobian[mine] @ step
     return rows, residual

@@ -12,6 +12,7 @@ import numpy as np
 from clampid.accuracy import StageErrors, stage_errors
 from clampid.catalogue import with_user_effects
 from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
@@ -212,7 +213,9 @@ def _resolved(
     active = {slot.effect for slot in estimate.slots}
     out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
     asked = [t for t in asked if effects[t.effect].aligns is None]
-    scored = score(space_of(estimate), named_candidates(estimate, {t.effect: effects[t.effect] for t in asked}))
+    absent = {t.effect: effects[t.effect] for t in asked}
+    space = space_of(estimate)
+    scored = [*score(space, named_candidates(estimate, absent)), *event_scores(estimate, space, absent)]
     shapes: dict[Any, float] = {}
     for term in asked:
         effect = effects[term.effect]

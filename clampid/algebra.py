@@ -25,6 +25,7 @@ __all__ = [
     "dot",
     "exp",
     "fabs",
+    "floor",
     "fmax",
     "fourier",
     "interleave",
@@ -40,12 +41,13 @@ __all__ = [
     "tanh",
     "turning",
     "winding",
+    "within",
 ]
 
 Terms = Mapping[str, Any]
 """Terms of a shape by name, none of them constant: what a free factor each makes any smooth function of."""
 
-sin, cos, exp, log, fabs, fmax, tanh = ca.sin, ca.cos, ca.exp, ca.log, ca.fabs, ca.fmax, ca.tanh
+sin, cos, exp, log, fabs, floor, fmax, tanh = ca.sin, ca.cos, ca.exp, ca.log, ca.fabs, ca.floor, ca.fmax, ca.tanh
 
 
 def rows(*parts: Any) -> Any:
@@ -114,6 +116,11 @@ def across_rows(vectors: Any, axes: Any) -> Any:
 def norms(vectors: Any) -> Any:
     """Lengths ``(n,)`` of the rows of ``(n, 3)``."""
     return ca.sqrt(ca.sum2(vectors**2))
+
+
+def within(value: Any, lower: Any, upper: Any) -> Any:
+    """1 where ``lower < value < upper``, else 0."""
+    return ca.if_else(ca.logic_and(value > lower, value < upper), 1.0, 0.0)
 
 
 def shifted_up(column: Any) -> Any:

@@ -1,10 +1,15 @@
-"""How effects begin that have no start from nothing: another is fitted in their place, and its curves are aligned."""
+"""How effects begin that have no start from nothing.
+
+Of one that aligns another's curves, that other is fitted in its place, and its curves are aligned; of one that happens
+once, the fit without it says when.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
 from clampid.alignment import Alignment, alignment_of
+from clampid.diagnosis.events import time_of
 from clampid.effect import Effect, EffectError
 from clampid.fit import Estimate
 from clampid.slots import Layout, Slot, Term
@@ -22,6 +27,8 @@ def begun(
     fit_terms: FitTerms,
 ) -> tuple[tuple[Term, ...], dict[Slot, float]]:
     """Terms and start values with which a fit can begin.
+
+    An event whose amplitudes have no start value yet gets the time at which it is likeliest, whatever time is given.
 
     An effect that aligns another's curves and has no start value yet gets its joints, and takes the other's place
     there; joints that were not named and do not share the curve have, or keep, one of their own.
@@ -57,7 +64,21 @@ def begun(
         own = [p for p in dict.fromkeys([*apart, *places]) if p not in shared]
         terms = (*rest, *(Term(name, p) for p in shared), *(Term(effect.aligns, p) for p in own))
         start |= estimate.values() | found.values(effect)
-    return terms, start
+    return terms, start | _times(terms, effects, start, fit_terms)
+
+
+def _times(
+    terms: Sequence[Term], effects: Mapping[str, Effect], start: Mapping[Slot, float], fit_terms: FitTerms
+) -> dict[Slot, float]:
+    """When events happened that have no start value yet, one after the other."""
+    found: dict[Slot, float] = {}
+    clock = {(name, e.event) for name, e in effects.items() if e.event is not None}
+    known = {slot.effect for slot in start if (slot.effect, slot.parameter) not in clock}
+    new = [t for t in dict.fromkeys(terms) if effects[t.effect].event is not None and t.effect not in known]
+    for k, term in enumerate(new):
+        without = [t for t in terms if t not in new[k:]]
+        found |= time_of(fit_terms(without, {**start, **found}), effects[term.effect])
+    return found
 
 
 def _places(terms: Sequence[Term], name: str, layout: Layout, effects: Mapping[str, Effect]) -> list[str]:

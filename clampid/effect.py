@@ -102,6 +102,7 @@ SIGNALS: Mapping[str, Signal] = {
     "fixture_motion": Signal((6,), "rad, m", "motion (w, v) of the clamped flange by a sensor, base frame; else zero"),
     "slip": Signal(("n", 3), "", "states, -1 to +1, of elements that slip after 10, 30, 80 % of a sweep's amplitude"),
     "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
+    "sweep_progress": Signal((), "", "sweeps before this one, and the share of its rows that came before: s to s + 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
     "position": Signal((3,), "m", "the measured point in the instrument's frame"),
@@ -234,6 +235,10 @@ class Effect:
         An effect with a curve of each joint's own, of which this one says that they are one curve, turned and mirrored.
         From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.alignment`), and takes
         its place where they are one. Diagnosis tests for it there, and does not look for it among the candidates.
+    event
+        Its shape parameter that says when, in ``sweep_progress``, of an effect that happens once. It shows in the sweep
+        in which it happens, and like the posture at which that was clamped its amplitudes are that sweep's own: no
+        other sweep tells them. Diagnosis tries every time; a fit begins at the likeliest.
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
@@ -253,6 +258,7 @@ class Effect:
     tried: Literal["places", "together", "both", "jointly"] = "both"
     revealed_by: str | None = None
     aligns: str | None = None
+    event: str | None = None
     meaning: str = field(default="")
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from scipy import linalg, stats
 from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
 from clampid.repeatability import Scatter, clustered_covariance, shared_moments, visit_scatter
 from clampid.slots import Prior, Slot
-from clampid.stages.clamped import loop_compliance
+from clampid.stages.clamped import BLOCK_ROWS, loop_compliance
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
@@ -430,17 +430,25 @@ def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors:
 
 
 def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
-    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds."""
+    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds.
+
+    Of the friction that held motors keep: what their last motion left, or none where that is not known.
+    """
     rows, n = experiment.rows, experiment.rows.robot.n
     torque = rows.constants["start_torque"]
     d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
     wound = rows.constants["wound"] + d.values[:, :n]
     run = rows.constants["run"]
-    return np.array([wound[run == sweep, joint].mean() for sweep, joint in rows.constants["offset_keys"]])
+    keys, kept = rows.constants["offset_keys"], rows.constants["kept_sign"] * rows.constants["held_friction"]
+    return np.array([wound[run == s, j].mean() if j < n else kept[s, j - n] for s, j in keys])
 
 
 def _outliers(rows: Rows, residual: Array) -> Bools:
-    """Rows far beyond what a clean table would show; scales are medians, so that the outliers do not set them."""
+    """Rows far beyond what a clean table would show; scales are medians, so that the outliers do not set them.
+
+    Outliers are single rows. Where most rows of a block of a sweep are off, something has happened there: with 5 % of
+    outliers, more than anyone would use, that is so by chance in one of 60,000 blocks.
+    """
     out = np.zeros(len(rows), dtype=bool)
     groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
     for group in groups:
@@ -453,4 +461,6 @@ def _outliers(rows: Rows, residual: Array) -> Bools:
         size = np.linalg.norm(white, axis=1) / max(scale, 1e-12)
         limit = np.sqrt(stats.chi2.isf(OUTLIER_RATE / used.sum(), len(inside)))
         out |= used & (size > max(limit, 4.0))
+    if rows.stage == "clamped":
+        out &= np.bincount(rows.unit, out)[rows.unit] <= BLOCK_ROWS // 2
     return out

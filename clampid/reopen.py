@@ -112,6 +112,8 @@ def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -
         )
     layout = layout_of([campaign])
     stages = {s: _renamed(model.stages[s], session or 0, len(model.sessions), layout) for s in here}
+    if session is None or len(model.sessions) > 1:  # sweeps are counted over all sessions
+        stages = {s: _without_events(m, effects) for s, m in stages.items()}
     # Stages without a table here still supply loads and flanks.
     stages |= {s: m for s, m in model.stages.items() if s not in stages}
     base = None
@@ -154,6 +156,22 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         observability=stage.observability,
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
         told=stage.told,
+    )
+
+
+def _without_events(stage: StageModel, effects: Mapping[str, Effect]) -> StageModel:
+    """Leave out what happened once, in a sweep that is not among the rows, or not with the same number."""
+    keep = np.array([k for k, s in enumerate(stage.slots) if effects[s.effect].event is None], dtype=int)
+    if len(keep) == len(stage.slots):
+        return stage
+    return replace(
+        stage,
+        terms=tuple(t for t in stage.terms if effects[t.effect].event is None),
+        slots=tuple(stage.slots[k] for k in keep),
+        theta=stage.theta[keep],
+        covariance=stage.covariance[np.ix_(keep, keep)],
+        identified=tuple(stage.identified[k] for k in keep),
+        bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, keep),
     )
 
 

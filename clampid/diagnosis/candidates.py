@@ -64,12 +64,12 @@ class Candidate:
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
-    """Every effect that acts in this stage, at every place where it is not active yet."""
+    """Every effect that acts in this stage, at every place where it is not active yet; no events."""
     active = {(s.effect, s.place) for s in estimate.slots}
     layout = estimate.experiment.rows.layout
     out = []
     for effect in effects.values():
-        if estimate.experiment.stage not in effect.stages or effect.aligns is not None:
+        if estimate.experiment.stage not in effect.stages or effect.aligns is not None or effect.event is not None:
             continue
         if effect.beyond is not None and not any(name == effect.beyond for name, _ in active):
             continue
@@ -89,6 +89,8 @@ def named_candidates(
     estimate: Estimate, effects: Mapping[str, Effect], fired: Collection[str] | None = None
 ) -> list[Candidate]:
     """The absent effects as candidates: place by place, and at all remaining places at once where that is usual.
+
+    Events are scored by :func:`clampid.diagnosis.events.event_scores`.
 
     Parameters
     ----------

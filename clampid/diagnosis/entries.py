@@ -11,7 +11,7 @@ from clampid.diagnosis.look import CONFUSABLE, RATE, Look
 from clampid.diagnosis.score import Flips, Scored, canonical
 from clampid.effect import Effect
 from clampid.fit import Estimate
-from clampid.slots import Term, find_parameter
+from clampid.slots import Slot, Term, find_parameter
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
 
@@ -43,6 +43,7 @@ def entry_of(
         What these rows cannot tell it from.
     """
     places = [t.place for t in kept if t.place] if kept is not None else list(s.candidate.places)
+    when = {} if estimate is None else _when(estimate, effects[s.candidate.name])
     return {
         "effect": s.candidate.family,
         "name": s.candidate.name,
@@ -57,7 +58,21 @@ def entry_of(
         "explained": s.explained,
         "retained": s.retained,
         "state": s.state,
+        **when,
     }
+
+
+def _when(estimate: Estimate, effect: Effect) -> dict[str, Any]:
+    """Of an event, before which row of which table it happened, as ``when``; else nothing."""
+    at = estimate.values().get(Slot(effect.name, str(effect.event), effect.at))
+    if effect.event is None or at is None:
+        return {}
+    rows = estimate.experiment.rows
+    after = np.flatnonzero(rows.signals["sweep_progress"] > at)
+    if not len(after):
+        return {}
+    first = after[np.argmin(rows.signals["sweep_progress"][after])]
+    return {"when": {"table": str(rows.table[first]), "row": int(rows.row[first])}}
 
 
 def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None) -> list[dict[str, Any]]:

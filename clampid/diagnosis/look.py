@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
@@ -67,7 +68,9 @@ def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: in
     free_null = flip_maxima(space, free, flips, seed + 1)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
     named = score(space, named_candidates(estimate, effects, fired))
-    named_null = flip_maxima(space, named, flips, seed)
+    events = event_scores(estimate, space, effects)
+    named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
+    named += events
     robot = estimate.experiment.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     folds = estimate.experiment.rows.fold[estimate.whitened.entry]

@@ -357,6 +357,11 @@ class Flips:
         """The ln p that a candidate must undercut to be confirmed at this false-alarm rate."""
         return -float(np.quantile(self.maxima, 1 - rate))
 
+    def joined(self, tests: int, seed: int) -> Flips:
+        """The same with further tests in the dictionary that have p-values of their own: -ln p is exponential."""
+        drawn = np.random.default_rng([seed, tests]).exponential(size=(len(self.maxima), tests))
+        return Flips(np.maximum(self.maxima, drawn.max(axis=1, initial=0.0)))
+
 
 def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> Flips:
     """Sign-flip null over a dictionary, with draws of what a prior says: one matrix product."""

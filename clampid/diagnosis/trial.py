@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
-from clampid.diagnosis.confirm import first_without_parts, held_out_p, same_effect, stability
+from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of
 from clampid.diagnosis.score import Scored, canonical
@@ -156,7 +156,7 @@ class Bench:
         trial = self.refit(terms, fitted, best.candidate.shapes)
         trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, self.refit)
         new = self.held_out(trial)
-        p_held, falls = _falls(best, held, new, self.seed)
+        p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
         again = stability(first, best)
         rivals: list[Scored] = []
@@ -212,12 +212,17 @@ class Bench:
         return replace(tried, fitted=alone, held=self.held_out(alone))
 
 
-def _falls(best: Scored, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
+def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
     """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
+
+    No other sweep tells of an event; other blocks of its own do.
 
     What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
     error that the model without it reaches, too; it must not raise it.
     """
+    if trial.experiment.effects[best.candidate.name].event is not None:
+        p = event_p(trial, best.candidate.name, seed)
+        return p, p <= HELD_OUT_RATE
     p = held.p_above(new, new.noise, seed)
     told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
     return p, p <= HELD_OUT_RATE or told

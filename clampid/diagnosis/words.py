@@ -60,7 +60,9 @@ def summary_of(result: StageDiagnosis) -> str:
         return f"{x * scale:.3g} {unit}"
 
     def words(c: Mapping[str, Any]) -> str:
-        return str(c["effect"]).replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "")
+        said = str(c["effect"]).replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "")
+        when = c.get("when")
+        return f"{said}, once, just before row {when['row']} of {when['table']}" if when else said
 
     confirmed = [words(c) for c in result.candidates if not c["alternative"]]
     floor = f"noise floor {shown(result.noise_floor)}"

@@ -8,6 +8,10 @@ is solved for the joint torques tau, row by row; then tau_motor = T (tau + frict
 motor. The offset is the posture at which the
 arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there
 too.
+
+A motor that is held keeps some friction, anything between what it has in either direction. The offsets take that up,
+unless the joint's torque changes all the same, because a block yields or slips: then it decides when the joint's gap is
+crossed. So it is unknown too, one per held motor and sweep, where the torque changes.
 """
 
 from __future__ import annotations
@@ -18,19 +22,20 @@ import numpy as np
 
 from clampid.chain import Chain, Deviations
 from clampid.slots import Layout
-from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.rows import Array, Bools, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
 from experiments.signals import slip_states
 from kinematics.poe import forward, space_jacobian
 
-__all__ = ["clamped_rows", "fixture_motion", "loop_compliance", "residual"]
+__all__ = ["BLOCK_ROWS", "clamped_rows", "fixture_motion", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
 NEWTON_STEPS, HALVINGS = 60, 12
 SETTLED_STEP = 1e-9  # of the rated torque
 SLIPS = (0.05, 0.15, 0.4)  # of a sweep's amplitude, which an element takes to be wound up: twice that after a reversal
+CHANGES = 3.0  # times its noise: of a held motor's torque, which then moves for a reason
 GAP_SOFTNESS = 0.1  # of a torque's noise, at the joint: how sharply a gap closes
 
 
@@ -40,16 +45,17 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     Parameters
     ----------
     offsets
-        ``(K,)``, rad: one per joint and sweep, see the module.
+        ``(K,)``: one per joint and sweep, rad, and one per held motor whose torque changes, Nm; see the module.
     """
     n, count = rows.robot.n, len(rows)
     T = np.asarray(rows.robot.transmission)
     run, keys = rows.constants["run"], rows.constants["offset_keys"]
-    shift = rows.constants["wound"] - rows.offset_table(offsets)
+    constant = rows.offset_table(offsets, 2)
+    shift = rows.constants["wound"] - constant[:, :n]
     inverse = rows.constants["inverse_jacobian"]
     torque, deviations, slope = _equilibrium(rows, chain, theta, shift, inverse)
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
-    predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor]
+    predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor] + constant[:, n:]
     # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
     balance, direct = np.zeros((2, count, n, len(chain.slots)))
     for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
@@ -71,13 +77,16 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     jacobian[:, :, : len(chain.slots)] = direct - by_angle @ balance
     for k, (sweep, held) in enumerate(keys):  # an offset is an angle that is missing, in the rows of its own sweep
         mine = run == sweep
-        jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
+        if held < n:
+            jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
+        else:
+            jacobian[mine, held - n, len(chain.slots) + k] = 1.0
     return rows.measured - predicted, jacobian
 
 
 def fixture_motion(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
     """Motion ``(N, 6)`` of the clamped flange that the model gives, (w, v) in the base frame about it, rad and m."""
-    shift = rows.constants["wound"] - rows.offset_table(offsets)
+    shift = rows.constants["wound"] - rows.offset_table(offsets, 2)[:, : rows.robot.n]
     _, deviations, _ = _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])
     return np.asarray(deviations.values[:, chain.offsets["fixture"]])
 
@@ -159,11 +168,12 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     reference = np.array([q[sweep == s].mean(axis=0) for s in range(sweeps)])
     rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
     motion = np.zeros((count, n))
-    used, fraction = np.ones((count, n), dtype=bool), np.zeros(count)
+    used, fraction, progress = np.ones((count, n), dtype=bool), np.zeros(count), np.zeros(count)
     typical = _typical_steps(motor, driven, sweep)
     for s in range(sweeps):
         rows = np.flatnonzero(sweep == s)
         fraction[rows] = np.linspace(0.0, 1.0, len(rows))
+        progress[rows] = s + np.arange(len(rows)) / len(rows)
         steps = _steps(motor[rows])
         for j in range(n):
             # A coupled joint's sweep turns several motors a little: each has its own friction, by its own steps.
@@ -185,6 +195,8 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         inverse[s] = np.linalg.pinv(J, rcond=1e-3)
         wrench[s] = inverse[s].T
     noise = step_noise(measured, motion, sweep)
+    still = [(s, i) for s in range(sweeps) for i in range(n) if not motion[sweep == s, i].any()]
+    keeping = [(s, n + i) for s, i in still if measured[sweep == s, i].std() > CHANGES * noise[i]]
     signals = {
         "q": q,
         "motor": motor,
@@ -196,6 +208,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "fixture_motion": _watched(joined, sweep),
         "slip": slip_states(q, _widths(q, driven, sweep), sweep),
         "sweep_fraction": fraction,
+        "sweep_progress": progress,
         **temperatures(joined, n),
     }
     _, blocks = np.unique(np.c_[sweep, np.arange(count) // BLOCK_ROWS], axis=0, return_inverse=True)
@@ -215,7 +228,9 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         constants={
             "run": sweep,
             "time": time,
-            "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)]),
+            "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
+            "held_friction": loop_friction(motor, measured, motion, used, sweep),
+            "kept_sign": _kept_signs(motor, motion, typical, sweep, session),
             "driven": driven,
             "wound": q - reference[sweep],
             "reference": reference,
@@ -247,6 +262,21 @@ def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
             out[j] = np.median(moved)
     known = out[np.isfinite(out)]
     return np.where(np.isfinite(out), out, known.min() if len(known) else 1.0)
+
+
+def _kept_signs(motor: Array, motion: Array, typical: Array, sweep: Integers, session: Integers) -> Array:
+    """The side ``(sweeps, n)``, +1 or -1, of the friction that a motor keeps from the sweep before; 0 if not known.
+
+    It is that of its last motion, as long as the motor has not moved since.
+    """
+    sweeps = int(sweep.max(initial=-1)) + 1
+    out = np.zeros((sweeps, motor.shape[1]))
+    for s in range(1, sweeps):
+        last, first = np.flatnonzero(sweep == s - 1)[-1], np.flatnonzero(sweep == s)[0]
+        stayed = (np.abs(motor[first] - motor[last]) < STILL * typical) & (session[first] == session[last])
+        left = np.where(motion[last] != 0.0, motion[last], out[s - 1])
+        out[s] = np.where(stayed, left, 0.0)
+    return out
 
 
 def _watched(table: object, sweep: Integers) -> Array:
@@ -289,6 +319,24 @@ def loop_compliance(rows: Rows) -> Array:
             if slope > 0:
                 out[j] = 1.0 / slope
     return np.asarray(np.clip(out, 1e-3, 1e2))
+
+
+def loop_friction(motor: Array, measured: Array, motion: Array, used: Bools, sweep: Integers) -> Array:
+    """A rough dry friction of each motor ``(n,)``, Nm: half of how far the branches of its own loops are apart."""
+    n = motor.shape[1]
+    out = np.full(n, np.nan)
+    for j in range(n):
+        found = []
+        for s in np.unique(sweep[motion[:, j] != 0.0]):
+            at = (sweep == s) & used[:, j]
+            sign = motion[at, j]
+            if len(np.unique(sign)) > 1:
+                columns = np.c_[np.ones(len(sign)), motor[at, j] - motor[at, j].mean(), sign]
+                found.append(abs(float(np.linalg.lstsq(columns, measured[at, j], rcond=None)[0][2])))
+        if found:
+            out[j] = np.median(found)
+    known = out[np.isfinite(out)]
+    return np.maximum(np.where(np.isfinite(out), out, np.median(known) if len(known) else 1.0), 1e-6)
 
 
 def step_noise(measured: Array, motion: Array, sweep: np.ndarray[tuple[int], np.dtype[np.int64]]) -> Array:

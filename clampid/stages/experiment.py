@@ -95,14 +95,28 @@ class Experiment:
 
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
-        own = [p.size for p in self.parameters]
-        return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
+        return np.array([*(p.size for p in self.parameters), *self._offset_sizes[0]])
 
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
-        own = [p.prior_std for p in self.parameters]
-        std = np.array([*own, *([WEAK * OFFSET_SIZE[self.stage]] * self.offsets)])
-        return np.where(self.held(), HELD * self.sizes(), std)
+        std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
+        std = np.where(self.held(), HELD * self.sizes(), std)
+        for k, slot in enumerate(self.slots):
+            if self.effects[slot.effect].event == slot.parameter:  # somewhere between two rows
+                share = self.rows.signals["sweep_progress"] % 1.0
+                std[k] = float(np.min(share[share > 0.0], initial=1.0)) / np.sqrt(12.0)
+        return std
+
+    @cached_property
+    def _offset_sizes(self) -> tuple[list[float], list[float]]:
+        """Reasonable sizes of the offsets, and standard deviations of their priors ``(K,)`` each."""
+        friction = self.rows.constants.get("held_friction", np.zeros(0))
+        size, prior = [], []
+        for _, joint in self.rows.constants.get("offset_keys", ()):
+            kept = joint - self.rows.robot.n
+            size.append(OFFSET_SIZE[self.stage] if kept < 0 else float(friction[kept]))
+            prior.append(WEAK * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
+        return size, prior
 
     def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` a fit keeps where they start."""
@@ -114,10 +128,14 @@ class Experiment:
             seen.add((slot.effect, slot.parameter))
         return out
 
+    def own(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` belong to single runs or sweeps: their offsets, and what happened in one."""
+        events = [self.effects[slot.effect].event is not None for slot in self.slots]
+        return np.array([*events, *([True] * self.offsets)], dtype=bool)
+
     def clear(self) -> Array:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
-        own = [p.clear for p in self.parameters]
-        return np.array([*own, *([OFFSET_SIZE[self.stage]] * self.offsets)])
+        return np.array([*(p.clear for p in self.parameters), *self._offset_sizes[0]])
 
     def bounds(self) -> tuple[Array, Array]:
         """Physical limits ``(P + K,)`` each."""

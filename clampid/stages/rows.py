@@ -45,7 +45,8 @@ class Rows:
         ``(N,)``: index of the session.
     constants
         What the experiment needs beside signals, such as reference frames. ``offset_keys`` ``(K, 2)``, (run or sweep,
-        joint): an unknown constant of that joint in that run, which no other run shares; ``run`` ``(N,)``.
+        joint): an unknown constant of that joint in that run, which no other run shares; in ``clamped`` (sweep, n +
+        motor): the friction that a held motor keeps; ``run`` ``(N,)``.
     per_row
         The constants that are ``(N, …)``.
     """
@@ -119,10 +120,10 @@ class Rows:
         """K: how many unknown constants the runs or sweeps have."""
         return len(self.constants["offset_keys"]) if "offset_keys" in self.constants else 0
 
-    def offset_table(self, offsets: Array) -> Array:
-        """Offsets ``(K,)`` as a value per row and joint ``(N, n)``."""
+    def offset_table(self, offsets: Array, kinds: int = 1) -> Array:
+        """Offsets ``(K,)`` as a value per row and joint ``(N, n)``; of several kinds ``(N, kinds n)``, one by one."""
         keys, run = self.constants["offset_keys"], self.constants["run"]
-        table = np.zeros((int(run.max(initial=0)) + 1, self.robot.n))
+        table = np.zeros((int(run.max(initial=0)) + 1, kinds * self.robot.n))
         table[keys[:, 0], keys[:, 1]] = offsets
         return np.asarray(table[run])
 

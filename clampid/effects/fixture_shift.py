@@ -1,0 +1,44 @@
+"""The block that the flange is clamped to slips once, in the middle of a sweep, and stays where it has slipped to.
+
+Later sweeps begin with the block where it is by then, and the posture at which each was clamped is unknown anyway: only
+the sweep in which it slipped shows it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import floor, rows, within
+from clampid.effect import Effect, Parameter
+
+
+def motion(p: Any, x: Any) -> Any:
+    """(w, v) = (r, d) after the slip, zero before it and in other sweeps."""
+    return rows(p.rx, p.ry, p.rz, p.x, p.y, p.z) * within(x.sweep_progress, p.at, floor(p.at) + 1.0)
+
+
+EFFECT = Effect(
+    name="fixture_shift",
+    family="fixture_compliance",
+    acts={"fixture": motion},
+    parameters=(
+        *(Parameter(a, "m", 1e-4, bounds=(-1e-2, 1e-2), meaning=f"slipped along {a}") for a in "xyz"),
+        *(Parameter(f"r{a}", "rad", 1e-4, bounds=(-1e-2, 1e-2), meaning=f"turned about {a}") for a in "xyz"),
+        Parameter(
+            "at",
+            "",
+            1.0,
+            bounds=(0.0, 1e6),
+            meaning="when: sweeps before, and the share of the sweep's rows before; between two rows",
+            shape=True,
+            grid=(0.47,),
+            held="everywhere",
+        ),
+    ),
+    needs=("sweep_progress",),
+    stages=("clamped",),
+    equation="(w, v) = (r, d) once sweep_progress > at, in that sweep; base frame, about the flange",
+    source=("Thesis",),
+    at="fixture",
+    event="at",
+)
