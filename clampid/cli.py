@@ -119,7 +119,3 @@ def _failed(error: Exception, debug: bool) -> int:
 def _fail(message: str, code: int) -> int:
     print("clampid: " + " ".join(message.split()), file=sys.stderr)
     return code
-
-
-if __name__ == "__main__":
-    main()
