@@ -142,7 +142,7 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     """
     union = _union(parts)
     held = [_experiment(p) for p in parts]
-    best = _search(parts, held, union)
+    best = _search(parts, held, replace(union, theta=_start(parts, held, union)))
     for _ in range(FLANK_ROUNDS):
         moved = [e.with_flanks(best.theta[c]) for e, c in zip(held, union.columns, strict=True)]
         if all(_same_flanks(a, b) for a, b in zip(held, moved, strict=True)):
@@ -191,16 +191,35 @@ def _union(parts: Sequence[JointPart]) -> _Union:
     return _Union(tuple(columns), theta, precision, mean, Limits(scale, lower, upper, bounded))
 
 
+def _start(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union) -> Array:
+    """The mean ``(U,)`` of what the stages say alone, each weighted by its information, and the description.
+
+    From one stage's values for all that it shares, another's unknown constants of sweeps are far off, and where gaps
+    open and close no step from there leads down.
+    """
+    A, b = union.precision.copy(), union.precision @ union.mean
+    for part, trial, columns in zip(parts, held, union.columns, strict=True):
+        alone = part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta
+        own, slope = _point(part, trial, alone).normal()
+        A[np.ix_(columns, columns)] += own
+        b[columns] += own @ alone + slope
+    theta = inverse_of(A) @ b
+    limits = union.limits
+    return np.where(limits.bounded, np.clip(theta, limits.lower, limits.upper), theta)
+
+
+def _point(part: JointPart, trial: Experiment, theta: Array) -> Point:
+    """A stage at its own parameter vector."""
+    if isinstance(part, FittedLog):
+        return _Sums(part.fit.moments.moved(theta))
+    return stage_point(trial, part.estimate.noise, theta)
+
+
 def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union) -> _Joint:
     """The lowest point with flanks held."""
 
-    def one(part: JointPart, trial: Experiment, theta: Array) -> Point:
-        if isinstance(part, FittedLog):
-            return _Sums(part.fit.moments.moved(theta))
-        return stage_point(trial, part.estimate.noise, theta)
-
     def at(theta: Array) -> _Joint:
-        found = (one(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
+        found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
         return _Joint(theta, tuple(found), union.columns)
 
     return descend(at, union.theta, union.precision, union.mean, union.limits)[0]
