@@ -272,6 +272,10 @@ class Limits:
     upper: Array
     bounded: Bools
 
+    def clipped(self, theta: Array) -> Array:
+        """A parameter vector ``(P,)`` brought back within the bounds that hold."""
+        return np.where(self.bounded, np.clip(theta, self.lower, self.upper), theta)
+
 
 def limits_of(experiment: Experiment) -> Limits:
     """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
@@ -355,7 +359,7 @@ def descend(
         if float(g @ step) < NEGLIGIBLE * max(1.0, cost / max(best.count, 1)):
             break
         moved = best.theta + step
-        trial = at(np.where(limits.bounded, np.clip(moved, limits.lower, limits.upper), moved))
+        trial = at(limits.clipped(moved))
         reached = whole(trial)
         # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
         idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import stats
 
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
-from clampid.moments import Moments, minimise
+from clampid.moments import LogPoint, Moments, minimise
 from clampid.noise import NORMAL
 from clampid.prewhitening import ORDER, Predictors, Whitener, autocorrelation, lag_products
 from clampid.stages.log_design import Block, Channel, LogDesign
@@ -98,26 +98,10 @@ class LogPrior:
 
 
 @dataclass(frozen=True)
-class _LogPoint:
-    """A log at one parameter vector, as `clampid.fit.descend` sees it."""
+class _PartedPoint(LogPoint):
+    """A log at one parameter vector, with the sums of its parts."""
 
-    moments: Moments
     sums: dict[int, Moments]
-
-    @property
-    def theta(self) -> Array:
-        return self.moments.at
-
-    @property
-    def cost(self) -> float:
-        return self.moments.squares
-
-    @property
-    def count(self) -> int:
-        return self.moments.count
-
-    def normal(self) -> tuple[Array, Array]:
-        return self.moments.normal, self.moments.slope
 
 
 def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part: Integers | None = None) -> LogFit:
@@ -138,7 +122,7 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
     outliers = np.zeros(0, dtype=np.int64)
 
     def solved(noise: LogNoise, theta: Array, part: Integers | None = None) -> tuple[Moments, dict[int, Moments]]:
-        def at(here: Array) -> _LogPoint:
+        def at(here: Array) -> _PartedPoint:
             design.move(here)
             sums = summed(design, folds, outliers, noise, part)
             total = sum(sums.values(), Moments.none(design.at))
@@ -146,7 +130,7 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
                 raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
             if not np.isfinite(total.squares):
                 raise FitError("free_air: the model gives no finite prediction; are the units right?")
-            return _LogPoint(total.moved(here), sums)
+            return _PartedPoint(total.moved(here), sums)
 
         if design.linear:
             point = at(theta)

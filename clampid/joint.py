@@ -40,7 +40,7 @@ from clampid.fit import (
 )
 from clampid.fitted_stage import FittedStage
 from clampid.identify_log import FittedLog
-from clampid.moments import Moments
+from clampid.moments import LogPoint
 from clampid.priors import description_priors
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment
@@ -65,7 +65,6 @@ class _Union:
     """The joint parameter vector ``(U,)``: where each stage's own stand in it, its prior, its limits."""
 
     columns: tuple[Integers, ...]
-    theta: Array
     precision: Array
     mean: Array
     limits: Limits
@@ -100,28 +99,6 @@ class _Joint:
         return A, g
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """A log at one parameter vector, from its sums."""
-
-    moments: Moments
-
-    @property
-    def theta(self) -> Array:
-        return self.moments.at
-
-    @property
-    def cost(self) -> float:
-        return self.moments.squares
-
-    @property
-    def count(self) -> int:
-        return self.moments.count
-
-    def normal(self) -> tuple[Array, Array]:
-        return self.moments.normal, self.moments.slope
-
-
 def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     """Fit stages at once that were fitted one by one, from where they are.
 
@@ -142,13 +119,13 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     """
     union = _union(parts)
     held = [_experiment(p) for p in parts]
-    best = _search(parts, held, replace(union, theta=_start(parts, held, union)))
+    best = _search(parts, held, union, _start(parts, held, union))
     for _ in range(FLANK_ROUNDS):
         moved = [e.with_flanks(best.theta[c]) for e, c in zip(held, union.columns, strict=True)]
         if all(_same_flanks(a, b) for a, b in zip(held, moved, strict=True)):
             break
         held = moved
-        best = _search(parts, held, replace(union, theta=best.theta))
+        best = _search(parts, held, union, best.theta)
     weights = _weights(best, union)
     covariance = _covariance(parts, best, union, weights)
     out: list[JointPart] = []
@@ -176,7 +153,7 @@ def _union(parts: Sequence[JointPart]) -> _Union:
         own += [number.setdefault((trial.stage, j), len(number)) for j in range(trial.offsets)]
         columns.append(np.array(own, dtype=np.int64))
     size = len(number)
-    theta, mean, precision = np.zeros(size), np.zeros(size), np.zeros((size, size))
+    mean, precision = np.zeros(size), np.zeros((size, size))
     scale, lower, upper, bounded = np.ones(size), np.full(size, -np.inf), np.full(size, np.inf), np.zeros(size, bool)
     for part, here in zip(parts, columns, strict=True):
         trial = _experiment(part)
@@ -185,10 +162,8 @@ def _union(parts: Sequence[JointPart]) -> _Union:
         limits = limits_of(trial)
         scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
         bounded[here] |= limits.bounded
-        theta[here] = part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta  # the last knows most
-        mean[here] = np.where(trial.held(), theta[here], own_mean)
-    theta = np.where(bounded, np.clip(theta, lower, upper), theta)
-    return _Union(tuple(columns), theta, precision, mean, Limits(scale, lower, upper, bounded))
+        mean[here] = np.where(trial.held(), _alone(part), own_mean)
+    return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
 
 
 def _start(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union) -> Array:
@@ -199,30 +174,33 @@ def _start(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union
     """
     A, b = union.precision.copy(), union.precision @ union.mean
     for part, trial, columns in zip(parts, held, union.columns, strict=True):
-        alone = part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta
+        alone = _alone(part)
         own, slope = _point(part, trial, alone).normal()
         A[np.ix_(columns, columns)] += own
         b[columns] += own @ alone + slope
-    theta = inverse_of(A) @ b
-    limits = union.limits
-    return np.where(limits.bounded, np.clip(theta, limits.lower, limits.upper), theta)
+    return union.limits.clipped(inverse_of(A) @ b)
+
+
+def _alone(part: JointPart) -> Array:
+    """The parameters ``(P,)`` of a stage as it was fitted alone."""
+    return part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta
 
 
 def _point(part: JointPart, trial: Experiment, theta: Array) -> Point:
     """A stage at its own parameter vector."""
     if isinstance(part, FittedLog):
-        return _Sums(part.fit.moments.moved(theta))
+        return LogPoint(part.fit.moments.moved(theta))
     return stage_point(trial, part.estimate.noise, theta)
 
 
-def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union) -> _Joint:
-    """The lowest point with flanks held."""
+def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, start: Array) -> _Joint:
+    """The lowest point downhill from a start ``(U,)``, with flanks held."""
 
     def at(theta: Array) -> _Joint:
         found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
         return _Joint(theta, tuple(found), union.columns)
 
-    return descend(at, union.theta, union.precision, union.mean, union.limits)[0]
+    return descend(at, start, union.precision, union.mean, union.limits)[0]
 
 
 def _experiment(part: JointPart) -> Experiment:
@@ -283,7 +261,6 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -
     alone = part.estimate
     point = stage_point(alone.experiment, alone.noise, theta)
     precision, mean = prior_of(alone.experiment, (told,))
-    mean = np.where(alone.experiment.held(), theta, mean)
     return replace(
         alone,
         theta=theta,

@@ -9,7 +9,7 @@ import numpy as np
 from clampid.fit import ITERATIONS, NEGLIGIBLE, inverse_of, newton_step
 from clampid.stages.rows import Array, Bools, Integers
 
-__all__ = ["Moments", "covariance_of", "minimise"]
+__all__ = ["LogPoint", "Moments", "covariance_of", "minimise"]
 
 
 @dataclass
@@ -59,6 +59,32 @@ class Moments:
         step = theta - self.at
         slope = self.slope - self.normal @ step
         return Moments(theta, self.normal, slope, self.squares - float(step @ (self.slope + slope)), self.count)
+
+
+@dataclass(frozen=True)
+class LogPoint:
+    """A log at one parameter vector, from its sums, as `clampid.fit.descend` sees it."""
+
+    moments: Moments
+
+    @property
+    def theta(self) -> Array:
+        """Where the sums are ``(P,)``."""
+        return self.moments.at
+
+    @property
+    def cost(self) -> float:
+        """The whitened squares."""
+        return self.moments.squares
+
+    @property
+    def count(self) -> int:
+        """How many rows."""
+        return self.moments.count
+
+    def normal(self) -> tuple[Array, Array]:
+        """XᵀX ``(P, P)`` and Xᵀr ``(P,)``."""
+        return self.moments.normal, self.moments.slope
 
 
 def minimise(
