@@ -14,7 +14,7 @@ from clampid.diagnosis.entries import (
     variables_of,
     with_stand_ins,
 )
-from clampid.diagnosis.look import Look, rivals_of
+from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPoses
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.score import Scored
@@ -63,37 +63,30 @@ def diagnose_stage(
     held = bench.held_out(fitted)
     result.before = result.after = held.rms
     first = fitted.estimate
-    rejected: set[str] = set()
     refused: dict[str, dict[str, Any]] = {}
     look = bench.look(fitted, 0)
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     if look.fires and look.probe is not None:
         result.depends_on = list(look.probe.candidate.depends_on)
     for number in range(1, ROUNDS + 1):
-        best = look.best(rejected)
-        if best is None or look.only_stands_in(best):
+        tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
+        for other in others:
+            entry = entry_of(other.best, look.named_null, effects, held.rms, other.held.rms)
+            refused[other.best.candidate.label] = {**entry, "reason": other.reason}
+        if tried is None:
             break
-        rivals = rivals_of(look.space, look.named, best, rejected)
-        tried = None if rivals else bench.try_out(best, look, fitted, held)
-        rivals = rivals or (tried.rivals if tried else [])
-        if tried is None or rivals:
-            beside = bench.beside(Undecided([best, *rivals], look), fitted, number)
+        if isinstance(tried, Undecided):
+            beside = bench.beside(tried, fitted, number)
             if isinstance(beside, list):
                 _undecided(result, beside, effects, fitted.estimate, propose)
                 break
             tried = bench.fitted_with(beside, fitted)
-        elif tried.reason:
-            rejected.add(best.candidate.label)
-            entry = entry_of(best, look.named_null, effects, held.rms, tried.held.rms)
-            refused[best.candidate.label] = {**entry, "reason": tried.reason}
-            continue
         refused.pop(tried.best.candidate.label, None)
         result.candidates.append(tried.entry(effects, held.rms))
         result.added += tried.kept
         result.verdict = "missing"
         fitted, held = tried.fitted, tried.held
         result.after = held.rms
-        rejected.clear()  # a ranking is valid for one step
         look = bench.look(fitted, 2 * number)
     result.considered = [*refused.values(), *considered_of(look.named, look.named_null)]
     excess = result.after > FAR_OFF * result.noise_floor

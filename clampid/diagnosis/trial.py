@@ -26,6 +26,7 @@ __all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "
 HELD_OUT_RATE = 0.05
 STABLE = 0.6
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
+TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
@@ -96,8 +97,6 @@ class Tried:
 
     Attributes
     ----------
-    rivals
-        Look-alikes that are first instead of it without some of the rows, if that is all that speaks against it.
     reason
         Why it is refused; empty if it is not.
     """
@@ -109,7 +108,6 @@ class Tried:
     held: HeldOut
     p_held_out: float
     stability: float
-    rivals: list[Scored]
     reason: str
 
     def entry(self, effects: dict[str, Effect], before: float) -> dict[str, Any]:
@@ -150,8 +148,33 @@ class Bench:
         """A fit's errors on rows that it has not seen."""
         return held_out(fitted.estimate, self.verification, self.floor, self.seed)
 
-    def try_out(self, best: Scored, look: Look, fitted: FittedStage, held: HeldOut) -> Tried:
-        """Fit a candidate along, and see whether it does on other rows what it promised on these."""
+    def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
+        """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
+
+        None instead of a candidate where none stands out, or too many that did were refused.
+        """
+        refused: list[Tried] = []
+        while len(refused) < TRIALS:
+            best = look.best({t.best.candidate.label for t in refused})
+            if best is None or look.only_stands_in(best):
+                break
+            found = self._tried(best, look, fitted, held, refused)
+            if isinstance(found, Undecided) or not found.reason:
+                return found, refused
+            refused.append(found)
+        return None, refused
+
+    def _tried(
+        self, best: Scored, look: Look, fitted: FittedStage, held: HeldOut, refused: Sequence[Tried]
+    ) -> Tried | Undecided:
+        """Fit a candidate along, and see whether it does on other rows what it promised on these.
+
+        Undecided, and not fitted, where others explain as much; undecided, too, where look-alikes are first instead of
+        it without some of the rows, and that is all that speaks against it.
+        """
+        rivals = rivals_of(look.space, look.named, best, {t.best.candidate.label for t in refused})
+        if rivals:
+            return Undecided([best, *rivals], look)
         terms = [*fitted.model.terms, *best.candidate.terms]
         trial = self.refit(terms, fitted, best.candidate.shapes)
         trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, self.refit)
@@ -159,16 +182,14 @@ class Bench:
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
         again = stability(first, best)
-        rivals: list[Scored] = []
         reason = "" if falls else "the held-out error does not fall"
         if falls and again < STABLE:
             alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
-            others = {s.candidate.label: s for s in alike if not same_effect(s, best)}
             if len(alike) >= STABLE * len(first):
-                rivals = list(others.values())
-            else:
-                reason = "without a fifth of the rows it is not first"
-        return Tried(best, look, trial, kept, new, p_held, again, rivals, reason)
+                others = {s.candidate.label: s for s in alike if not same_effect(s, best)}
+                return Undecided([best, *others.values()], look)
+            reason = "without a fifth of the rows it is not first"
+        return Tried(best, look, trial, kept, new, p_held, again, reason)
 
     def beside(self, undecided: Undecided, fitted: FittedStage, number: int) -> Tried | list[Undecided]:
         """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.
@@ -181,20 +202,14 @@ class Bench:
             What is confirmed beside them; where nothing is, these and further candidates that cannot be told apart.
         """
         groups = [undecided]
-        whole, look = self._along(groups, fitted, number)
-        held, rejected = self.held_out(whole), set[str]()
-        while len(groups) < GROUPS and (best := look.best(rejected)) is not None and not look.only_stands_in(best):
-            rivals = rivals_of(look.space, look.named, best, rejected)
-            tried = None if rivals else self.try_out(best, look, whole, held)
-            rivals = rivals or (tried.rivals if tried else [])
-            if rivals:
-                groups.append(Undecided([best, *rivals], look))
-                whole, look = self._along(groups, fitted, number)
-                held, rejected = self.held_out(whole), set()
-            elif tried is not None and not tried.reason:
-                return tried
-            else:
-                rejected.add(best.candidate.label)
+        while len(groups) < GROUPS:
+            whole, look = self._along(groups, fitted, number)
+            found, _ = self.decided(look, whole, self.held_out(whole))
+            if isinstance(found, Tried):
+                return found
+            if found is None:
+                break
+            groups.append(found)
         return groups
 
     def _along(self, groups: Sequence[Undecided], fitted: FittedStage, number: int) -> tuple[FittedStage, Look]:

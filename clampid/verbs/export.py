@@ -51,16 +51,14 @@ def dh(
     _writable(output)
 
     from clampid.export import dh_table, table_text
-    from clampid.model import load_model, write_text
+    from clampid.model import load_model
 
     loaded = load_model(model)
     _left_out(loaded, effects_from, out)
     table = dh_table(loaded, convention, session=session - 1, robot=_robot(robot), temperature=temperature)
     text = table_text(table)
-    if output is None:
-        sys.stdout.write(text)
+    if not _written(text, output):
         return
-    write_text(output, text)
     off = float(table["difference_m"].iloc[0])
     out.say(f"table: {output}; static geometry at {temperature:g} degC, read back within {off:.1e} m of the model")
 
@@ -80,13 +78,11 @@ def angles(
     _writable(output)
 
     from clampid.export import angle_table, table_text
-    from clampid.model import load_model, write_text
+    from clampid.model import load_model
 
     text = table_text(angle_table(load_model(model), robot=_robot(robot), effects_from=effects_from))
-    if output is None:
-        sys.stdout.write(text)
+    if not _written(text, output):
         return
-    write_text(output, text)
     out.say(f"angle errors: {output}; arm less controller, with standard errors")
 
 
@@ -137,7 +133,7 @@ def kuka(
     _writable(output)
 
     from clampid.kuka_export import kuka_machine_data
-    from clampid.model import load_model, write_text
+    from clampid.model import load_model
     from experiments.campaign import read_campaign
 
     poses = None if campaign is None else read_campaign(campaign)
@@ -151,10 +147,8 @@ def kuka(
         left_out=_left_out(loaded, effects_from, out),
         campaign=poses,
     )
-    if output is None:
-        sys.stdout.write(found.text)
+    if not _written(found.text, output):
         return
-    write_text(output, found.text)
     out.say(f"machine data: {output}; static geometry at {temperature:g} degC")
     out.say(f"what this form alone leaves: {found.left}")
     out.say(f"what nominal machine data leave: {found.nominal}")
@@ -187,7 +181,7 @@ def dynamics(
     import json
 
     from clampid.dynamics_export import dynamics as identified
-    from clampid.model import load_model, write_text
+    from clampid.model import load_model
     from experiments.campaign import read_campaign
 
     log = None if campaign is None else read_campaign(campaign)
@@ -195,10 +189,8 @@ def dynamics(
         load_model(model), consistent=consistent, campaign=log, robot=_robot(robot), user_effects=effects_from
     )
     text = json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    if output is None:
-        sys.stdout.write(text)
+    if not _written(text, output):
         return
-    write_text(output, text)
     for line in _told(found):
         out.say(line)
     out.say(f"dynamics: {output}")
@@ -244,6 +236,17 @@ def _robot(path: Path | None) -> RobotDescription | None:
     if path is not None and path.suffix.lower() not in (".toml", ".urdf"):
         raise CallError(f"--robot {path}: expected a .toml or .urdf file")
     return None if path is None else load_robot(path)
+
+
+def _written(text: str, path: Path | None) -> bool:
+    """Write to a file, or to stdout where there is none, where nothing else is to be said."""
+    from clampid.model import write_text
+
+    if path is None:
+        sys.stdout.write(text)
+        return False
+    write_text(path, text)
+    return True
 
 
 def _writable(path: Path | None) -> None:
