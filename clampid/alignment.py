@@ -2,9 +2,7 @@
 
 A fit with a curve of each joint's own says all that its rows know of the curves: a Gaussian in their coefficients, the
 rest of the model integrated out. On it every hypothesis is linear in what it leaves free, so that its evidence is exact
-(``L`` the rows' information on the coefficients c, ``m`` their estimate, ``c = B z``, ``z`` with prior ``S``)::
-
-    ln evidence = 1/2 h' (S^-1 + B'LB)^-1 h - 1/2 ln det(1 + S B'LB),   h = B'L m
+(:mod:`clampid.evidence`, with B'LB and B'h where the coefficients are c = B z).
 
 Joints join a curve one by one: circular cross-correlation proposes turns for either sense, the evidence chooses among
 them and decides whether the joint joins. A turn costs what the rows narrow it by from a whole revolution, a sense a
@@ -22,7 +20,8 @@ import numpy as np
 from scipy import linalg, optimize
 
 from clampid.effect import Effect
-from clampid.fit import Estimate, inverse_of
+from clampid.evidence import evidence, rows_say
+from clampid.fit import Estimate
 from clampid.slots import Slot
 from clampid.stages.rows import Array, Bools
 
@@ -191,30 +190,16 @@ def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None =
     allowed = {f"joint{j + 1}" for j in range(n)} if places is None else set(places)
     joints = tuple(j for j, found in where.items() if min(found) >= 0 and f"joint{j + 1}" in allowed)
     chosen = np.array([k for j in joints for k in where[j]], dtype=int)
-    prior = np.array([own.by_name[a].prior_std for a in names])
-    covariance, scale = _of_independent_rows(estimate)
-    posterior = inverse_of(covariance[np.ix_(chosen, chosen)])
-    information = posterior - np.diag(np.tile(prior**-2, len(joints))) / scale
+    information, score = rows_say(estimate, chosen)
+    unit = estimate.values()[Slot(own.name, str(own.sized_by), own.at)]  # rad, in which the coefficients are counted
     width = len(names)
     return Curves(
         joints,
-        information.reshape(len(joints), width, len(joints), width),
-        (posterior @ estimate.theta[chosen]).reshape(len(joints), width),
+        (information / unit**2).reshape(len(joints), width, len(joints), width),
+        (score / unit).reshape(len(joints), width),
         np.array([effect.by_name[f"own_{a}"].prior_std for a in low]),
         np.array([effect.by_name[f"own_{a}"].prior_std for a in shared]),
     )
-
-
-def _of_independent_rows(estimate: Estimate) -> tuple[Array, float]:
-    """The covariance ``(P + K, P + K)`` of a fit's parameters if all numbers were independent, and their variance.
-
-    The estimate's own counts what the points of a visit share, and is not the inverse of an information.
-    """
-    white, r = estimate.whitened, estimate.whitened.residual
-    inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
-    told = len(estimate.theta) - float(np.sum(inverse * estimate.prior_precision))  # by the rows, not the prior
-    scale = max(float(r @ r) / max(len(r) - told, 1.0), 1e-12)
-    return inverse * scale, scale
 
 
 @dataclass(frozen=True)
@@ -228,19 +213,11 @@ class _Part:
 
     def total(self) -> float:
         """The evidence, these coefficients integrated out as well."""
-        return self.evidence + _evidence(self.information, self.score, self.prior)[0]
+        return self.evidence + evidence(self.information, self.score, self.prior)[0]
 
     def mean(self) -> Array:
         """The posterior mean."""
-        return _evidence(self.information, self.score, self.prior)[1]
-
-
-def _evidence(information: Array, score: Array, prior: Array) -> tuple[float, Array]:
-    """Logarithm of the evidence against zero, and the posterior mean."""
-    A = np.eye(len(prior)) + information * np.outer(prior, prior)
-    factor = linalg.cho_factor(A)
-    z = linalg.cho_solve(factor, prior * score)
-    return 0.5 * float(prior * score @ z) - float(np.sum(np.log(np.diag(factor[0])))), prior * z
+        return evidence(self.information, self.score, self.prior)[1]
 
 
 def _without(part: _Part, gone: Bools) -> _Part:
@@ -256,7 +233,7 @@ def _without(part: _Part, gone: Bools) -> _Part:
     taken = S[:, None] * np.c_[C, h]
     rest = part.information[np.ix_(keep, keep)] - taken[:, :-1].T @ into[:, :-1]
     score = part.score[keep] - taken[:, :-1].T @ into[:, -1]
-    return _Part(rest, score, part.prior[keep], part.evidence + _evidence(D, h, S)[0])
+    return _Part(rest, score, part.prior[keep], part.evidence + evidence(D, h, S)[0])
 
 
 def turned(sense: float, phase: float, harmonics: Array) -> Array:
@@ -339,7 +316,7 @@ class _Group:
         def joined(sense: float, phase: float) -> float:
             B = np.eye(len(prior))
             B[high, : self.width] = turned(sense, phase, self.harmonics)
-            return part.evidence + _evidence(B.T @ part.information @ B, B.T @ part.score, prior)[0]
+            return part.evidence + evidence(B.T @ part.information @ B, B.T @ part.score, prior)[0]
 
         mean = part.mean()
         value, sense, phase = max(

@@ -1,7 +1,7 @@
 """How effects begin that have no start from nothing.
 
 Of one that aligns another's curves, that other is fitted in its place, and its curves are aligned; of one that happens
-once, the fit without it says when.
+once, the fit without it says when; of one with amplitudes of unknown size, a first fit says which size.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from clampid.alignment import Alignment, alignment_of
 from clampid.diagnosis.events import time_of
 from clampid.effect import Effect, EffectError
+from clampid.evidence import sized
 from clampid.fit import Estimate
 from clampid.slots import Layout, Slot, Term
 
@@ -32,6 +33,8 @@ def begun(
 
     An effect that aligns another's curves and has no start value yet gets its joints, and takes the other's place
     there; joints that were not named and do not share the curve have, or keep, one of their own.
+
+    An effect with amplitudes of a size that has no value yet gets the size of the largest evidence.
 
     Parameters
     ----------
@@ -64,7 +67,24 @@ def begun(
         own = [p for p in dict.fromkeys([*apart, *places]) if p not in shared]
         terms = (*rest, *(Term(name, p) for p in shared), *(Term(effect.aligns, p) for p in own))
         start |= estimate.values() | found.values(effect)
-    return terms, start | _times(terms, effects, start, fit_terms)
+    start |= _times(terms, effects, start, fit_terms)
+    return terms, start | _sizes(terms, effects, start, fit_terms)
+
+
+def _sizes(
+    terms: Sequence[Term], effects: Mapping[str, Effect], start: Mapping[Slot, float], fit_terms: FitTerms
+) -> dict[Slot, float]:
+    """Sizes of amplitudes that have no value yet, with all amplitudes counted in them."""
+    known = {(slot.effect, slot.parameter) for slot in start}
+    names = dict.fromkeys(t.effect for t in terms)
+    unsized = [n for n in names if effects[n].sized_by is not None and (n, effects[n].sized_by) not in known]
+    if not unsized:
+        return {}
+    estimate = fit_terms(terms, start)
+    found: dict[Slot, float] = {}
+    for name in unsized:
+        found |= sized(estimate, name)
+    return found
 
 
 def _times(

@@ -21,7 +21,8 @@ from kinematics.description import RobotDescription
 __all__ = ["FAMILY", "AngleErrors", "SharedCurve", "angle_errors", "shared_curve"]
 
 FAMILY = "gear_eccentricity"
-KNOWN = 0.5  # of what was assumed before any row: an error known less well is extrapolated
+KNOWN = 0.5  # of the variance that poses take away where they tell most: where they take less, none came near
+TURN = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class AngleErrors:
         ``(N, n)``, rad: its standard error; zero where a joint has no such effect.
     assumed
         ``(N, n)``, rad: what was assumed of its size before any row was seen.
+    least
+        ``(n,)``, rad: its standard error at the angle of which poses tell most.
     active
         ``(n,)``: which joints have such an effect.
     """
@@ -43,12 +46,13 @@ class AngleErrors:
     error: Array
     std: Array
     assumed: Array
+    least: Array
     active: Bools
 
     @property
     def extrapolated(self) -> Bools:
         """Where ``(N, n)`` no pose of the fit came near: the error fades to zero there, and its band opens."""
-        return self.active & (self.std > KNOWN * self.assumed)
+        return self.active & _unvisited(self.std, self.assumed, self.least)
 
 
 def angle_errors(
@@ -69,10 +73,11 @@ def angle_errors(
     wanted = {name for name, e in effects.items() if e.family == FAMILY and set(e.needs) == {"q"}}
     chosen = [k for k, slot in enumerate(stage.slots) if slot.effect in wanted]
     slots = tuple(stage.slots[k] for k in chosen)
+    count, q = len(q), np.vstack([q, np.tile(TURN[:, None], (1, q.shape[1]))])
     error, std, assumed = np.zeros((3, *q.shape))
     active = np.zeros(q.shape[1], dtype=bool)
     if not slots:
-        return AngleErrors(error, std, assumed, active)
+        return AngleErrors(error[:count], std[:count], assumed[:count], std[0], active)
     transmission = np.asarray(robot.transmission)
     chain = build_chain("poses", slots, effects, layout, transmission, poses.link_vectors(robot))
     found = chain.evaluate(stage.theta[chosen], {"q": q})
@@ -86,7 +91,12 @@ def angle_errors(
         std[:, j] = np.sqrt(np.maximum(np.sum((slope @ covariance[np.ix_(index, index)]) * slope, axis=1), 0.0))
         assumed[:, j] = np.sqrt(np.sum((slope * prior[index]) ** 2, axis=1))
         active[j] = len(own) > 0
-    return AngleErrors(error, std, assumed, active)
+    return AngleErrors(error[:count], std[:count], assumed[:count], std[count:].min(axis=0), active)
+
+
+def _unvisited(std: Array, assumed: Array, least: Array | float) -> Bools:
+    """Where the rows took less away of what was assumed than :data:`KNOWN` of what they did where they tell most."""
+    return np.asarray(assumed**2 - std**2 < KNOWN * (assumed**2 - np.square(least)))
 
 
 def _assumed(parameter: Parameter) -> float:
@@ -106,6 +116,8 @@ class SharedCurve:
         ``(j,)``: a joint's error is ``sense g(sense q - phase)`` and what it has of its own; rad.
     angle, error, std, assumed
         ``(M,)``, rad: where on the curve, g there, its standard error, and what was assumed of its size.
+    least
+        rad: the standard error where poses tell most.
     deviation
         rad, rms over a turn: by how much the joints differ from the curve, beside once and twice per turn.
     """
@@ -118,12 +130,13 @@ class SharedCurve:
     error: Array
     std: Array
     assumed: Array
+    least: float
     deviation: float
 
     @property
     def extrapolated(self) -> Bools:
         """Where ``(M,)`` no pose of any of the joints came near."""
-        return self.std > KNOWN * self.assumed
+        return _unvisited(self.std, self.assumed, self.least)
 
     def on_curve(self, q: Array) -> Array:
         """Where joint angles ``(N, n)`` stand on the curve ``(N, j)``, rad, from 0 to 2 pi."""
@@ -142,18 +155,21 @@ def shared_curve(stage: StageModel, effects: Mapping[str, Effect], angle: Array)
     index = [k for k, s in enumerate(stage.slots) if s.effect == name and _coefficient(effect, s)]
     order = np.array([int(stage.slots[k].parameter[1:]) for k in index])
     sine = np.array([stage.slots[k].parameter.startswith("a") for k in index])
-    slope = np.where(sine, np.sin(angle[:, None] * order), np.cos(angle[:, None] * order))
+    count, turn = len(angle), np.r_[angle, TURN][:, None]
+    slope = np.where(sine, np.sin(turn * order), np.cos(turn * order))
     prior = np.array([find_parameter(stage.slots[k], effects).prior_std for k in index])
     covariance = stage.covariance[np.ix_(index, index)]
+    spread = np.sqrt(np.maximum(np.sum((slope @ covariance) * slope, axis=1), 0.0))
     return SharedCurve(
         joints=tuple(int(p.removeprefix("joint")) - 1 for p in places),
         sense=np.array([values[Slot(name, "sense", p)] for p in places]),
         phase=np.array([values[s] for s in phases]),
         phase_std=np.array([std[s] for s in phases]),
         angle=angle,
-        error=slope @ stage.theta[index],
-        std=np.sqrt(np.maximum(np.sum((slope @ covariance) * slope, axis=1), 0.0)),
-        assumed=np.sqrt(np.sum((slope * prior) ** 2, axis=1)),
+        error=slope[:count] @ stage.theta[index],
+        std=spread[:count],
+        assumed=np.sqrt(np.sum((slope[:count] * prior) ** 2, axis=1)),
+        least=float(spread[count:].min()),
         deviation=values[Slot(name, "deviation", effect.at)],
     )
 

@@ -231,6 +231,9 @@ class Effect:
     tried
         How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
         ``jointly``: at all places at once, after which each place must pay for itself.
+    sized_by
+        Its shape parameter that is the size of all its amplitudes, which are counted in it and have a prior of one.
+        Where nobody gives it, the rows do (:mod:`clampid.evidence`); a fit holds it.
     aligns
         An effect with a curve of each joint's own, of which this one says that they are one curve, turned and mirrored.
         From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.alignment`), and takes
@@ -257,6 +260,7 @@ class Effect:
     beyond: str | None = None
     tried: Literal["places", "together", "both", "jointly"] = "both"
     revealed_by: str | None = None
+    sized_by: str | None = None
     aligns: str | None = None
     event: str | None = None
     meaning: str = field(default="")

@@ -7,12 +7,13 @@ what a unit of each parameter would do to the measurement.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clampid.diagnosis.columns import Columns, Products, columns_from
 from clampid.effect import Effect, Parameter
+from clampid.evidence import SIZES
 from clampid.fit import Estimate
 from clampid.gauge import independent_geometry
 from clampid.noise import Whitened
@@ -45,6 +46,10 @@ class Candidate:
         Where it acts: ``joint3``, ``base`` …
     prior
         Standard deviations ``(k,)`` of the amplitudes, of which it has too many to be told without; else None.
+    sizes
+        What of that prior there may be, where it says no more than the largest size: a score chooses.
+    sized_by
+        Of a named effect, the shape that is this size.
     """
 
     name: str
@@ -56,6 +61,15 @@ class Candidate:
     depends_on: tuple[str, ...]
     places: tuple[str, ...]
     prior: Array | None = None
+    sizes: tuple[float, ...] = (1.0,)
+    sized_by: Slot | None = None
+
+    def of_size(self, size: float) -> Candidate:
+        """The same with a prior of that size; the columns stay as they are."""
+        if self.prior is None:
+            return self
+        shapes = {s: value * size if s == self.sized_by else value for s, value in self.shapes.items()}
+        return replace(self, prior=self.prior * size, sizes=(1.0,), shapes=shapes)
 
     @property
     def label(self) -> str:
@@ -162,6 +176,7 @@ def _candidate(
     amplitudes = tuple(s for s in members if not parameters[s].shape)
     shapes = {s: values[index[s]] for s in members if parameters[s].shape}
     assumed = all(parameters[s].spread <= 1.0 for s in amplitudes)
+    sized_by = next((s for s in shapes if s.parameter == effect.sized_by), None)
     return Candidate(
         name=effect.name,
         family=effect.family,
@@ -172,4 +187,6 @@ def _candidate(
         depends_on=(),
         places=tuple(t.place for t in group if t.place is not None),
         prior=np.array([parameters[s].prior_std for s in amplitudes]) if assumed else None,
+        sizes=(1.0,) if sized_by is None else SIZES,
+        sized_by=sized_by,
     )

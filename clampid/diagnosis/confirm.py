@@ -85,7 +85,7 @@ def held_out_p(before: Array, after: Array, unit: Integers, seed: int) -> float:
     return float((1 + np.sum(signs @ fall >= total)) / (FLIPS + 1))
 
 
-def probe_held_out_p(estimate: Estimate, verification: Rows, label: str, seed: int) -> float:
+def probe_held_out_p(estimate: Estimate, verification: Rows, probe: Candidate, seed: int) -> float:
     """One-sided p of what a pose probe, fitted along in one linear step, brings on a verification table."""
     rows = estimate.experiment.rows
     both = join_rows([rows, verification])
@@ -95,9 +95,10 @@ def probe_held_out_p(estimate: Estimate, verification: Rows, label: str, seed: i
     residual, jacobian = joined.residual(estimate.theta)
     white = noise.whiten(both, residual, jacobian)
     stand_in = replace(estimate, experiment=joined, noise=noise, residual=residual, whitened=white)
-    found = next((p for p in probes(stand_in) if p.label == label), None)
+    found = next((p for p in probes(stand_in) if p.label == probe.label), None)
     if found is None:
         return 1.0
+    found = replace(found, prior=probe.prior)
     D = found.columns.dense(len(white.residual))
     fit = white.entry < len(rows)
     J, r = white.jacobian, white.residual

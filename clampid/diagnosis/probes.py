@@ -14,6 +14,7 @@ import numpy as np
 
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns, Products, channel_starts, columns_from
+from clampid.evidence import SIZES
 from clampid.fit import Estimate
 from clampid.noise import Whitened
 from clampid.stages import poses
@@ -142,7 +143,8 @@ def _periodic(rows: Rows, white: Whitened) -> Candidate | None:
     """Errors of all joint angles, each any periodic function of its own joint, down to a few degrees' width.
 
     All joints at once: one alone would take for its own what the others leave, and find nothing clear. Their many
-    columns are told apart by the size that errors of joints have (:data:`PERIODIC_SIZE` in all, spread evenly).
+    columns are told apart by the size that they have in all, spread evenly: at most what errors of joints can amount to
+    (:data:`PERIODIC_SIZE`).
 
     Parameters
     ----------
@@ -165,6 +167,7 @@ def _periodic(rows: Rows, white: Whitened) -> Candidate | None:
         depends_on=tuple(f"q{j + 1}" for j in joints),
         places=tuple(f"joint{j + 1}" for j in joints),
         prior=np.full(columns.width, PERIODIC_SIZE / PERIODIC**0.5),
+        sizes=SIZES,
     )
 
 

@@ -24,6 +24,7 @@ from scipy.special import gammainc, gammaincc, gammaln
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
+from clampid.evidence import of_size
 from clampid.fit import Estimate
 from clampid.stages.rows import Array, Bools, Integers
 
@@ -121,7 +122,8 @@ class Scored:
         ``(f,)``: the share of each that its prior lets it take, 1 without a prior.
     cost
         What as many free directions are charged: f ln(rows), or with a prior the logarithm of how much the rows narrow
-        it (so that explained less cost is twice the logarithm of the Bayes factor).
+        it (so that explained less cost is twice the logarithm of the Bayes factor). Where the candidate's sizes are
+        open, the one with the largest factor was taken.
     explained
         Sum of squares that it explains, in units of the residual's variance.
     log_p
@@ -288,13 +290,15 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
     # Of a candidate's own columns pseudo-rows have none.
     parts[space.drawn] = -(space.told[:, None] * space.basis[space.rows :]) @ absorbed @ weights
-    kept, cost = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2)))
+    kept, cost, size = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2))), 1.0
     if c.prior is not None:
+        size = c.sizes[int(np.argmax(of_size(np.array(c.sizes), values, amplitude / space.scale)))]
+        values = size**2 * values
         kept, cost = values / (1.0 + values), float(np.sum(np.log1p(values)))
     explained = float(kept @ amplitude**2) / space.scale**2
     moments = flip_moments(parts, kept, space.scale, space.drawn)
     return Scored(
-        candidate=c,
+        candidate=c.of_size(size),
         absorbed=absorbed,
         weights=weights,
         parts=parts,
@@ -302,7 +306,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         kept=kept,
         cost=cost,
         explained=explained,
-        log_p=float(tail_of(moments, explained)),
+        log_p=min(float(tail_of(moments, explained)) + float(np.log(len(c.sizes))), 0.0),  # Bonferroni's
         bic=explained - cost,
         retained=retained,
         state="weak" if retained < WEAK else "testable",

@@ -138,4 +138,4 @@ def _something_left(look: Look, estimate: Estimate, verification: Rows | None, s
         return False
     if verification is None:
         return cross_fitted_p(estimate, look.probe, seed) <= HELD_OUT_RATE
-    return probe_held_out_p(estimate, verification, look.probe.candidate.label, seed) <= HELD_OUT_RATE
+    return probe_held_out_p(estimate, verification, look.probe.candidate, seed) <= HELD_OUT_RATE

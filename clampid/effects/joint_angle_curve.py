@@ -1,7 +1,8 @@
 """Angle error periodic in a joint's revolution, of any shape: what an encoder's disc or a wheel's teeth leave.
 
 A joint's own curve, in as many harmonics as such a shape needs. Between poses and beyond the angles that any pose
-visited nothing is known but its size: there it fades to zero within a few degrees, and its band opens to that size.
+visited nothing is known but its size, which is that of the other joints and angles: there it fades to zero within a few
+degrees, and its band opens to that size.
 """
 
 from __future__ import annotations
@@ -19,39 +20,46 @@ FADING = tuple(1.0 - (k / (HARMONICS + 1)) ** 2 for k in range(1, HARMONICS + 1)
 would ring on through all those where no pose was."""
 
 ERROR = 3e-4
-"""rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the rms of the whole curve."""
+"""rad: transmission and encoder errors are of 10 to 60 arc seconds, 5e-5 to 3e-4; here the largest rms of a curve."""
 
 
 def error(p: Any, x: Any) -> Any:
-    """Dq = sum over k of a_k sin kq + b_k cos kq."""
+    """Dq = r times the sum over k of a_k sin kq + b_k cos kq."""
     total = 0.0
     for k in range(1, HARMONICS + 1):
         total = total + getattr(p, f"a{k}") * sin(k * x.q) + getattr(p, f"b{k}") * cos(k * x.q)
-    return total
+    return p.rms * total
 
 
 EFFECT = Effect(
     name="joint_angle_curve",
     family="gear_eccentricity",
     acts={"joint_angle": error},
-    parameters=tuple(
+    parameters=(
         Parameter(
-            f"{a}{k}",
-            "rad",
-            ERROR * FADING[k - 1] / sum(share**2 for share in FADING) ** 0.5,  # a sine's mean square is a half
-            "joint",
-            (-0.05, 0.05),
-            f"{f} part, {k} per revolution of the joint",
-            spread=1.0,
-        )
-        for k in range(1, HARMONICS + 1)
-        for a, f in (("a", "sine"), ("b", "cosine"))
+            "rms", "rad", ERROR, bounds=(0.0, 0.05), meaning="what the curves amount to, rms over a turn",
+            shape=True, grid=(ERROR,), held="everywhere",
+        ),
+        *(
+            Parameter(
+                f"{a}{k}",
+                "",
+                FADING[k - 1] / sum(share**2 for share in FADING) ** 0.5,  # a sine's mean square is a half
+                "joint",
+                (-50.0, 50.0),
+                f"{f} part in units of rms, {k} per revolution of the joint",
+                spread=1.0,
+            )
+            for k in range(1, HARMONICS + 1)
+            for a, f in (("a", "sine"), ("b", "cosine"))
+        ),
     ),
     needs=("q",),
     stages=("poses",),
-    equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1 ... 48, in all about 0.3 mrad",
+    equation="dq = r sum_k a_k sin k q + b_k cos k q, k = 1 ... 48, r of at most about 0.3 mrad",
     source=("UniversalModel", "Landgraf2021"),
+    sized_by="rms",
     tried="jointly",
     revealed_by="joint_angle_periodic",
     meaning="periodic in the joint's angle, of any shape",
-)
+)  # fmt: skip
