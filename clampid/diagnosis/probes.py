@@ -24,6 +24,7 @@ __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 
 Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
 HARMONICS = 3
+OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth and cables come several times a turn
 PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
 PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
 JOINT_ANGLE_PERIODIC = "joint_angle_periodic"
@@ -208,7 +209,7 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
         ]
         for k in range(n):
             if k != i:
-                own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], 1)))
+                own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], OTHERS)))
                 own.append((f"motion of motor {k + 1}", (f"qd{k + 1}",), s["motor_motion"][:, k, None]))
         out.append(own)
     return out
