@@ -24,8 +24,7 @@ from clampid.identify import (
     stages_of,
     verification_rows,
 )
-from clampid.layout import layout_of
-from clampid.model import Model, ModelError, Round, StageModel
+from clampid.model import Model, Round, StageModel
 from clampid.omission import exported_shift
 from clampid.reopen import reopen
 from clampid.slots import Layout, Term, find_parameter, parse_term
@@ -33,7 +32,7 @@ from clampid.stages.rows import Array
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
-__all__ = ["Addition", "add", "carried"]
+__all__ = ["Addition", "add"]
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,8 @@ def add(
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)
-    layout, stages, base = carried(model, several, chosen)
+    opened = reopen(model, several, chosen)
+    layout, stages, base = opened.layout, opened.stages, opened.base
     here = [s for s in stages_of(several) if s in stages]
     wanted = _parse(terms, effects, layout, here)
     mended, ledger = dict(stages), list(model.ledger)
@@ -164,22 +164,6 @@ def add(
         shift = exported_shift(without, result, several[0].robot)
         found["poses"] = replace(found["poses"], shift=tuple(shift))
     return result, Addition(found)
-
-
-def carried(
-    model: Model, campaigns: Sequence[Campaign], user_effects: Path | None
-) -> tuple[Layout, Mapping[Stage, StageModel], Mapping[int, Array] | None]:
-    """The model's stages in the campaigns' layout, and where the instruments see the base."""
-    if len(campaigns) == 1:
-        opened = reopen(model, campaigns[0], user_effects)
-        return opened.layout, opened.stages, opened.base
-    layout = layout_of(campaigns)
-    prints = tuple(c.fingerprint for c in campaigns)
-    if layout != model.layout or prints != tuple(s.fingerprint for s in model.sessions):
-        names = ", ".join(s.name for s in model.sessions)
-        raise ModelError(f"expected the campaigns that the model was fitted on, in their order ({names}), found others")
-    base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
-    return layout, model.stages, base or None
 
 
 def _parse(

@@ -9,7 +9,7 @@ from clampid.add import add
 from clampid.diagnose import Diagnosis, diagnose
 from clampid.effect import Stage
 from clampid.identify import identify
-from clampid.model import Model, ModelError
+from clampid.model import Model
 from experiments.campaign import Campaign
 
 __all__ = ["auto"]
@@ -33,19 +33,12 @@ def auto(
     -------
     model, diagnosis
         The mended model with its ledger, and what was found.
-
-    Raises
-    ------
-    ModelError
-        Several campaigns are given: diagnosis takes one.
     """
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
-    if len(several) != 1:
-        raise ModelError(f"auto takes one campaign, found {len(several)}; diagnose the sessions one by one")
     progress("identifying the start model")
     model = identify(several, effects, seed=seed, user_effects=user_effects)
     progress("diagnosing")
-    found = diagnose(model, several[0], seed=seed, user_effects=user_effects)
+    found = diagnose(model, several, seed=seed, user_effects=user_effects)
     for stage, part in found.stages.items():
         progress(f"{stage}: {part.summary}")
         terms = [f"{stage}={term.label}" for term in part.added]

@@ -224,7 +224,7 @@ def _sent(opened: Reopened, rows: Rows, shift: Array) -> Rows:
     names = [f"q{i + 1}_rad" for i in range(rows.robot.n)]
     table[names] = table[names].to_numpy(float) + shift
     campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
-    return replace(opened, campaign=campaign, base={0: rows.constants["base_reference"][0]}).rows("poses")
+    return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]}).rows("poses")
 
 
 def _values(trial: Experiment, opened: Reopened) -> Array:

@@ -56,38 +56,41 @@ class Diagnosis:
 @single_threaded
 def diagnose(
     model: Model,
-    campaign: Campaign,
+    campaigns: Campaign | Sequence[Campaign],
     *,
     seed: int = 0,
     flips: int = 199,
     user_effects: Path | None = None,
     stages: Sequence[Stage] | None = None,
 ) -> Diagnosis:
-    """Find out where a model fails on a campaign and which effect is missing.
+    """Find out where a model fails on a campaign, or on several at once, and which effect is missing.
 
-    The model's active effects are fitted to the campaign first, from the model's values, so that what they could still
+    The model's active effects are fitted to the campaigns first, from the model's values, so that what they could still
     absorb is not taken for evidence.
 
     Parameters
     ----------
+    campaigns
+        One, or all that the model was fitted on, as sessions of one robot.
     flips
         Sign flips that decide: p_familywise is at least 1/(flips + 1).
     stages
-        Those to diagnose; by default all that the campaign has tables for.
+        Those to diagnose; by default all that the campaigns have tables for.
 
     Raises
     ------
     ModelError
-        The model does not fit the campaign.
+        The model does not fit the campaigns.
     """
-    opened = reopen(model, campaign, user_effects)
+    opened = reopen(model, campaigns, user_effects)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in opened.stages:
         wanted = stages is None or stage in stages
-        if wanted and any(t in campaign.tables for t in TABLES_OF[stage]):
+        if wanted and opened.has(TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
-    compensation = compensation_of(opened)
+    alone = (reopen(model, c, user_effects) for c in opened.campaigns)  # each has a controller's setting of its own
+    compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
     if compensation is not None and "poses" in found:
         found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()
     return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
@@ -109,7 +112,7 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
 
         return next_poses(opened.campaign, estimate, rivals, scale, seed)
 
-    asked = propose if stage == "poses" else None
+    asked = propose if stage == "poses" and len(opened.campaigns) == 1 else None
     found = diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips, asked)
     if stage == "poses" and found.added and found.fitted is not None:
         ends = [_alone(opened, end) for end in (fitted, found.fitted)]
@@ -119,9 +122,9 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
 
 
 def _alone(opened: Reopened, poses: FittedStage) -> Model:
-    """A model of the poses of this campaign alone."""
-    session = session_of(opened.campaign, poses.base_reference[0])
-    return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=(session,))
+    """A model of the poses of these campaigns alone."""
+    sessions = tuple(session_of(c, poses.base_reference.get(s)) for s, c in enumerate(opened.campaigns))
+    return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=sessions)
 
 
 def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
@@ -131,7 +134,7 @@ def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
     that these did not call for: a spring on a joint bends the arm just as an eccentric gear does.
     """
     effects = dict(opened.effects)
-    if stage != "poses" or not any(t in opened.campaign.tables for t in TABLES_OF["free_air"]):
+    if stage != "poses" or not opened.has(TABLES_OF["free_air"]):
         return effects
     known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}
     return {

@@ -1,8 +1,8 @@
-"""A model on a campaign: its slots carried to the campaign's own targets and session, and fitted again where asked."""
+"""A model on a campaign, or all it was fitted on: its slots carried to their layout, and fitted again where asked."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,32 +25,41 @@ __all__ = ["Reopened", "reopen"]
 
 @dataclass(frozen=True)
 class Reopened:
-    """A model's stages on one campaign.
+    """A model's stages on one campaign, or on several, which then are all that it was fitted on.
 
     Attributes
     ----------
     session
-        Index of the campaign among those the model was fitted on, or None.
+        Index of the one campaign among those the model was fitted on, or None.
     stages
-        The model's stages that the campaign has tables for, slots renamed to the campaign's own layout.
+        The model's stages that the campaigns have tables for, slots renamed to the one campaign's own layout.
     base
-        Session (0) → where the instrument sees the base; None where the campaign must say itself.
+        Session → where the instrument sees the base; None where the campaign must say itself.
     """
 
     model: Model
-    campaign: Campaign
+    campaigns: tuple[Campaign, ...]
     effects: Mapping[str, Effect]
     layout: Layout
     session: int | None
     stages: Mapping[Stage, StageModel]
     base: Mapping[int, Array] | None
 
+    @property
+    def campaign(self) -> Campaign:
+        """The one, or the first of several."""
+        return self.campaigns[0]
+
+    def has(self, tables: Collection[str]) -> bool:
+        """Whether any campaign has one of some tables."""
+        return any(table in c.tables for c in self.campaigns for table in tables)
+
     def rows(self, stage: Stage) -> Rows:
         """The rows of a stage."""
         terms = self.stages[stage].terms
         moves = has_inertia(terms, self.effects)
         return stage_rows(
-            [self.campaign],
+            self.campaigns,
             self.layout,
             stage,
             self.base,
@@ -60,19 +69,21 @@ class Reopened:
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
         """The rows of the table verification, if there is one."""
-        if "verification" not in self.campaign.tables or "poses" not in self.stages:
+        if not self.has(("verification",)) or "poses" not in self.stages:
             return None
-        return pose_rows([self.campaign], self.layout, "verification", base or self.base)
+        return pose_rows(self.campaigns, self.layout, "verification", base or self.base)
 
     def held(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
-        """The folds of this campaign that no fit has seen."""
+        """The folds ``(campaigns, folds)`` that no fit has seen."""
         kept = self.stages[stage].held_out
+        if len(self.campaigns) > 1:
+            return kept
         if self.session is None or not kept:
             return ()
         return (kept[self.session],) if len(kept) > self.session else ()
 
     def refit(self, stage: Stage, rows: Rows | None = None) -> FittedStage:
-        """Fit the stage's active effects to this campaign (or its rows already read), from the model's values."""
+        """Fit the stage's active effects to the campaigns (or their rows already read), from the model's values."""
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
         rows = self.rows(stage) if rows is None else rows
@@ -80,19 +91,27 @@ class Reopened:
         return fit_stage(rows, self.effects, model.terms, before, start, held, model.told)
 
 
-def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -> Reopened:
-    """Carry a model to a campaign.
+def reopen(model: Model, campaigns: Campaign | Sequence[Campaign], user_effects: Path | None = None) -> Reopened:
+    """Carry a model to a campaign, or to all that it was fitted on, in their order.
 
     Raises
     ------
     ModelError
         The model is of another robot, has effects that are not known here, or no stage that the campaign has tables
-        for.
+        for; or several campaigns are not those of the model.
     """
-    if campaign.robot.name != model.robot:
-        raise ModelError(
-            f"the model is of the robot {model.robot}, the campaign {campaign.name} of {campaign.robot.name}"
-        )
+    several = (campaigns,) if isinstance(campaigns, Campaign) else tuple(campaigns)
+    for campaign in several:
+        if campaign.robot.name != model.robot:
+            raise ModelError(
+                f"the model is of the robot {model.robot}, the campaign {campaign.name} of {campaign.robot.name}"
+            )
+    effects = _effects_of(model, user_effects)
+    return _on_one(model, several[0], effects) if len(several) == 1 else _on_all(model, several, effects)
+
+
+def _effects_of(model: Model, user_effects: Path | None) -> Mapping[str, Effect]:
+    """The catalogue with the user's own, those of the model among them."""
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)
     for stage in model.stages.values():
@@ -102,6 +121,22 @@ def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -
                     f"the model has an effect {slot.effect!r} that is not known; if it is your own, give its file with "
                     "--effects-from"
                 )
+    return effects
+
+
+def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str, Effect]) -> Reopened:
+    """The campaigns that the model was fitted on."""
+    layout = layout_of(campaigns)
+    prints = tuple(c.fingerprint for c in campaigns)
+    if layout != model.layout or prints != tuple(s.fingerprint for s in model.sessions):
+        names = ", ".join(s.name for s in model.sessions)
+        raise ModelError(f"expected the campaigns that the model was fitted on, in their order ({names}), found others")
+    base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
+    return Reopened(model, campaigns, effects, layout, None, model.stages, base or None)
+
+
+def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> Reopened:
+    """One campaign, of the model's or a new one."""
     prints = [s.fingerprint for s in model.sessions]
     session = prints.index(campaign.fingerprint) if campaign.fingerprint in prints else None
     here = [s for s in stages_of([campaign]) if s in model.stages]
@@ -120,7 +155,7 @@ def reopen(model: Model, campaign: Campaign, user_effects: Path | None = None) -
     reference = model.sessions[session or 0].base_reference if model.sessions else None
     if reference is not None and session is not None:
         base = {0: reference}
-    return Reopened(model, campaign, effects, layout, session, stages, base)
+    return Reopened(model, (campaign,), effects, layout, session, stages, base)
 
 
 def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> StageModel:

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from clampid.add import carried
 from clampid.catalogue import catalogue, with_user_effects
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import fit_stage
 from clampid.identify import has_inertia, stage_rows
 from clampid.model import Model, ModelError, Round, StageModel
+from clampid.reopen import reopen
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -47,7 +47,8 @@ def undo(
     last = model.ledger[-1]
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)
-    layout, stages, base = carried(model, several, chosen)
+    opened = reopen(model, several, chosen)
+    layout, stages, base = opened.layout, opened.stages, opened.base
     mended: dict[Stage, StageModel] = dict(stages)
     again: list[Stage] = [last.stage]
     if last.stage != "poses" and "poses" in mended:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from clampid.verbs.inputs import read_checked
-from clampid.verbs.options import EffectsFrom, Json, ModelFile, OneCampaign, Quiet, Seed
+from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ __all__ = ["diagnose"]
 
 def diagnose(
     model: ModelFile,
-    campaign: OneCampaign,
+    campaigns: Campaigns,
     flips: Annotated[int, typer.Option(min=19, help="Sign flips that decide; p is at least 1/(flips + 1).")] = 199,
     seed: Seed = 0,
     plan: Annotated[
@@ -45,13 +45,13 @@ def diagnose(
     target = None if plan is None else output_file(plan)
     loaded = load_model(model)
     with out.working("reading"):
-        (read,) = read_checked([campaign], out)
+        read = read_checked(campaigns, out)
     with out.working("diagnosing"):
         found = look_for_missing(loaded, read, seed=seed, flips=flips, user_effects=effects_from)
     data = found.to_json()
     show_diagnosis(data, out)
     if target is not None:
-        _write_plan(found, read, target, out)
+        _write_plan(found, read[0], target, out)
     out.result(data)
 
 
