@@ -34,8 +34,8 @@ Array = npt.NDArray[np.float64]
 BLOCK = 256  # rows evaluated at once
 # Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
 OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
-SCALAR_OPTIONS = ("-std=c99",)
-LANES_OPTIONS = ("-std=gnu99", "-march=native", "-Wno-psabi")
+PLAIN = ("-std=c99",)
+NATIVE = ("-std=gnu99", "-march=native", "-Wno-psabi")  # for this processor; not every compiler knows what that is
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
 _log = logging.getLogger(__name__)
@@ -95,7 +95,7 @@ def compile_rows(function: Any) -> Blocks | Lanes:
         A dense ``casadi.Function`` of two inputs, without calls to anything that has no C source.
     """
     source = lanes_source(function)
-    library = None if source is None else _library(function.name(), source, (*LANES_OPTIONS, *OPTIONS), _processor())
+    library = None if source is None else _library(function.name(), source, (*NATIVE, *OPTIONS), _processor())
     if library is not None:
         try:
             return Lanes(function, library)
@@ -117,12 +117,15 @@ def compile_function(function: Any) -> Any:
     name = function.name()
     generator = ca.CodeGenerator(name)
     generator.add(function)
-    library = _library(name, generator.dump(), (*SCALAR_OPTIONS, *OPTIONS), ca.CasadiMeta.version())
-    try:
-        return function if library is None else ca.external(name, str(library))
-    except RuntimeError as error:
-        _log.info("%s runs uncompiled: %s", name, error)
-        return function
+    source = generator.dump()
+    for options, machine in ((NATIVE, _processor()), (PLAIN, "")):
+        library = _library(name, source, (*options, *OPTIONS), f"{ca.CasadiMeta.version()} {machine}")
+        try:
+            if library is not None:
+                return ca.external(name, str(library))
+        except RuntimeError as error:
+            _log.info("%s runs uncompiled: %s", name, error)
+    return function
 
 
 def _library(name: str, source: str, options: Sequence[str], machine: str) -> Path | None:

@@ -29,6 +29,17 @@ _ARITHMETIC = {
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "{0} + {0}",
     ca.OP_INV: "1.0 / {0}",
+    ca.OP_LT: "TRUTH({0} < {1})",
+    ca.OP_LE: "TRUTH({0} <= {1})",
+    ca.OP_EQ: "TRUTH({0} == {1})",
+    ca.OP_NE: "TRUTH({0} != {1})",
+    ca.OP_NOT: "TRUTH({0} == zero)",
+    ca.OP_AND: "TRUTH(({0} != zero) & ({1} != zero))",
+    ca.OP_OR: "TRUTH(({0} != zero) | ({1} != zero))",
+    ca.OP_IF_ELSE_ZERO: "(lanes)((bits)({0} != zero) & (bits){1})",
+    ca.OP_SIGN: "EITHER({0} == {0}, TRUTH({0} > zero) - TRUTH({0} < zero), {0})",
+    ca.OP_FMIN: "EITHER(({0} < {1}) | ({1} != {1}), {0}, {1})",
+    ca.OP_FMAX: "EITHER(({0} > {1}) | ({1} != {1}), {0}, {1})",
 }
 _FUNCTIONS = {
     ca.OP_SIN: "sin",
@@ -40,12 +51,21 @@ _FUNCTIONS = {
     ca.OP_FABS: "fabs",
     ca.OP_TANH: "tanh",
     ca.OP_ATAN: "atan",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
 }
+_FUNCTIONS_OF_TWO = {ca.OP_ATAN2: "atan2"}
 _HEAD = """#include <math.h>
 typedef double lanes __attribute__((vector_size(8 * sizeof(double))));
+typedef long long bits __attribute__((vector_size(8 * sizeof(long long))));
+#define TRUTH(c) ((lanes)((bits)(c) & (bits)one))
+#define EITHER(c, a, b) ((lanes)(((bits)(c) & (bits)(a)) | (~(bits)(c) & (bits)(b))))
 #define BY_LANE(f) \\
   static inline __attribute__((always_inline)) void lanes_##f(lanes *y, const lanes *x) \\
   { for (int k = 0; k < 8; ++k) (*y)[k] = f((*x)[k]); }
+#define BY_LANE_OF_TWO(f) \\
+  static inline __attribute__((always_inline)) void lanes_##f(lanes *y, const lanes *a, const lanes *b) \\
+  { for (int k = 0; k < 8; ++k) (*y)[k] = f((*a)[k], (*b)[k]); }
 """
 
 
@@ -115,6 +135,9 @@ def lanes_source(function: Any) -> str | None:
         elif kind in _FUNCTIONS:
             called.add(_FUNCTIONS[kind])
             lines.append(f"lanes_{_FUNCTIONS[kind]}(&{target}, &{names[0]});")
+        elif kind in _FUNCTIONS_OF_TWO:
+            called.add(_FUNCTIONS_OF_TWO[kind])
+            lines.append(f"lanes_{_FUNCTIONS_OF_TWO[kind]}(&{target}, &{names[0]}, &{names[1]});")
         else:
             return None
     return _wrapped(function, lines, sorted(called), sorted(work))
@@ -124,10 +147,10 @@ def _wrapped(function: Any, lines: list[str], called: list[str], work: list[int]
     """The lines of one block of rows within the loop over blocks; a last block repeats its last row."""
     width, results = function.nnz_in(1), [function.nnz_out(i) for i in range(function.n_out())]
     out = [
-        _HEAD + "".join(f"BY_LANE({name})\n" for name in called),
+        _HEAD + "".join(f"BY_LANE{'_OF_TWO' * (name in _FUNCTIONS_OF_TWO.values())}({name})\n" for name in called),
         f"void {function.name()}(long count, const double *theta, const double *rows, double *const *results)",
         "{",
-        "  const lanes zero = {0.0};",
+        "  const lanes zero = {0.0}, one = zero + 1.0;",
         f"  lanes from[{max(width, 1)}];",
         *(f"  lanes to{i}[{max(size, 1)}];" for i, size in enumerate(results)),
         "  for (long first = 0; first < count; first += 8) {",

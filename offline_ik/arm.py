@@ -37,6 +37,7 @@ Array = npt.NDArray[np.float64]
 
 REFERENCE_TEMPERATURE = 20.0  # °C, from which the models count
 DEFAULT_RATED = 100.0  # Nm, as the pose rows have it where a description says nothing
+UNPRESSED = 1e-9  # of the rated torque: rounding of what is zero, on a joint across which no weight acts
 _AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
@@ -185,6 +186,7 @@ class IdentifiedArm:
             return function.call([at, *(signals[name] for name in row.flats)])[0], None
         signals["flank"] = ca.SX.zeros(self.n)
         pressing = function.call([at, *(signals[name] for name in row.flats)])[1]  # does not depend on the flank
+        pressing = pressing * (ca.fabs(pressing) > ca.DM(UNPRESSED * self._rated))
         signals["flank"] = ca.sign(pressing)
         return function.call([at, *(signals[name] for name in row.flats)])[0], pressing
 

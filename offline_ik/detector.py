@@ -24,7 +24,8 @@ from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
 from offline_ik.errors import DetectorError, TargetError
-from offline_ik.kernels import Kernel, locate_kernel
+from offline_ik.kernel import Kernel
+from offline_ik.kernels import locate_kernel
 from offline_ik.mount import identified_mount
 from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
 from offline_ik.reach import nearest_reachable

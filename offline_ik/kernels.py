@@ -12,66 +12,23 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.compiled import Blocks, compile_function
 from offline_ik.arm import IdentifiedArm
 from offline_ik.coordinates import Convention, pose_sx
+from offline_ik.iterations import CHORDS, CONVERGED, damped, newton, whole_jacobian
+from offline_ik.kernel import Kernel
 from offline_ik.ortho import OrthoArm, branches_sx, posture_sx, wrapped
 
 __all__ = [
-    "CONVERGED",
-    "Kernel",
     "branch_kernel",
     "forward_kernel",
     "locate_kernel",
+    "refine_kernel",
     "sensitivity_kernel",
     "solve_kernel",
+    "whole_kernel",
 ]
 
 Array = npt.NDArray[np.float64]
-
-FEW = 64  # rows; fewer are not worth a block
-FRESH = 2  # steps with a Jacobian of their own
-CHORDS = 2  # steps that use the last one again: each gains three digits, as any that leaves the loads' change out
-CONVERGED = 1e-9  # m and rad: what counts as reaching a pose
-DAMPING = 1e-12  # of J'J, whose entries are of the order of one: keeps a singular step finite, leaves any other alone
-
-
-class Kernel:
-    """A function of one row, for single rows and for blocks of them.
-
-    Parameters
-    ----------
-    function
-        A ``casadi.Function`` of a single vector, compiled where a compiler is found.
-    """
-
-    def __init__(self, function: Any) -> None:
-        symbols = ca.SX.sym("row", function.nnz_in(0))
-        outer = ca.Function(function.name(), [ca.SX(0, 1), symbols], function.call([symbols]))
-        self.function = compile_function(outer)
-        self._blocks: Blocks | None = None
-        self.row = np.zeros(function.nnz_in(0))
-        self.out = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        self._buffer, self.trigger = self.function.buffer()
-        self._buffer.set_arg(1, self.row.data)
-        for i, array in enumerate(self.out):
-            self._buffer.set_res(i, array.data)
-
-    def one(self, row: Array) -> list[Array]:
-        """The outputs of one row; they are overwritten by the next call."""
-        self.row[:] = row
-        self.trigger()
-        return self.out
-
-    def many(self, *columns: Array) -> list[Array]:
-        """The outputs of rows whose columns come in blocks ``(N, k)`` one beside the other."""
-        if len(columns[0]) < FEW:
-            rows = np.concatenate(columns, axis=1)
-            found = [[out.copy() for out in self.one(row)] for row in rows]
-            return [np.array([f[i] for f in found]).reshape(len(rows), len(o)) for i, o in enumerate(self.out)]
-        if self._blocks is None:
-            self._blocks = Blocks(self.function)
-        return self._blocks(np.zeros(0), *columns)
 
 
 def branch_kernel(ortho: OrthoArm) -> Kernel:
@@ -90,7 +47,7 @@ def forward_kernel(arm: IdentifiedArm, mount: Array) -> Kernel:
     return Kernel(ca.Function("forward", [row], ca.cse([position, ca.vec(rotation.T), ca.vec(jacobian.T), presses])))
 
 
-def solve_kernel(arm: IdentifiedArm, ortho: OrthoArm | None, mount: Array, chords: int = CHORDS) -> Kernel:
+def solve_kernel(arm: IdentifiedArm, ortho: OrthoArm | None, mount: Array) -> Kernel:
     """One calibrated solution: from the analytic posture of a branch (or from a given one) by Newton's method.
 
     Rows are (rotation by rows, position) of the detector as wanted in the calibrated base's frame, near ``(n,)``,
@@ -108,23 +65,29 @@ def solve_kernel(arm: IdentifiedArm, ortho: OrthoArm | None, mount: Array, chord
         chain, _ = posture_sx(ortho, unmounted, p - unmounted @ ca.DM(mount[:3, 3]), chain_q4, signs)
         chain = ca.DM(linkage) @ q + wrapped(chain - ca.DM(linkage) @ q)
         q = ca.DM(np.linalg.inv(linkage)) @ chain
-    return Kernel(ca.Function("solve", [row], ca.cse(list(_iterated(arm, mount, q, R, p, conditions, chords)))))
+    return Kernel(ca.Function("solve", [row], ca.cse(list(newton(arm, mount, q, R, p, conditions, CHORDS)))))
 
 
-def _iterated(
-    arm: IdentifiedArm, mount: Array, q: Any, R: Any, p: Any, conditions: Any, chords: int
-) -> tuple[Any, Any, Any]:
-    """Newton's method and chords from ``q``: the end, its error, and what presses there."""
-    evaluate = _evaluation(arm, mount)
-    factor, J = None, ca.SX(0, 0)
-    for k in range(FRESH + chords):
-        error, jacobian, _ = evaluate(q, R, p, conditions)
-        if k < FRESH:
-            J = jacobian
-            factor = _cholesky(J.T @ J + DAMPING * ca.SX.eye(arm.n))
-        q = q + _solve(factor, J.T @ error)
-    error, _, pressing = evaluate(q, R, p, conditions)
-    return q, error, pressing
+def whole_kernel(arm: IdentifiedArm, mount: Array) -> Kernel:
+    """Rows (rotation by rows, position, q, conditions) to the outputs of :func:`whole_jacobian`, J by rows."""
+    n = arm.n
+    row = ca.SX.sym("row", 12 + n + 3 * n + 1)
+    given = ca.vertcat(row[:12], row[12 + n :])
+    error, J, presses = whole_jacobian(arm, mount).call([row[12 : 12 + n], given], True, False)
+    return Kernel(ca.Function("whole", [row], [error, ca.vec(J.T), presses]))
+
+
+def refine_kernel(arm: IdentifiedArm, mount: Array, steps: int) -> Kernel:
+    """Steps of Levenberg and Marquardt's method from a given posture; rows that are done stay where they are.
+
+    Rows are (rotation by rows, position) of the detector as wanted in the calibrated base's frame, q ``(n,)``,
+    (damping, growth), conditions. Outputs are those of :func:`solve_kernel`, and (damping, growth) to go on with.
+    """
+    n = arm.n
+    row = ca.MX.sym("row", 12 + n + 2 + 3 * n + 1)
+    given = ca.vertcat(row[:12], row[14 + n :])
+    outputs = damped(arm, mount, steps).call([row[12 : 12 + n], row[12 + n : 14 + n], given])
+    return Kernel(ca.Function("refine", [row], outputs))
 
 
 def sensitivity_kernel(arm: IdentifiedArm, mount: Array) -> Kernel:
@@ -198,7 +161,7 @@ def locate_kernel(
     start, told = _nearest(ortho, mount, np.asarray(arm.robot.linkage), R, p, near, lower, upper)
     direction = ca.if_else(moved > 0.5, ca.sign(start - near), conditions[:n])
     given = ca.vertcat(direction, conditions[n:])
-    q, error = _iterated(arm, mount, start, R, p, given, CHORDS + 1)[:2]
+    q, error = newton(arm, mount, start, R, p, given, CHORDS + 1)[:2]
     motor = ca.DM(np.linalg.inv(np.asarray(arm.robot.transmission)).T) @ q
     # The derivatives as a function of their own: what they need of the posture is its end, not how it was found.
     at, there = ca.SX.sym("q", n), ca.SX.sym("c", 3 * n + 1)
@@ -258,51 +221,3 @@ def _turned_within(q: Any, near: Any, lower: Array, upper: Array) -> tuple[Any, 
 
 def _rest(row: Any, n: int) -> tuple[Any, Any]:
     return row[12 + n : 15 + n], row[15 + n :]
-
-
-def _evaluation(arm: IdentifiedArm, mount: Array) -> Any:
-    """What is left to the wanted pose, its Jacobian, and what presses, as a function of expressions."""
-    n = arm.n
-    q, R, p, conditions = (ca.SX.sym("q", n), ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("c", 3 * n + 1))
-    position, rotation, J, pressing = arm.expression(q, conditions, mount)
-    error = ca.vertcat(p - position, _turned(R, rotation))
-    presses = ca.SX.ones(n) if pressing is None else pressing
-    function = ca.Function("evaluation", [q, R, p, conditions], [error, J, presses])
-    return lambda *x: function.call(list(x), True, False)
-
-
-def _turned(wanted: Any, now: Any) -> Any:
-    """Rotation vector from ``now`` to ``wanted``, exact to the third order."""
-    E = wanted @ now.T
-    return 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
-
-
-def _cholesky(A: Any) -> Any:
-    """Factor of a positive definite matrix, without branches: rows of L, and the inverse of its diagonal."""
-    n = A.shape[0]
-    L = [[ca.SX(0)] * n for _ in range(n)]
-    inverse = []
-    for j in range(n):
-        d = A[j, j]
-        for k in range(j):
-            d = d - L[j][k] * L[j][k]
-        inverse.append(1 / ca.sqrt(ca.fmax(d, 1e-30)))
-        for i in range(j + 1, n):
-            s = A[i, j]
-            for k in range(j):
-                s = s - L[i][k] * L[j][k]
-            L[i][j] = s * inverse[j]
-    return L, inverse
-
-
-def _solve(factor: Any, b: Any) -> Any:
-    """X with L L' x = b."""
-    L, inverse = factor
-    n = len(inverse)
-    y: list[Any] = []
-    for i in range(n):
-        y.append((b[i] - sum((L[i][k] * y[k] for k in range(i)), ca.SX(0))) * inverse[i])
-    x: list[Any] = [ca.SX(0)] * n
-    for i in reversed(range(n)):
-        x[i] = (y[i] - sum((L[k][i] * x[k] for k in range(i + 1, n)), ca.SX(0))) * inverse[i]
-    return ca.vertcat(*x)

@@ -64,7 +64,9 @@ def every_operation() -> ca.Function:
     theta, row = ca.SX.sym("theta", 1), ca.SX.sym("row", 3)
     a, b, c = row[0], row[1], row[2]
     parts = (a + b, a - b, a * b, a / c, -a, a**2, 2 * a, 1 / c, ca.sin(a), ca.cos(a), ca.tan(a), ca.exp(a), ca.log(c),
-             ca.sqrt(c), ca.fabs(a), ca.tanh(a), ca.atan(a), theta * a, 0.1 + c, b)  # fmt: skip
+             ca.sqrt(c), ca.fabs(a), ca.tanh(a), ca.atan(a), theta * a, 0.1 + c, b, ca.atan2(a, b), ca.floor(3 * a),
+             ca.ceil(3 * a), ca.sign(a), ca.fmin(a, b), ca.fmax(a, b), ca.if_else(a < b, a, c), a <= b, ca.eq(a, a),
+             ca.ne(a, b), ca.logic_and(a < b, c < 1), ca.logic_or(a < b, c < 1), ca.logic_not(a < b))  # fmt: skip
     return ca.Function("every", [theta, row], [ca.vertcat(*parts), ca.vertcat(a * c, 7.0)])
 
 
@@ -79,12 +81,26 @@ def test_eight_rows_at_once_give_the_numbers_of_each(cache: Path, count: int):
         np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-14)
 
 
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+def test_eight_rows_at_once_treat_what_is_no_number_as_one_row_does(cache: Path):
+    """fmin and fmax leave it out, a comparison with it is false, and what is not chosen does not spoil the sum."""
+    theta, row = ca.SX.sym("theta", 0), ca.SX.sym("row", 2)
+    a, b = row[0], row[1]
+    parts = (ca.fmin(a, b), ca.fmax(a, b), a < b, ca.logic_not(a < b), ca.if_else(b > 0, a, b), ca.sign(a), ca.floor(a))
+    f = ca.Function("edges", [theta, row], [ca.vertcat(*parts)])
+    edges = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 1.0, -1.5])
+    rows = np.array(np.meshgrid(edges, edges)).reshape(2, -1).T.copy()
+    fast = compile_rows(f)
+    assert isinstance(fast, Lanes)
+    np.testing.assert_array_equal(fast(np.zeros(0), rows)[0], Blocks(f)(np.zeros(0), rows)[0])
+
+
 def test_what_cannot_be_done_by_eights_is_done_one_by_one(cache: Path):
     theta, row = ca.SX.sym("theta", 0), ca.SX.sym("row", 2)
-    f = ca.Function("one", [theta, row], [ca.if_else(row[0] > 0, row[1], -row[1])])
+    f = ca.Function("one", [theta, row], [ca.sinh(row[0]) + row[1]])
     assert lanes_source(f) is None
     rows = np.array([[1.0, 2.0], [-1.0, 2.0]])
-    np.testing.assert_allclose(compile_rows(f)(np.zeros(0), rows)[0][:, 0], [2.0, -2.0])
+    np.testing.assert_allclose(compile_rows(f)(np.zeros(0), rows)[0][:, 0], np.sinh(rows[:, 0]) + 2.0)
 
 
 def test_columns_that_do_not_fit_are_refused(cache: Path):

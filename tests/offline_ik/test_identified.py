@@ -14,7 +14,7 @@ from ik_general import general
 from clampid.catalogue import catalogue
 from kinematics.description import load_robot
 from kinematics.poe import forward
-from offline_ik.arm import nominal_arm
+from offline_ik.arm import Conditions, nominal_arm
 from offline_ik.solver import Solver
 
 POSES = sorted(name for name, effect in catalogue().items() if "poses" in effect.stages)
@@ -48,6 +48,14 @@ def test_the_sensitivity_is_clampids_own() -> None:
     mine = np.kron(np.eye(2), arm.base[:3, :3]) @ mine.reshape(6, -1)
     assert np.abs(mine - J[0]).max() < 1e-12 * max(1.0, np.abs(J).max())
     assert np.abs(arm.base[:3, :3] @ R.reshape(3, 3) - rotation[0] @ MOUNT[:3, :3]).max() < 1e-12
+
+
+def test_a_block_of_rows_is_its_rows_also_where_no_weight_presses(solver: Solver) -> None:
+    """No weight acts on an upright joint 1: which flank it stands on must not be for rounding to say."""
+    q, still = postures(solver.arm, 100), Conditions.still(6)
+    apart = np.vstack([solver.pose(one, still) for one in q])
+    assert np.abs(solver.pose(q, still) - apart).max() < 1e-12
+    assert (solver.forward.many(q, np.tile(still.vector, (len(q), 1)))[3][:, 0] == 0).all()
 
 
 def test_without_effects_the_arm_is_the_nominal_one() -> None:
