@@ -10,20 +10,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from time import process_time
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pinocchio as pin
+from ik_arms import MOUNT, conditions, drawn_arm, postures
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "offline_ik"))
-from ik_arms import MOUNT, conditions, drawn_arm, postures
 
 from clampid.compiled import compiler
 from kinematics.description import load_robot

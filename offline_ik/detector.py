@@ -126,11 +126,11 @@ class Detector:
         found = np.asarray(q, dtype=float)
         if found.shape != (self.arm.n,):
             raise TargetError(f"{what}: expected {self.arm.n} joint angles, found {list(q)}")
-        largest = max(map(abs, found.tolist()))
-        if not np.isfinite(found).all():
-            raise TargetError(f"{what}: expected {self.arm.n} finite joint angles, found {list(q)}")
-        if largest > 3 * math.pi:
-            raise TargetError(f"{what}: expected joint angles in radians, found {found.tolist()}; are these degrees?")
+        values = found.tolist()
+        if not all(map(math.isfinite, values)):
+            raise TargetError(f"{what}: expected {self.arm.n} finite joint angles, found {values}")
+        if max(map(abs, values)) > 3 * math.pi:
+            raise TargetError(f"{what}: expected joint angles in radians, found {values}; are these degrees?")
         return found
 
     def locate(
@@ -232,11 +232,12 @@ class Detector:
             row[5 + n : 5 + 2 * n] = np.sign(direction)
         kernel.trigger()
         first = kernel.out[0].copy()
-        error, told = first[16 + 2 * n : 22 + 2 * n].tolist(), first[-5:].tolist()
-        if told[0] < 0:
+        *_, branch, wrist, shoulder, elbow, moved = said = first.tolist()
+        if branch < 0:
             return None
+        error = said[16 + 2 * n : 22 + 2 * n]
         q = first[16 : 16 + n]
-        status, turn = status_and_turn(self.solver.ortho, self.solver.linkage @ q, int(told[0]))
+        status, turn = status_and_turn(self.solver.ortho, self._chain(q), int(branch))
         return first[:16].reshape(4, 4), Solution(
             q,
             first[16 + n : 16 + 2 * n],
@@ -244,12 +245,20 @@ class Detector:
             math.hypot(*error[3:]),
             self.propagation.combined(kernel.out[1].reshape(6, -1), kernel.out[2].reshape(n, 6)),
             asked[3],
-            self.search.names(told[1], told[3], -told[2]),
+            self.search.names(wrist, elbow, -shoulder),
             status,
             turn,
-            told[4],
+            moved,
             first[22 + 2 * n : 22 + 3 * n],
         )
+
+    def _chain(self, q: Array) -> Array:
+        """Joint values of the chain ``(n,)`` by those of the controller, which are the same but with a linkage."""
+        return q if self._unlinked else np.asarray(self.solver.linkage @ q)
+
+    @cached_property
+    def _unlinked(self) -> bool:
+        return bool((self.solver.linkage == np.eye(self.arm.n)).all())
 
     @cached_property
     def _still_vector(self) -> Array:

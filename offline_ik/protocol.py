@@ -126,11 +126,11 @@ class Speaker:
         self.answered += 1
         if told.missed is not None:
             return self._with_nearest(word, given, told, told.missed)
-        return _spliced({"do": word, **_id(given), **told.data}, told.text)
+        return _spliced(word, given, told.data, told.text)
 
     def _with_nearest(self, word: str, given: Mapping[str, str], told: Told, missed: Answer) -> Steps:
         nearest = yield from nearest_steps(self.detector, missed.target, missed.asked["roll_rad"] or 0.0)
-        return _spliced({"do": word, **_id(given), **told.data, "nearest": nearest}, told.text)
+        return _spliced(word, given, {**told.data, "nearest": nearest}, told.text)
 
     def refuse(self, reason: str) -> bytes:
         """An answer to what is not even a line."""
@@ -172,7 +172,7 @@ class Speaker:
 
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
         if answer.reachable:
-            return Told({**data, "nearest": None}, self._convention + members_of(answer))
+            return Told(data, f', "nearest": null{self._convention}{members_of(answer)}')
         return Told(data, self._convention + members_of(answer), answer)
 
     def _posture(self, session: Session) -> Array:
@@ -284,8 +284,11 @@ def _id(given: Mapping[str, str]) -> dict[str, str]:
     return {"id": given["id"][:64]} if "id" in given else {}
 
 
-def _spliced(data: Mapping[str, Any], text: str) -> bytes:
-    return f"{json.dumps({'ok': True, **data})[:-1]}{text}}}\n".encode()
+def _spliced(word: str, given: Mapping[str, str], data: Mapping[str, Any], text: str) -> bytes:
+    """The line of an answer; the encoder is only called where there is something to encode."""
+    more = {**_id(given), **data}
+    members = f", {json.dumps(more)[1:-1]}" if more else ""
+    return f'{{"ok": true, "do": "{word}"{members}{text}}}\n'.encode()
 
 
 def _line(data: Mapping[str, Any]) -> bytes:

@@ -51,23 +51,24 @@ class Uncertainty:
     _variance: list[float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        variance = self.covariance.diagonal().tolist()
-        object.__setattr__(self, "_variance", [v if v > 0.0 else 0.0 for v in variance])
+        object.__setattr__(self, "_variance", _variances(self.covariance))
 
     @property
     def std_m(self) -> float:
         """Root of the position's trace, m."""
-        return math.sqrt(sum(self._variance[:3]))
+        a, b, c = self._variance[:3]
+        return math.sqrt(a + b + c)
 
     @property
     def std_rad(self) -> float:
         """Root of the rotation's trace, rad."""
-        return math.sqrt(sum(self._variance[3:]))
+        a, b, c = self._variance[3:]
+        return math.sqrt(a + b + c)
 
     @property
     def tangential_m(self) -> float:
         """Along the sphere, m."""
-        return math.sqrt(sum(self._variance[:2]))
+        return math.sqrt(self._variance[0] + self._variance[1])
 
     @property
     def radial_m(self) -> float:
@@ -157,6 +158,14 @@ class Propagation:
 
     def combined(self, J: Array, half: Array) -> Uncertainty:
         """From the derivative ``(6, P)`` and half the spread of unknown approaches ``(n, 6)``."""
-        model, approach = J @ self.covariance @ J.T, half.T @ half
-        model_m, approach_m = (math.sqrt(max(sum(part.diagonal()[:3].tolist()), 0.0)) for part in (model, approach))
-        return Uncertainty(model + approach, model_m, approach_m, self.cell.pixel)
+        model = J @ self.covariance @ J.T
+        model_m, approach_m, both = math.sqrt(sum(_variances(model)[:3])), 0.0, model
+        if half.any():
+            approach = half.T @ half
+            approach_m, both = math.sqrt(sum(_variances(approach)[:3])), model + approach
+        return Uncertainty(both, model_m, approach_m, self.cell.pixel)
+
+
+def _variances(covariance: Array) -> list[float]:
+    """The diagonal, what rounding has made negative as zero."""
+    return [v if v > 0.0 else 0.0 for v in covariance.diagonal().tolist()]

@@ -9,7 +9,11 @@ from offline_ik.answer import Answer, Solution
 
 __all__ = ["members_of"]
 
-_TEMPLATE = (
+_ANSWER = (
+    ', "reachable": %s, "reasons": %s, "asked": {"gamma_rad": %r, "delta_rad": %r, "r_m": %r, "roll_rad": %s}, '
+    '"detector_position_m": [%.9f, %.9f, %.9f], "solutions": [%s]'
+)
+_SOLUTION = (
     '{"q_rad": [#], "motor_rad": [#], "position_error_m": %.3g, "angle_error_rad": %.3g, '
     '"std_m": %.6g, "std_rad": %.6g, "radius95_m": %.6g, "tangential_std_m": %.6g, "radial_std_m": %.6g, '
     '"tangential_std_pixels": %.6g, "model_std_m": %.6g, "approach_std_m": %.6g, "roll_rad": %.12g, '
@@ -22,26 +26,26 @@ def members_of(answer: Answer) -> str:
 
     By templates: the encoder would take as long as the solver. The cell is in the server's state.
     """
-    asked = ", ".join([f'"{name}": {"null" if value is None else repr(value)}' for name, value in answer.asked.items()])
-    reachable, reasons = ("true", "[]") if answer.reachable else ("false", json.dumps(answer.reasons))
-    x, y, z = answer.target[:3, 3].tolist()
-    solutions = ", ".join(map(_told, answer.solutions))
-    return (
-        f', "reachable": {reachable}, "reasons": {reasons}, "asked": {{{asked}}}, '
-        f'"detector_position_m": [{x:.9f}, {y:.9f}, {z:.9f}], "solutions": [{solutions}]'
-    )
+    asked, solutions = answer.asked, answer.solutions
+    roll = asked["roll_rad"]
+    return _ANSWER % (
+        "true" if solutions else "false", json.dumps(answer.reasons) if answer.reasons else "[]",
+        asked["gamma_rad"], asked["delta_rad"], asked["r_m"], "null" if roll is None else repr(roll),
+        *answer.target[:3, 3].tolist(), ", ".join([_told(solution) for solution in solutions]),
+    )  # fmt: skip
 
 
 @lru_cache
 def _template(n: int) -> str:
-    return _TEMPLATE.replace("#", ", ".join(["%.12g"] * n))
+    return _SOLUTION.replace("#", ", ".join(["%.12g"] * n))
 
 
 def _told(solution: Solution) -> str:
-    u = solution.uncertainty
-    return _template(len(solution.q)) % (
-        *solution.q.tolist(), *solution.motor.tolist(), solution.position_error, solution.angle_error, u.std_m,
-        u.std_rad, u.radius95_m, u.tangential_m, u.radial_m, u.tangential_m / u.pixel, u.model_m, u.approach_m,
+    u, q = solution.uncertainty, solution.q.tolist()
+    tangential = u.tangential_m
+    return _template(len(q)) % (
+        *q, *solution.motor.tolist(), solution.position_error, solution.angle_error, u.std_m,
+        u.std_rad, u.radius95_m, tangential, u.radial_m, tangential / u.pixel, u.model_m, u.approach_m,
         solution.roll, solution.status, solution.turn, solution.distance, *solution.direction.tolist(),
         json.dumps(solution.singular) if solution.singular else "[]",
     )  # fmt: skip

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from server_lines import GOOD, rubbish
 
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Speaker
 from offline_ik.server import LINE_BYTES, Limits, Server, is_loopback, parse_address
 
-GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
 Talk = Callable[[Server, str, int], Awaitable[Any]]
 
 
@@ -65,20 +65,6 @@ def test_many_clients_each_get_their_own_answers_in_order(detector: Detector) ->
         assert server.speaker.answered == 600
 
     serving(detector, talk)
-
-
-def rubbish(rng: np.random.Generator) -> bytes:
-    match rng.integers(5):
-        case 0:
-            return bytes(rng.integers(0, 256, rng.integers(0, 300), dtype=np.uint8)).replace(b"\n", b" ")
-        case 1:
-            return GOOD[: rng.integers(0, len(GOOD) - 8)]
-        case 2:
-            return b"where " + b"x" * int(rng.integers(LINE_BYTES, 3 * LINE_BYTES))
-        case 3:
-            return GOOD + b" near=" + b",".join([b"1e999"] * 6)
-        case _:
-            return b"\x00" * 10
 
 
 def test_rubbish_is_answered_and_every_good_request_between_is(detector: Detector) -> None:
