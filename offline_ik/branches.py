@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -47,6 +48,7 @@ class Choice:
                 return True
 
 
+@lru_cache  # the same few all the time
 def parse_choice(text: str) -> Choice:
     """Read ``nearest``, ``all``, ``axis5+``, ``axis5-``, ``S2`` or ``S2T35`` (bits as decimal numbers).
 

@@ -208,21 +208,25 @@ class Detector:
         return self.cell.convention.to_json(), self.cell.to_json()
 
     @cached_property
-    def _kernel(self) -> Kernel | None:
+    def _kernel(self) -> tuple[Kernel, Array] | None:
+        """What locates the detector, and the covariance ``(C, C)`` of the parameters that it gives derivatives by."""
         ortho = self.solver.ortho
         if ortho is None:
             return None
-        return locate_kernel(
-            self.arm, ortho, self.solver.mount, self.lower, self.upper, self.cell.convention, self.propagation.mount
-        )
+        covariance = self.propagation.covariance
+        kernel, counting = locate_kernel(
+            self.arm, ortho, self.solver.mount, self.lower, self.upper, self.cell.convention, self.propagation.mount,
+            np.asarray(covariance.any(axis=0)),
+        )  # fmt: skip
+        return kernel, covariance[np.ix_(counting, counting)]
 
     def _quick(
         self, asked: tuple[float, float, float, float], here: Array, direction: Direction
     ) -> tuple[Array, Solution] | None:
         """Target and nearest solution by the one compiled kernel; None where that is not the whole story."""
-        kernel, n = self._kernel, self.arm.n
-        if kernel is None:
+        if self._kernel is None:
             return None
+        (kernel, covariance), n = self._kernel, self.arm.n
         row = kernel.row
         row[:4] = asked
         row[4] = isinstance(direction, str)
@@ -243,7 +247,7 @@ class Detector:
             first[16 + n : 16 + 2 * n],
             math.hypot(*error[:3]),
             math.hypot(*error[3:]),
-            self.propagation.combined(kernel.out[1].reshape(6, -1), kernel.out[2].reshape(n, 6)),
+            self.propagation.combined(kernel.out[1].reshape(6, -1), kernel.out[2].reshape(n, 6), covariance),
             asked[3],
             self.search.names(wrist, elbow, -shoulder),
             status,

@@ -129,7 +129,8 @@ def locate_kernel(
     upper: Array,
     convention: Convention,
     of_mount: Array,
-) -> Kernel:
+    uncertain: npt.NDArray[np.bool_],
+) -> tuple[Kernel, npt.NDArray[np.intp]]:
     """From (gamma, delta, r) to everything that an answer says, for the posture nearest to the one at hand.
 
     Eight branches, their turns within the limits, Newton's method on the nearest, and how it depends on the parameters,
@@ -140,6 +141,8 @@ def locate_kernel(
     ----------
     of_mount
         ``(6, P)``: see :func:`offline_ik.mount.mount_jacobian`.
+    uncertain
+        ``(P,)``: which parameters have a variance.
 
     Returns
     -------
@@ -147,8 +150,10 @@ def locate_kernel(
         Outputs: the target ``(16,)`` by rows in the convention's frame, q, motor angles, the remaining error ``(6,)``,
         directions, (branch or -1 where it is not solved or not within the limits, |sin| of the wrist, lack of the
         shoulder's triangle, joint 3 of the chain, largest move), one after the other; d (position, rotation vector) / d
-        parameters by rows ``(6 P,)``; half the spread of those approaches that are not known by rows ``(n 6,)``. The
-        latter two along across, up and outward.
+        counting parameters by rows ``(6 C,)``; half the spread of those approaches that are not known by rows
+        ``(n 6,)``. The latter two along across, up and outward.
+    counting
+        ``(C,)``: which parameters are uncertain and the detector's pose depends on.
     """
     n = arm.n
     row = ca.SX.sym("row", 5 + n + 3 * n + 1)
@@ -165,10 +170,15 @@ def locate_kernel(
     motor = ca.DM(np.linalg.inv(np.asarray(arm.robot.transmission)).T) @ q
     # The derivatives as a function of their own: what they need of the posture is its end, not how it was found.
     at, there = ca.SX.sym("q", n), ca.SX.sym("c", 3 * n + 1)
-    sensitivity = ca.Function("s", [at, there], [ca.densify(o) for o in _sensitivity(arm, mount, at, there)])
+    rotation, J, spread = _sensitivity(arm, mount, at, there)
+    depends = np.asarray(of_mount.any(axis=0))
+    depends[np.unique(J.sparsity().get_col()).astype(int)] = True
+    counting = np.flatnonzero(depends & uncertain)
+    outputs = [ca.densify(o) for o in (rotation, J[:, counting.tolist()], spread)]
+    sensitivity = ca.Function("s", [at, there], outputs)
     rotation, J, spread = sensitivity.call([q, given], True, False)
     flange = rotation @ ca.DM(mount[:3, :3].T)
-    J = J + ca.vertcat(flange @ ca.DM(of_mount[:3]), flange @ ca.DM(of_mount[3:]))
+    J = J + ca.vertcat(flange @ ca.DM(of_mount[:3, counting]), flange @ ca.DM(of_mount[3:, counting]))
     c, s = ca.cos(row[3]), ca.sin(row[3])
     towards = ca.horzcat(-s * R[:, 0] - c * R[:, 1], s * R[:, 1] - c * R[:, 0], -R[:, 2]).T
     J = ca.vertcat(towards @ J[:3, :], towards @ J[3:, :])
@@ -183,7 +193,7 @@ def locate_kernel(
     target = ca.vertcat(ca.horzcat(target_R, target_p), ca.DM([[0, 0, 0, 1]]))
     first = ca.vertcat(ca.vec(target.T), q, motor, error, direction, told)
     outputs = [ca.densify(o) for o in (first, ca.vec(J.T), ca.vec(half))]
-    return Kernel(ca.Function("locate", [row], ca.cse(outputs)))
+    return Kernel(ca.Function("locate", [row], ca.cse(outputs))), counting
 
 
 def _nearest(

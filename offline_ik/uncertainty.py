@@ -154,11 +154,14 @@ class Propagation:
         J, spread = self.jacobian(q, conditions)
         unknown = 0.5 * (conditions.direction == 0)
         J = (towards.T @ J.reshape(2, 3, -1)).reshape(6, -1)
-        return self.combined(J, unknown[:, None] * (spread.reshape(-1, 2, 3) @ towards).reshape(-1, 6))
+        return self.combined(J, unknown[:, None] * (spread.reshape(-1, 2, 3) @ towards).reshape(-1, 6), self.covariance)
 
-    def combined(self, J: Array, half: Array) -> Uncertainty:
-        """From the derivative ``(6, P)`` and half the spread of unknown approaches ``(n, 6)``."""
-        model = J @ self.covariance @ J.T
+    def combined(self, J: Array, half: Array, covariance: Array) -> Uncertainty:
+        """From the derivative ``(6, C)`` by parameters of a covariance ``(C, C)``, and half the spread ``(n, 6)``.
+
+        The spread is that of unknown approaches.
+        """
+        model = J @ covariance @ J.T
         model_m, approach_m, both = math.sqrt(sum(_variances(model)[:3])), 0.0, model
         if half.any():
             approach = half.T @ half
