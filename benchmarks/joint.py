@@ -118,6 +118,8 @@ def main() -> None:
         gain.append(sb / sa)
         told = []
         for stage, pair in paired(apart, joint, campaign).items():
+            if not len(pair.apart):  # a short log, of which chance held no run out
+                continue
             pooled[stage].append(pair)
             told.append(f"{stage} {np.mean(pair.apart):.4f} {pair.difference:+.5f} ± {pair.error:.5f}")
         print(f"seed {seed}: {'; '.join(told)}", flush=True)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from clampid.fit import Estimate, clamping_offsets, newton_step, solve
+from clampid.fit import Estimate, clamping_offsets, limits_of, newton_step, solve
 from clampid.noise import Noise
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
@@ -135,7 +135,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.held()), part[white.entry]
     shared = np.setdiff1d(np.arange(len(size)), its_own)
     normals = {k: _normal(white.jacobian[of_part == k], white.residual[of_part == k]) for k in np.unique(of_part)}
-    free = ~_resting(experiment, estimate.theta)
+    free = ~limits_of(experiment).resting(estimate.theta)
     lever = estimate.prior_precision @ (estimate.prior_mean - estimate.theta)
     for k, (A_out, b_out) in normals.items():
         others = [n for j, n in normals.items() if j != k]
@@ -164,13 +164,6 @@ def _parts(rows: Rows, seed: int) -> Integers:
 
 def _normal(J: Array, r: Array) -> tuple[Array, Array]:
     return J.T @ J, J.T @ r
-
-
-def _resting(experiment: Experiment, theta: Array) -> Bools:
-    """Which parameters ``(P + K,)`` the fit holds on their bounds."""
-    lower, upper = experiment.bounds()
-    bounded = experiment.shapes() | (experiment.stage == "clamped")
-    return np.asarray(bounded & ((theta <= lower) | (theta >= upper)))
 
 
 def stage_errors(

@@ -233,5 +233,8 @@ def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Ef
             for k, slot in enumerate(model.slots)
             if slot.effect == name and (not places or slot.place in places)
         ]
-        out.append({"effect": effects[name].family, "name": name, "where": places, "parameters": parameters})
+        out.append(
+            {"effect": effects[name].family, "name": name, "where": places, "parameters": parameters}
+            | effects[name].caveat_json
+        )
     return tuple(out)

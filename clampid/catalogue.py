@@ -18,11 +18,11 @@ __all__ = ["catalogue", "with_user_effects"]
 
 @cache
 def catalogue() -> Mapping[str, Effect]:
-    """Every effect known, by name: what is in the folder is in the catalogue."""
-    found = {}
+    """Every effect known, by name: those in the folder, and of those that happen once the same a second time."""
+    found: dict[str, Effect] = {}
     for module in pkgutil.iter_modules(clampid.effects.__path__):
         effect = _effect_of(importlib.import_module(f"clampid.effects.{module.name}"))
-        found[effect.name] = effect
+        found |= {e.name: e for e in ((effect,) if effect.event is None else (effect, effect.again))}
     return MappingProxyType(found)
 
 

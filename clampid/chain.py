@@ -86,6 +86,8 @@ class Chain:
     ----------
     offsets
         Station → slice of the entries S.
+    least
+        What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
     """
 
     stage: Stage
@@ -95,6 +97,7 @@ class Chain:
     function: Blocks
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
+    least: Array
 
     def evaluate(self, theta: Array, signals: Mapping[str, Array], torque: Array | None = None) -> Deviations:
         """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""
@@ -188,7 +191,22 @@ def build_chain(
         outputs.append(ca.densify(row.offered["torque"] + row.recorded("rest_direction")))
     function = ca.Function("deviations", [theta, ca.vertcat(*row.flats.values())], outputs)
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
-    return Chain(stage, tuple(slots), offsets, widths, Blocks(function), station_of, parameter_of)
+    least = least_deciding(slots, effects)
+    return Chain(stage, tuple(slots), offsets, widths, Blocks(function), station_of, parameter_of, least)
+
+
+def least_deciding(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Array:
+    """What each slot ``(P,)`` counts as at least where it decides on which flank a gear rests; -inf: as it is.
+
+    An estimate of dry friction may come out below zero by its error, and does where it is hardly known. Friction may
+    not: it would press an unloaded joint on the flank that it has just left, all its flanks at once.
+    """
+    out = np.full(len(slots), -np.inf)
+    for k, slot in enumerate(slots):
+        effect = effects[slot.effect]
+        if "joint_torque" in effect.acts and "joint_motion" in effect.needs:
+            out[k] = effect.by_name[slot.parameter].bounds[0]
+    return out
 
 
 class RowSymbols:

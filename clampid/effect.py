@@ -242,6 +242,8 @@ class Effect:
         Its shape parameter that says when, in ``sweep_progress``, of an effect that happens once. It shows in the sweep
         in which it happens, and like the posture at which that was clamped its amplitudes are that sweep's own: no
         other sweep tells them. Diagnosis tries every time; a fit begins at the likeliest.
+    caveat
+        What standard errors of its parameters leave out, for people.
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
@@ -264,6 +266,7 @@ class Effect:
     aligns: str | None = None
     event: str | None = None
     meaning: str = field(default="")
+    caveat: str = field(default="")
 
     def __post_init__(self) -> None:
         for kind, found, known in (
@@ -280,6 +283,16 @@ class Effect:
     def by_name(self) -> Mapping[str, Parameter]:
         """Its parameters by their names."""
         return {parameter.name: parameter for parameter in self.parameters}
+
+    @property
+    def caveat_json(self) -> dict[str, str]:
+        """What to add for programs: the caveat, where there is one."""
+        return {"caveat": self.caveat} if self.caveat else {}
+
+    @property
+    def again(self) -> Effect:
+        """Of an event, the same happening a second time, for which diagnosis looks once the first is known."""
+        return replace(self, name=f"second_{self.name}", beyond=self.name, meaning=f"{self.name}, a second time")
 
     @cached_property
     def per(self) -> Per:

@@ -9,6 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from scipy import linalg, stats
 
+from clampid.flanks import mirrored, settled
 from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
 from clampid.repeatability import Scatter, clustered_covariance, shared_moments, visit_scatter
 from clampid.slots import Prior, Slot
@@ -17,7 +18,6 @@ from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = [
-    "FLANK_ROUNDS",
     "ITERATIONS",
     "NEGLIGIBLE",
     "Estimate",
@@ -42,7 +42,6 @@ OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
-FLANK_ROUNDS = 8
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
@@ -276,6 +275,10 @@ class Limits:
         """A parameter vector ``(P,)`` brought back within the bounds that hold."""
         return np.where(self.bounded, np.clip(theta, self.lower, self.upper), theta)
 
+    def resting(self, theta: Array) -> Bools:
+        """Which parameters ``(P,)`` rest on a bound that holds."""
+        return np.asarray(self.bounded & ((theta <= self.lower) | (theta >= self.upper)))
+
 
 def limits_of(experiment: Experiment) -> Limits:
     """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
@@ -286,22 +289,32 @@ def limits_of(experiment: Experiment) -> Limits:
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
     """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
 
-    The flanks on which gears rest jump with the loads, and the loads depend on free parameters: flanks are held in each
-    search and follow between searches, until they stay.
+    The flanks on which gears rest follow the loads (:mod:`clampid.flanks`).
 
     Raises
     ------
     FitError
         The model gives no finite prediction.
     """
-    held = experiment.with_flanks(theta)
-    estimate = _search(held, theta, noise, precision, mean)
-    for _ in range(FLANK_ROUNDS):
-        moved = experiment.with_flanks(estimate.theta)
-        if moved is experiment or np.array_equal(moved.rows.signals["flank"], held.rows.signals["flank"]):
-            break
-        held = moved
-        estimate = _search(held, estimate.theta, noise, precision, mean)
+    theta = limits_of(experiment).clipped(theta)
+
+    def cost(held: Sequence[Experiment], at: Array) -> float:
+        return stage_point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
+
+    def found(start: Array) -> Estimate:
+        return settled(
+            start,
+            lambda at: [experiment.with_flanks(at)],
+            lambda held, at: _search(held[0], at, noise, precision, mean),
+            cost,
+        )
+
+    estimate = found(theta)
+    image = mirrored(experiment, estimate.theta)
+    if image is not None:
+        upright = found(image)
+        if mirrored(experiment, upright.theta) is None:
+            estimate = upright
     return replace(estimate, experiment=experiment)
 
 
@@ -361,11 +374,11 @@ def descend(
         moved = best.theta + step
         trial = at(limits.clipped(moved))
         reached = whole(trial)
-        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
-        idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
         if reached > cost:
             damping = max(10 * damping, DAMPING_START)
             continue
+        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
+        idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
         best, cost = trial, reached
         A, g = normal(best)
         damping = 0.0 if damping < DAMPING_START else damping / 10

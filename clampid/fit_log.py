@@ -93,8 +93,7 @@ class LogPrior:
 
     def free(self, theta: Array) -> Bools:
         """Which parameters ``(P + K,)`` do not rest on a bound."""
-        limits = self.limits
-        return np.asarray(~(limits.bounded & ((theta <= limits.lower) | (theta >= limits.upper))))
+        return np.asarray(~self.limits.resting(theta))
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ import numpy as np
 from clampid.agreement import SHARED as OF_DRIVES
 from clampid.effect import Effect, Stage
 from clampid.fit import (
-    FLANK_ROUNDS,
     Estimate,
     Limits,
     Point,
@@ -39,6 +38,7 @@ from clampid.fit import (
     stage_point,
 )
 from clampid.fitted_stage import FittedStage
+from clampid.flanks import settled
 from clampid.identify_log import FittedLog
 from clampid.moments import LogPoint
 from clampid.priors import description_priors
@@ -68,6 +68,10 @@ class _Union:
     precision: Array
     mean: Array
     limits: Limits
+
+    def off(self, theta: Array) -> float:
+        """What the prior adds to the cost."""
+        return float((theta - self.mean) @ self.precision @ (theta - self.mean))
 
 
 @dataclass(frozen=True)
@@ -118,14 +122,12 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
         A stage gives no finite prediction.
     """
     union = _union(parts)
-    held = [_experiment(p) for p in parts]
-    best = _search(parts, held, union, _start(parts, held, union))
-    for _ in range(FLANK_ROUNDS):
-        moved = [e.with_flanks(best.theta[c]) for e, c in zip(held, union.columns, strict=True)]
-        if all(_same_flanks(a, b) for a, b in zip(held, moved, strict=True)):
-            break
-        held = moved
-        best = _search(parts, held, union, best.theta)
+    best = settled(
+        _start(parts, union),
+        lambda theta: [_experiment(p).with_flanks(theta[c]) for p, c in zip(parts, union.columns, strict=True)],
+        lambda held, theta: _search(parts, held, union, theta),
+        lambda held, theta: _at(parts, held, union, theta).cost + union.off(theta),
+    )
     weights = _weights(best, union)
     covariance = _covariance(parts, best, union, weights)
     out: list[JointPart] = []
@@ -166,16 +168,16 @@ def _union(parts: Sequence[JointPart]) -> _Union:
     return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
 
 
-def _start(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union) -> Array:
+def _start(parts: Sequence[JointPart], union: _Union) -> Array:
     """The mean ``(U,)`` of what the stages say alone, each weighted by its information, and the description.
 
     From one stage's values for all that it shares, another's unknown constants of sweeps are far off, and where gaps
     open and close no step from there leads down.
     """
     A, b = union.precision.copy(), union.precision @ union.mean
-    for part, trial, columns in zip(parts, held, union.columns, strict=True):
+    for part, columns in zip(parts, union.columns, strict=True):
         alone = _alone(part)
-        own, slope = _point(part, trial, alone).normal()
+        own, slope = _point(part, _experiment(part), alone).normal()
         A[np.ix_(columns, columns)] += own
         b[columns] += own @ alone + slope
     return union.limits.clipped(inverse_of(A) @ b)
@@ -195,20 +197,17 @@ def _point(part: JointPart, trial: Experiment, theta: Array) -> Point:
 
 def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, start: Array) -> _Joint:
     """The lowest point downhill from a start ``(U,)``, with flanks held."""
+    return descend(lambda x: _at(parts, held, union, x), start, union.precision, union.mean, union.limits)[0]
 
-    def at(theta: Array) -> _Joint:
-        found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
-        return _Joint(theta, tuple(found), union.columns)
 
-    return descend(at, start, union.precision, union.mean, union.limits)[0]
+def _at(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, theta: Array) -> _Joint:
+    """The stages at one joint parameter vector ``(U,)``."""
+    found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
+    return _Joint(theta, tuple(found), union.columns)
 
 
 def _experiment(part: JointPart) -> Experiment:
     return part.stage.experiment if isinstance(part, FittedLog) else part.estimate.experiment
-
-
-def _same_flanks(a: Experiment, b: Experiment) -> bool:
-    return a is b or ("flank" in a.rows.signals and np.array_equal(a.rows.signals["flank"], b.rows.signals["flank"]))
 
 
 def _weights(best: _Joint, union: _Union) -> Array:

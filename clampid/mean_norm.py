@@ -18,7 +18,8 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg, optimize
 
-from clampid.fit import FLANK_ROUNDS, Estimate, FitError, inverse_of, limits_of, stage_point
+from clampid.fit import Estimate, FitError, inverse_of, limits_of, stage_point
+from clampid.flanks import ROUNDS
 from clampid.noise import Noise
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
@@ -60,7 +61,7 @@ def mean_norm(estimate: Estimate) -> Estimate:
     sigma = float(np.sqrt(np.mean(estimate.residual[used[:, 0], :3] ** 2)))
     kappa = ALIKE * sigma
     theta, held = estimate.theta, trial.with_flanks(estimate.theta)
-    for _ in range(FLANK_ROUNDS):
+    for _ in range(ROUNDS):
         theta = _search(held, theta, estimate, kappa)
         moved = trial.with_flanks(theta)
         if moved is trial or np.array_equal(moved.rows.signals["flank"], held.rows.signals["flank"]):

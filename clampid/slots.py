@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from clampid.effect import Effect, EffectError, Parameter, Stage
 
-__all__ = ["Layout", "Prior", "Slot", "Term", "find_parameter", "parse_term", "slots_of", "slots_of_terms"]
+__all__ = ["Layout", "Prior", "Slot", "Term", "find_parameter", "on_bound", "parse_term", "slots_of", "slots_of_terms"]
 
 
 @dataclass(frozen=True, order=True)
@@ -121,6 +121,15 @@ def find_parameter(slot: Slot, catalogue: Mapping[str, Effect]) -> Parameter:
     if found is None:
         raise EffectError(f"effect {slot.effect} has no parameter {slot.parameter!r}")
     return found
+
+
+def on_bound(slot: Slot, value: float, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an amplitude rests on a physical limit: fits keep it there, exactly, and its interval has one side.
+
+    Zero, the usual limit, is the same for every gear.
+    """
+    parameter = find_parameter(slot, catalogue)
+    return not parameter.shape and parameter.held == "nowhere" and value in parameter.bounds
 
 
 def slots_of_terms(

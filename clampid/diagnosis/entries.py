@@ -43,7 +43,8 @@ def entry_of(
         What these rows cannot tell it from.
     """
     places = [t.place for t in kept if t.place] if kept is not None else list(s.candidate.places)
-    when = {} if estimate is None else _when(estimate, effects[s.candidate.name])
+    effect = effects.get(s.candidate.name)  # a probe is none
+    when = {} if estimate is None or effect is None else _when(estimate, effect)
     return {
         "effect": s.candidate.family,
         "name": s.candidate.name,
@@ -59,6 +60,7 @@ def entry_of(
         "retained": s.retained,
         "state": s.state,
         **when,
+        **({} if effect is None else effect.caveat_json),
     }
 
 

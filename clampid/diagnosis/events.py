@@ -7,6 +7,9 @@ The whitened image of a step is a few rows wide where noise lasts, so that it ma
 signs of blocks then changes nothing, and the null is the chi-square tail, times the number of times that were tried
 (the union bound). What residuals hold beyond noise, such as a misfit at reversals, is no event: it comes again in other
 sweeps, so that the second of the sweeps' largest statistics sets the scale, where it is larger than noise makes it.
+Two events would so hide each other: at twice the number of tests it is also asked whether the largest of another
+joint's sweeps stands out of all the rest. Of the same joint it would not do, since a misfit comes again in all sweeps
+of its joint. Of two events the larger is named first, and the other is looked for with the first in the model.
 Sources: Page, A test for a change in a parameter occurring at an unknown point, Biometrika 42, 1955; Devlin, Roeder,
 Genomic control for association studies, Biometrics 55, 1999, for the scale from statistics of the same test.
 """
@@ -41,10 +44,13 @@ class Scan:
     ----------
     time, explained
         ``(T,)``: in ``sweep_progress``, between two rows; sum of squares, in units of the residual's variance.
+    driven
+        ``(T,)``: the joint that the sweep drives, from 0.
     """
 
     time: Array
     explained: Array
+    driven: Integers
 
     @property
     def best(self) -> float:
@@ -61,19 +67,25 @@ class Scan:
         entries
             How many whitened numbers there are.
         """
-        most = float(self.explained.max())
-        unbiased = max(entries - most, 1.0) / entries  # the residual's variance without what the event explains of it
-        sweep = np.floor(self.time)
-        others = [float(self.explained[sweep == s].max()) for s in np.unique(sweep) if s != np.floor(self.best)]
+        _, first = np.unique(np.floor(self.time), return_index=True)
+        largest = np.maximum.reduceat(self.explained, first)  # in the order of time, so that sweeps are runs
+        best = int(np.argmax(largest))
+        elsewhere = np.where(self.driven[first] != self.driven[first][best], largest, 0.0)
         usual = float(stats.chi2.isf(1.0 / len(self.time), freedom))
-        scale = max([unbiased, *(x / usual for x in others)])
-        return min(float(log_tail(most / scale, freedom)) + float(np.log(len(self.time))), 0.0)
+        tails = []
+        for events in ([best], *([[best, int(np.argmax(elsewhere))]] if elsewhere.any() else [])):
+            unbiased = max(entries - float(largest[events].sum()), 1.0) / entries  # the residual's variance without
+            scale = max([unbiased, *(np.delete(largest, events) / usual)])
+            tails.append(float(log_tail(float(largest[events].min()) / scale, freedom)))
+        tests = len(tails) * len(self.time)
+        return min(min(tails) + float(np.log(tests)), 0.0)
 
 
 def absent_events(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Effect]:
     """The events that could act in an estimate's stage and that it leaves out."""
     active, stage = {slot.effect for slot in estimate.slots}, estimate.experiment.stage
-    return [e for e in effects.values() if e.event is not None and stage in e.stages and e.name not in active]
+    found = [e for e in effects.values() if e.event is not None and stage in e.stages and e.name not in active]
+    return [e for e in found if e.beyond is None or e.beyond in active]
 
 
 def event_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]) -> list[Scored]:
@@ -142,13 +154,14 @@ def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
             D, place = columns[own], first + own
             mine = sums.setdefault(int(sweep), _Sums.zero(len(starts), k, space.basis.shape[1]))
             mine.add(D, space.basis[place], space.residual[place])
-    time, explained = [], []
+    time, explained, driven = [], [], []
     for row in np.flatnonzero((position >= BLOCK_ROWS) & (position + BLOCK_ROWS <= length)):
         value = sums[int(run[row])].explained(int(position[row]) - BLOCK_ROWS) if int(run[row]) in sums else None
         if value is not None:
             time.append(float(progress[row]) - 0.5 / float(length[row]))
             explained.append(value / space.scale**2)
-    return Scan(np.array(time), np.array(explained)) if time else None
+            driven.append(int(rows.constants["driven"][row]))
+    return Scan(np.array(time), np.array(explained), np.array(driven, dtype=np.int64)) if time else None
 
 
 @dataclass(frozen=True)

@@ -41,4 +41,6 @@ EFFECT = Effect(
     source=("Thesis",),
     at="fixture",
     event="at",
+    caveat="how far it slipped is known less well than its standard errors say: on virtual robots two of four had a "
+    "direction off by three and five of them, and the cause is not known",
 )

@@ -10,11 +10,12 @@ from clampid.observability import index_words
 from clampid.report.display import Scale, number, scale_for, stage_title, with_std
 from clampid.report.stage_data import in_order
 from clampid.report.style import Figure, Section, Table, as_table
-from clampid.slots import find_parameter
+from clampid.slots import find_parameter, on_bound
 
 __all__ = ["OPEN", "parameters_section"]
 
 OPEN = "not identifiable"
+_ON_BOUND = "limit"
 _PREFIXES = {"base_": "base", "target_": "targets", "flange_": "flange"}
 _MANY = 40  # parameters of an effect at a place, which nobody reads one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
@@ -35,6 +36,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
             blocks.append(_base(stage_model))
         notes += [f"{stage_title(stage)}: {name} is drawn as curves, not listed number by number." for name in many]
         blocks += [_pivot(stage_model, effects, indices) for indices in _groups(stage_model, effects)]
+        active = [effects[name] for name in dict.fromkeys(s.effect for s in stage_model.slots)]
+        notes += [f"{stage_title(stage)}: {e.name}: {e.caveat}." for e in active if e.caveat]
         if stage_model.observability:
             notes.append(f"{stage_title(stage)}: {index_words(stage_model.observability)}")
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
@@ -44,6 +47,12 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
             f" “{OPEN}” stands for: not identifiable from these data, that is, not known to within the size that it "
             f"may reasonably have ({open_ones} parameters). Their values in the model file are one choice of many that "
             "fit equally well."
+        )
+    if any(_rests(s, effects, k) for s in model.stages.values() for k in range(len(s.slots))):
+        text += (
+            f" “({_ON_BOUND})” stands for: the value is on its physical limit, such as a friction or a clearance of "
+            "zero. The data alone would have it at the limit or beyond, and the standard error is theirs: of the "
+            "interval only the side within the limit counts."
         )
     return Section(
         "model", "The model with standard errors", (text,), tuple(blocks), tuple(notes), "What these data cannot tell"
@@ -103,7 +112,7 @@ def _pivot(stage: StageModel, effects: Mapping[str, Effect], indices: Sequence[i
         unit = scales[effect, name].unit
         heads.append(f"{short if single else f'{effect} {short}'}{f', {unit}' if unit else ''}#")
     rows = [
-        (place, *(_cell(stage, at.get((place, *c)), scales[c]) for c in columns))
+        (place, *(_cell(stage, effects, at.get((place, *c)), scales[c]) for c in columns))
         for place in sorted(places, key=_natural)
     ]
     return as_table(("At", *heads), rows, _caption(effects, columns))
@@ -120,12 +129,17 @@ def _scale(stage: StageModel, effects: Mapping[str, Effect], own: Sequence[int])
     return scale_for(find_parameter(stage.slots[own[0]], effects).unit, values)
 
 
-def _cell(stage: StageModel, k: int | None, scale: Scale) -> str:
+def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale: Scale) -> str:
     if k is None:
         return ""
     if not stage.identified[k]:
         return OPEN
-    return with_std(float(stage.theta[k]), float(stage.std[k]), scale, unit=False)
+    told = with_std(float(stage.theta[k]), float(stage.std[k]), scale, unit=False)
+    return f"{told} ({_ON_BOUND})" if _rests(stage, effects, k) else told
+
+
+def _rests(stage: StageModel, effects: Mapping[str, Effect], k: int) -> bool:
+    return bool(stage.identified[k]) and on_bound(stage.slots[k], float(stage.theta[k]), effects)
 
 
 def _caption(effects: Mapping[str, Effect], columns: Sequence[tuple[str, str]]) -> str:

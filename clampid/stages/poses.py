@@ -57,7 +57,7 @@ def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
     if not chain.reads_flanks:
         return None
     open_ = {**rows.signals, "flank": np.zeros((len(rows), rows.robot.n))}
-    pressing = chain.evaluate(theta, open_).pressing
+    pressing = chain.evaluate(np.maximum(theta, chain.least), open_).pressing
     return None if pressing is None else np.sign(pressing)
 
 

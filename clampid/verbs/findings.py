@@ -112,6 +112,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
             out.table("", ("parameter", "value"), _values(parameters))
+            _show_caveats(candidates, out)
         _show_omission(part.get("omission") or (), out)
         for found in part.get("simpler", ()):
             out.say(f"  {found['summary']}; to fit it: clampid add {stage}={found['name']} MODEL CAMPAIGN -o MENDED")
@@ -148,10 +149,17 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
             values = _values(added["parameters"])
             rows += [(added["effect"], where_text(added["where"]), *named) for named in values]
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
+        _show_caveats(part["added"], out)
         if part.get("exported_shift"):
             from clampid.omission import shift_in_words
 
             out.say(shift_in_words(part["exported_shift"]))
+
+
+def _show_caveats(entries: Sequence[Mapping[str, Any]], out: Output) -> None:
+    """What the standard errors of some effects leave out."""
+    for said in dict.fromkeys(entry["caveat"] for entry in entries if "caveat" in entry):
+        out.say(f"  {said}")
 
 
 def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:

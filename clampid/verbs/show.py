@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["model_json", "parameter_rows", "show_drives", "show_model", "show_rounds", "stage_unit"]
 
 NOT_KNOWN = "not identifiable from these data"
+ON_BOUND = "on its physical limit: the interval has one side"
 
 
 def stage_unit(stage: str) -> str:
@@ -29,6 +30,8 @@ def stage_unit(stage: str) -> str:
 
 def parameter_rows(stage: StageModel, effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:
     """One row per parameter: name, place, value, standard error, unit, remark."""
+    from clampid.slots import on_bound
+
     units = {(e.name, p.name): p.unit for e in effects.values() for p in e.parameters}
     rows: list[tuple[str, ...]] = []
     for slot, value, std, known in zip(
@@ -36,7 +39,8 @@ def parameter_rows(stage: StageModel, effects: Mapping[str, Effect]) -> list[tup
     ):
         number, error, symbol = quantity(value, std, units.get((slot.effect, slot.parameter), ""))
         name = f"{slot.effect}.{slot.parameter}"
-        rows.append((name, slot.place, number, error, symbol, "" if known else NOT_KNOWN))
+        remark = (ON_BOUND if on_bound(slot, value, effects) else "") if known else NOT_KNOWN
+        rows.append((name, slot.place, number, error, symbol, remark))
     return rows
 
 
@@ -57,6 +61,9 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
     columns = ("parameter", "at", "value", "± std", "unit", "")
     for name, stage in model.stages.items():
         out.table(name, columns, parameter_rows(stage, effects), left=2)
+        for effect in dict.fromkeys(s.effect for s in stage.slots):
+            if effects[effect].caveat:
+                out.say(f"{name}: {effect}: {effects[effect].caveat}")
         if stage.outliers:
             rows = ", ".join(f"{table} row {row}" for _, table, row in stage.outliers[:10])
             more = f" and {len(stage.outliers) - 10} more" if len(stage.outliers) > 10 else ""

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
 from clampid.drives import DETECTION, clamped_drives, drives_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot, Term
 from clampid.verbs.output import Output
-from clampid.verbs.show import show_drives
+from clampid.verbs.show import parameter_rows, show_drives
 from kinematics.description import load_robot
 from kinematics.transmission import Transmission
 
@@ -103,3 +104,10 @@ def test_tables_are_in_the_units_of_the_thesis(stage: StageModel, robot, capsys:
     data = json.loads(json.dumps(drives.to_json()))
     assert data["gap_limit_rad"] == pytest.approx(drives.gap_limit.tolist())
     assert set(data) >= {"stiffness_Nm_rad", "compliance_std_rad_Nm", "friction_Nm", "gap_told_from_zero"}
+
+
+def test_a_clearance_on_its_limit_is_said_to_be(stage: StageModel):
+    theta = stage.theta.copy()
+    theta[8] = 0.0
+    rows = parameter_rows(replace(stage, theta=theta), catalogue())
+    assert [row[:2] for row in rows if "one side" in row[-1]] == [("backlash.gap", "joint3")]

@@ -11,16 +11,19 @@ import pytest
 from clampid.add import add
 from clampid.catalogue import catalogue
 from clampid.diagnose import diagnose
-from clampid.diagnosis.events import Scan, event_scores, time_of
+from clampid.diagnosis.events import Scan, absent_events, event_scores, time_of
 from clampid.diagnosis.score import Flips, space_of
 from clampid.fit import Estimate, fit
 from clampid.fitted_stage import active_slots
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
 from clampid.reopen import reopen
-from clampid.slots import Slot, Term
+from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
+from experiments.virtual_robot import Plant, measure
+from kinematics.description import load_robot
 
 STANDARD = ("joint_compliance", "backlash", "coulomb_friction")
 EVENTS = {"fixture_shift": catalogue()["fixture_shift"]}
@@ -82,7 +85,7 @@ def test_nothing_slipped_is_not_called_a_slip(without: Estimate):
 def scan(sweeps: int, rows: int, seed: int) -> Scan:
     rng = np.random.default_rng(seed)
     time = np.concatenate([s + (np.arange(rows) + 0.5) / rows for s in range(sweeps)])
-    return Scan(time, rng.chisquare(6, sweeps * rows))
+    return Scan(time, rng.chisquare(6, sweeps * rows), np.repeat(np.arange(sweeps) % 6, rows))
 
 
 def test_the_largest_of_many_times_is_not_significant_by_itself():
@@ -90,19 +93,64 @@ def test_the_largest_of_many_times_is_not_significant_by_itself():
     assert 0.0 < np.mean(small) < 0.08
 
 
-def test_what_other_sweeps_show_too_is_no_event():
+def log_p_of(shown: dict[int, float]) -> float:
+    """Of 16 sweeps of the joints in turn, some of which show so much."""
     found = scan(16, 140, 0)
-    alone, again = found.explained.copy(), found.explained.copy()
-    alone[70] = again[70] = 300.0
-    again[5 * 140 + 70] = 250.0
-    assert Scan(found.time, alone).log_p(6, 15000) < np.log(1e-9)
-    assert Scan(found.time, again).log_p(6, 15000) > np.log(0.01)
+    for sweep, explained in shown.items():
+        found.explained[sweep * 140 + 70] = explained
+    return found.log_p(6, 15000)
+
+
+def test_what_other_sweeps_show_too_is_no_event():
+    assert log_p_of({0: 300.0}) < np.log(1e-9)
+    assert log_p_of({0: 300.0, 6: 250.0}) > np.log(0.01)  # another sweep of the same joint
+    assert log_p_of({0: 300.0, 5: 250.0, 7: 240.0}) > np.log(0.01)
+
+
+def test_two_events_in_sweeps_of_different_joints_do_not_hide_each_other():
+    assert log_p_of({0: 300.0, 5: 250.0}) < np.log(1e-9)
+    assert log_p_of({5: 300.0, 0: 250.0}) < np.log(1e-9)
+    assert log_p_of({0: 300.0, 5: 250.0, 6: 40.0}) < np.log(1e-9)
 
 
 def test_further_tests_raise_the_null():
     null = Flips(np.zeros(999))
     assert null.joined(0, seed=1).p_familywise(np.log(0.05)) == pytest.approx(0.001)
     assert null.joined(1, seed=1).p_familywise(np.log(0.05)) == pytest.approx(0.05, abs=0.02)
+
+
+def test_a_second_slip_is_looked_for_beside_the_first(with_slip: Estimate):
+    assert [e.name for e in absent_events(with_slip, catalogue())] == ["fixture_shift"]
+    slots = (*with_slip.slots, *slots_of(EVENTS["fixture_shift"], with_slip.experiment.rows.layout))
+    beside = replace(with_slip, experiment=with_slip.experiment.with_slots(slots))
+    assert [e.name for e in absent_events(beside, catalogue())] == ["second_fixture_shift"]
+
+
+def slipped_twice(slipped: Campaign) -> Campaign:
+    """The same arm, whose block slips in the fifth sweep too, 810 s after the start: that sweep of another campaign."""
+    shift = np.array([1.3e-4, -1.9e-4, 1.2e-4, 1.8e-4, 1.5e-4, 2.5e-4])
+
+    def slip(plant: Plant) -> Plant:
+        return replace(plant, fixture=replace(plant.fixture, shift=shift, slips_at=810.0))
+
+    robot = load_robot("kuka_kr20_r1810")
+    other = unwatched(measured_campaign(measure(robot, seed=1, tables=("clamped",), alter=slip), robot))
+    table, fifth = slipped.tables["clamped"].copy(), slipped.tables["clamped"]["sweep"] == 5
+    table[fifth] = other.tables["clamped"][fifth]
+    return replace(slipped, tables={**slipped.tables, "clamped": table})
+
+
+@pytest.mark.slow
+def test_two_slips_are_found_to_the_row(slipped: Campaign):
+    campaign = slipped_twice(slipped)
+    found = diagnose(identify(campaign, {"clamped": STANDARD}), campaign).stages["clamped"]
+    assert found.verdict == "missing"
+    time = campaign.tables["clamped"]["time_s"]
+    before = sorted(time.iloc[c["when"]["row"] - 2] for c in found.candidates)
+    after = sorted(time.iloc[c["when"]["row"] - 1] for c in found.candidates)
+    assert [a < t <= b for a, t, b in zip(before, (463.764, 810.0), after, strict=True)] == [True, True]
+    assert {c["effect"] for c in found.candidates} == {"fixture_compliance"}
+    assert all("less well" in c["caveat"] for c in found.candidates)
 
 
 @pytest.mark.slow

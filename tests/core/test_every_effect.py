@@ -66,7 +66,9 @@ def _values(trial: Experiment, near: float, seed: int) -> np.ndarray:
 
 
 def test_the_catalogue_is_the_folder():
-    assert sorted(EFFECTS) == [p.stem for p in FILES]
+    twice = [f"second_{name}" for name, effect in EFFECTS.items() if effect.event is not None and effect.beyond is None]
+    assert twice
+    assert sorted(EFFECTS) == sorted([*(p.stem for p in FILES), *twice])
 
 
 def test_declaration(effect: Effect):

@@ -94,6 +94,16 @@ def test_held_out_rows_are_not_worse(apart: Model, joint: Model):
         assert new.heldout_rms < 1.02 * old.heldout_rms
 
 
+def test_an_unloaded_joint_whose_friction_comes_out_negative_keeps_its_flanks(simulated: Simulated):
+    """Nothing loads joint 1 of this robot; its friction is known to 2 Nm, and comes out below zero by 1.5 errors."""
+    campaign = simulated(seed=4, poses=100, tables=("free_air", "wrist", "clamped", "poses"))
+    apart, joint = identify(campaign, holdout=0.2, seed=4), identify(campaign, holdout=0.2, seed=4, joint=True)
+    friction, std = value(joint, "poses", "wrist_coupling_friction.F@joint1")
+    assert -3.0 * std < friction < 0.0
+    for old, new in zip(apart.ledger, joint.ledger, strict=True):
+        assert new.heldout_rms < 1.02 * old.heldout_rms, new.stage
+
+
 def test_a_stage_fitted_again_stays_where_it_was(campaign: Campaign, joint: Model):
     """With what all other rows say of it as prior, no row counts twice."""
     opened = reopen(joint, campaign)

@@ -1,0 +1,94 @@
+"""Flanks that follow the loads: a gear rests where its torque presses, and the torque depends on what is fitted.
+
+The cost jumps where a joint's load changes its side, so that no step can be taken across. Flanks are held in each
+search, and follow between searches until they stay. Where a load is about zero they may come round: held on one side,
+the fit moves the load to the other, and back. Then the lowest of these fits is kept, each judged on its own flanks, as
+its predictions will be.
+
+An unloaded joint shows the product of its spring's compliance and its friction, so that both below zero fit as well as
+both above, but for the flanks. A search that began on the wrong side ends there; its mirror image is another start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array
+
+__all__ = ["ROUNDS", "mirrored", "settled"]
+
+ROUNDS = 8
+
+
+class Found(Protocol):
+    """What a search has found."""
+
+    @property
+    def theta(self) -> Array:
+        """Where ``(P,)``."""
+
+
+FoundT = TypeVar("FoundT", bound=Found)
+Held = Sequence[Experiment]
+
+
+def settled(
+    start: Array,
+    held_at: Callable[[Array], Held],
+    search: Callable[[Held, Array], FoundT],
+    cost: Callable[[Held, Array], float],
+) -> FoundT:
+    """Search with flanks held, from ``start`` ``(P,)``, until they stay, come round, or have moved `ROUNDS` times.
+
+    Parameters
+    ----------
+    held_at
+        The experiments with flanks held where a parameter vector puts them.
+    search
+        The lowest point downhill from a parameter vector, flanks held.
+    cost
+        What a parameter vector costs, prior included.
+    """
+    held = held_at(start)
+    seen, found = [held], [search(held, start)]
+    for _ in range(ROUNDS):
+        moved = held_at(found[-1].theta)
+        if _same(held, moved):
+            return found[-1]
+        if any(_same(other, moved) for other in seen):
+            break
+        held = moved
+        seen.append(held)
+        found.append(search(held, found[-1].theta))
+    return min(found, key=lambda f: cost(held_at(f.theta), f.theta))
+
+
+def mirrored(trial: Experiment, theta: Array) -> Array | None:
+    """The parameters ``(P,)`` with springs and friction above zero at joints where both are below; None if at none."""
+    if not trial.chain.reads_flanks:
+        return None
+    below: dict[str, dict[str, list[int]]] = {"friction": {}, "spring": {}}
+    for k, (slot, parameter) in enumerate(zip(trial.slots, trial.parameters, strict=True)):
+        effect = trial.effects[slot.effect]
+        spring = "joint_angle" in effect.acts and "torque" in effect.needs and theta[k] < parameter.bounds[0]
+        if spring or theta[k] < trial.chain.least[k]:
+            below["spring" if spring else "friction"].setdefault(slot.place, []).append(k)
+    both = below["spring"].keys() & below["friction"].keys()
+    index = [k for side in below.values() for place in both for k in side[place]]
+    if not index:
+        return None
+    out = theta.copy()
+    out[index] = -out[index]
+    return out
+
+
+def _same(a: Held, b: Held) -> bool:
+    return all(x is y or np.array_equal(_flanks(x), _flanks(y)) for x, y in zip(a, b, strict=True))
+
+
+def _flanks(trial: Experiment) -> Array:
+    return np.asarray(trial.rows.signals.get("flank", np.zeros(0)))
