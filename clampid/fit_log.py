@@ -19,7 +19,7 @@ from scipy import stats
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
 from clampid.moments import LogPoint, Moments, minimise
 from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -31,7 +31,10 @@ ENOUGH = 20  # rows of a motor from which a median says what an outlier is
 
 @dataclass(frozen=True)
 class LogNoise:
-    """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise."""
+    """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise.
+
+    Of logs that are logged more densely than their design can follow both are those of groups of rows.
+    """
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
@@ -178,7 +181,9 @@ def summed(
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
             if noise.autocorrelations:
-                both = _whitener(channel, used)(both, noise.predictors[c])
+                groups, whitener = _whitener(channel, used)
+                both = whitener(groups.mean(both), noise.predictors[c])
+                own, of = groups.own(own), None if of is None else of[groups.first]
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -209,6 +214,13 @@ class Residuals:
     _channel: Channel
     _used: Integers | slice
     _design_at: Array
+
+    @property
+    def groups(self) -> Grouping:
+        """What of these rows is taken together."""
+        if isinstance(self._used, slice):
+            return self._channel.groups
+        return Grouping.of(self.row, self.stretch, self._channel.together)
 
     def at(self, theta: Array, part: Integers) -> Array:
         """The same ``(k,)`` at the parameters ``(parts, P + K)`` of the part that each fold ``(F,)`` is of."""
@@ -242,7 +254,8 @@ class _Memory:
     def add(self, found: Sequence[Residuals]) -> None:
         """Add a window's."""
         for r in found:
-            sums, counts = lag_products(r.values, r.row, r.stretch, r.own)
+            groups = r.groups
+            sums, counts = lag_products(groups.mean(r.values), groups.row, groups.stretch, groups.own(r.own))
             self.products[r.motor] += sums
             self.pairs[r.motor] += counts
 
@@ -291,8 +304,9 @@ def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) 
     return memory.noise()
 
 
-def _whitener(channel: Channel, used: Integers | slice) -> Whitener:
-    """The filter of some of a channel's rows."""
+def _whitener(channel: Channel, used: Integers | slice) -> tuple[Grouping, Whitener]:
+    """What of some of a channel's rows is taken together, and its filter."""
     if isinstance(used, slice):
-        return channel.whitener
-    return Whitener(channel.row[used], channel.stretch[used])
+        return channel.groups, channel.whitener
+    groups = Grouping.of(channel.row[used], channel.stretch[used], channel.together)
+    return groups, Whitener(groups.row, groups.stretch)
