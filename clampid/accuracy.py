@@ -169,8 +169,7 @@ def _normal(J: Array, r: Array) -> tuple[Array, Array]:
 def _resting(experiment: Experiment, theta: Array) -> Bools:
     """Which parameters ``(P + K,)`` the fit holds on their bounds."""
     lower, upper = experiment.bounds()
-    bounded = experiment.shapes() | (experiment.stage == "clamped")
-    return np.asarray(bounded & ((theta <= lower) | (theta >= upper)))
+    return np.asarray(experiment.bounded() & ((theta <= lower) | (theta >= upper)))
 
 
 def stage_errors(
