@@ -130,8 +130,8 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
     for c in range(residual.shape[1]):
         index = np.flatnonzero(rows.used[:, c])
         x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
-        groups = _groups(rows, index, together)
-        products, pairs = lag_products(groups.mean(x[index] / sigma[index, c, None]), groups.row, groups.stretch)
+        taken = _groups(rows, index, together)
+        products, pairs = lag_products(taken.mean(x[index] / sigma[index, c, None]), taken.row, taken.stretch)
         if (absorbed is not None or together > 1) and pairs[0]:
             sigma[:, c] *= max(np.sqrt(products[0] / pairs[0]), 1e-12)  # the residual alone, row by row, has scale 1
         autocorrelations.append(autocorrelation(products, pairs))
