@@ -144,6 +144,8 @@ def fit(
     if noise is None:
         for _ in range(1 if experiment.stage == "poses" else 2):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
+            if experiment.stage == "free_air" and estimate.noise.settled(model):
+                break
             estimate = solve(experiment, estimate.theta, model, precision, mean)
     if experiment.stage == "poses":
         estimate = _with_repeatability(estimate)

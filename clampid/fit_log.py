@@ -1,9 +1,9 @@
 """The fit of a torque log by passes over its windows: the results of `clampid.fit.fit`, without holding the log.
 
 For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
-outliers and noise, two where the log is long; then twice the prewhitened equations are summed, the second time by
-parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped Gauss-Newton.
-Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
+outliers and noise, two where the log is long; then the prewhitened equations are summed, again if that changes the
+noise, by parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped
+Gauss-Newton. Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
 balanced before they are solved, as everywhere here.
 """
 
@@ -19,7 +19,7 @@ from scipy import stats
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
 from clampid.moments import LogPoint, Moments, minimise
 from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -38,6 +38,13 @@ class LogNoise:
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
+    counts: tuple[float, ...] = ()
+
+    def settled(self, again: LogNoise) -> bool:
+        """As `clampid.noise.Noise.settled`."""
+        ratios = again.sigma / self.sigma
+        channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
+        return all(settled(*channel) for channel in channels)
 
     @cached_property
     def predictors(self) -> tuple[Predictors, ...]:
@@ -151,9 +158,12 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
             break
         outliers, noise = np.union1d(outliers, bad), None
         found, _ = solved(LogNoise(np.ones(design.n)), found.at)
-    found, _ = solved(noise or _learned(design, folds, outliers, found.at), found.at)
-    noise = _learned(design, folds, outliers, found.at)
+    noise = noise or _learned(design, folds, outliers, found.at)
     found, sums = solved(noise, found.at, part)
+    again = _learned(design, folds, outliers, found.at)
+    if not noise.settled(again):
+        noise = again
+        found, sums = solved(noise, found.at, part)
     return LogFit(found, noise, outliers, part, sums)
 
 
@@ -263,7 +273,7 @@ class _Memory:
         """As `clampid.noise.learn_noise` finds it."""
         sigma = np.maximum(np.sqrt(self.products[:, 0] / np.maximum(self.pairs[:, 0], 1)), 1e-12)
         autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(self.products, self.pairs, strict=True))
-        return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
+        return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations, tuple(self.pairs[:, 0]))
 
 
 def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> tuple[Integers, LogNoise]:

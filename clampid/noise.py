@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 
@@ -46,11 +46,22 @@ class Noise:
         Per channel that of its noise, lag 0 to 64; empty for white noise.
     together
         Rows of a log of which the mean is one number to the noise: standard deviation and autocorrelation are of these.
+    counts
+        Of how many numbers each channel's noise was learned.
     """
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
     together: int = 1
+    counts: tuple[float, ...] = ()
+
+    def settled(self, again: Noise) -> bool:
+        """Whether a log's noise learned ``again`` from a fit that was weighted by this one is still the same."""
+        if not self.autocorrelations:
+            return False
+        ratios = np.median(again.sigma / self.sigma, axis=0)
+        channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
+        return all(settled(*channel) for channel in channels)
 
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
@@ -93,7 +104,7 @@ class Noise:
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
-        return Noise(self.sigma[chosen], self.autocorrelations, self.together)
+        return Noise(self.sigma[chosen], self.autocorrelations, self.together, self.counts)
 
 
 def initial_noise(rows: Rows) -> Noise:
@@ -126,7 +137,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
     if rows.stage == "poses":
         return Noise(sigma)
-    autocorrelations, together = [], int(rows.constants.get("together", 1))
+    autocorrelations, counts, together = [], [], int(rows.constants.get("together", 1))
     for c in range(residual.shape[1]):
         index = np.flatnonzero(rows.used[:, c])
         x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
@@ -135,7 +146,8 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
         if (absorbed is not None or together > 1) and pairs[0]:
             sigma[:, c] *= max(np.sqrt(products[0] / pairs[0]), 1e-12)  # the residual alone, row by row, has scale 1
         autocorrelations.append(autocorrelation(products, pairs))
-    return Noise(sigma, tuple(autocorrelations), together)
+        counts.append(float(pairs[0]))
+    return Noise(sigma, tuple(autocorrelations), together, tuple(counts))
 
 
 def _groups(rows: Rows, index: Integers, together: int) -> Grouping:

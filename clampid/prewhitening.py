@@ -24,13 +24,14 @@ from scipy.linalg.blas import daxpy
 from clampid.stages.rows import Array, Integers
 from experiments.signals import solve_definite
 
-__all__ = ["ORDER", "REACH", "Grouping", "Predictors", "Whitener", "autocorrelation", "lag_products"]
+__all__ = ["ORDER", "REACH", "Grouping", "Predictors", "Whitener", "autocorrelation", "lag_products", "settled"]
 
 ORDER = 12
 REACH = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
 CACHED = 1 << 14  # numbers that are filtered at once: they should stay in the processor's cache
 ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
 MOST_KINDS = 1 << 15  # of predictors that are kept
+SETTLED = 0.5  # of a standard error: noise that changes by less when it is learned again changes no weight
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
 
 Kinds = npt.NDArray[np.uint64]
@@ -149,6 +150,23 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
     for k in range(len(a) + 1, REACH + 1):
         out[k] = a @ out[k - len(a) : k][::-1]
     return out
+
+
+def settled(ratio: float, before: Array, after: Array, count: float) -> bool:
+    """Whether noise that is learned again is what it was, but for half of what it is known to.
+
+    Parameters
+    ----------
+    ratio
+        Its standard deviation over what that was. Of ``count`` numbers it is known to 1/sqrt(2 count).
+    before, after
+        Autocorrelations ``(65,)``, known to 1/sqrt(count) or worse: Brockwell & Davis (1991), section 7.2.
+    """
+    if count <= 0:
+        return True
+    change = float(np.max(np.abs(after - before)[: ORDER + 1]))
+    error = 1.0 / float(np.sqrt(count))
+    return change < SETTLED * error and abs(ratio - 1.0) < SETTLED * error / 2.0**0.5
 
 
 class Predictors:
