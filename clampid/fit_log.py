@@ -3,7 +3,8 @@
 For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
 outliers and noise, two where the log is long; then the prewhitened equations are summed, again if that changes the
 noise, by parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped
-Gauss-Newton. Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
+Gauss-Newton.
+Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
 balanced before they are solved, as everywhere here.
 """
 

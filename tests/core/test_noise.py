@@ -28,7 +28,7 @@ from clampid.diagnosis.score import (
 )
 from clampid.effect import Stage
 from clampid.noise import initial_noise, learn_noise
-from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.slots import Slot
 from clampid.stages.rows import Rows
 
@@ -339,6 +339,22 @@ def test_groups_are_whole_and_the_same_in_every_window(counts: list[bool], toget
     earlier = Grouping.of(row[before], stretch[before], together)
     own = groups.own(int(np.count_nonzero(before)))
     np.testing.assert_array_equal(np.r_[earlier.row, groups.row[own:]], groups.row)
+
+
+def test_noise_is_settled_where_it_changes_by_less_than_it_is_known_to():
+    """Two logs of the same noise differ by its error, and are not taken for one; one log and nearly itself are."""
+    rng, count = np.random.default_rng(4), 20_000
+
+    def learned(x: np.ndarray) -> tuple[float, np.ndarray, float]:
+        products, pairs = lag_products(x, np.arange(count), np.zeros(count, dtype=np.int64))
+        return float(np.sqrt(products[0] / pairs[0])), autocorrelation(products, pairs), float(pairs[0])
+
+    first = coloured(rng, count)
+    one, other = learned(first), learned(coloured(rng, count))
+    nearly = learned(first + 1e-3 * rng.standard_normal(count))
+    assert settled(nearly[0] / one[0], one[1], nearly[1], one[2])
+    assert not settled(other[0] / one[0], one[1], other[1], one[2])
+    assert not settled(1.0 + 1.0 / np.sqrt(count), one[1], one[1], one[2])
 
 
 def test_dense_log_is_weighted_by_what_its_design_can_follow():
