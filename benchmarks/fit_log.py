@@ -8,7 +8,8 @@ with care: of rows that count only, into an array made before, everything but th
 Which rows count, accelerations and friction's columns are given to both loops; ours finds them within its time.
 
 Equal results are compared. One least squares: from the log's columns to parameters; designs must span the same space.
-The whole stage of `clampid identify`: the same, outliers, and twice prewhitening by the noise and the fit again; after
+The whole stage of `clampid identify`: the same, outliers, prewhitening by the noise and the fit again, and once more
+where that changes the noise; after
 the careful loop that is done with the stage's own filter and three times lstsq.
 """
 
@@ -32,7 +33,7 @@ from clampid.fit_log import LogPrior, fit_log
 from clampid.identify_folder import STANDARD
 from clampid.identify_log import LogStage
 from clampid.layout import layout_of
-from clampid.prewhitening import Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.priors import description_priors
 from clampid.slots import Term
 from clampid.stages.log_facts import facts_of, log_parts
@@ -107,17 +108,25 @@ def careful_loop(campaign: Campaign, log: Given) -> tuple[np.ndarray, np.ndarray
 
 
 def whole_procedure(design: np.ndarray, torque: np.ndarray, log: Given) -> np.ndarray:
-    """Least squares ``(P,)``, and twice again, weighted by the noise that is left: as the stage does."""
+    """Least squares ``(P,)``, and up to twice again, weighted by the noise that is left: as the stage does."""
     row, motor = np.nonzero(log.used)
     found = np.linalg.lstsq(design, torque, rcond=None)[0]
+    before: list[tuple[float, np.ndarray]] = []
     for _ in range(2):
         residual = torque - design @ found
-        both = np.c_[design, torque]
-        for c in range(log.used.shape[1]):
+        sums = [
+            lag_products(residual[o], row[o], log.stretch[row[o]]) for o in (motor == c for c in range(motor.max() + 1))
+        ]
+        noise = [(float(np.sqrt(p[0] / k[0])), autocorrelation(p, k)) for p, k in sums]
+        if before and all(
+            settled(b[0] / a[0], a[1], b[1], k[0]) for a, b, (_, k) in zip(before, noise, sums, strict=True)
+        ):
+            break
+        before, both = noise, np.c_[design, torque]
+        for c, (sigma, correlation) in enumerate(noise):
             own = motor == c
-            products, pairs = lag_products(residual[own], row[own], log.stretch[row[own]])
             white = Whitener(row[own], log.stretch[row[own]])
-            both[own] = white(both[own], Predictors(autocorrelation(products, pairs))) / np.sqrt(products[0] / pairs[0])
+            both[own] = white(both[own], Predictors(correlation)) / sigma
         found = np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=None)[0]
     return found
 

@@ -187,6 +187,21 @@ class Parameter:
         return self.size * (1.0 if self.shape else self.spread)
 
     @property
+    def share(self) -> bool:
+        """Whether it is a share of another amplitude, none to all: bounded, and all of it where nothing else is known.
+
+        At none its effect's shapes would mean nothing, and a search that begins there, on the bound, may stay.
+        """
+        return self.unit == "" and self.bounds == (0.0, 1.0)
+
+    @property
+    def start(self) -> float:
+        """Where a fit begins, and what its prior is centred on."""
+        if self.shape:
+            return self.grid[0]
+        return 1.0 if self.share else 0.0
+
+    @property
     def clear(self) -> float:
         """The standard error below which rows tell it: its size, and no more than half of what the prior says."""
         return self.size if self.shape else min(self.size, 0.5 * self.prior_std)

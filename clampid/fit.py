@@ -143,6 +143,8 @@ def fit(
     if noise is None:
         for _ in range(1 if experiment.stage == "poses" else 2):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
+            if experiment.stage == "free_air" and estimate.noise.settled(model):
+                break
             estimate = solve(experiment, estimate.theta, model, precision, mean)
     if experiment.stage == "poses":
         estimate = _with_repeatability(estimate)
@@ -283,7 +285,7 @@ class Limits:
 def limits_of(experiment: Experiment) -> Limits:
     """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
     lower, upper = experiment.bounds()
-    return Limits(experiment.sizes(), lower, upper, experiment.shapes() | (experiment.stage == "clamped"))
+    return Limits(experiment.sizes(), lower, upper, experiment.bounded())
 
 
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
@@ -418,7 +420,7 @@ def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) ->
 def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
     precision = np.diag(1.0 / experiment.prior_std() ** 2)
-    mean = np.where(experiment.shapes(), experiment.start(), 0.0)
+    mean = experiment.start()
     for prior in priors:
         index = {slot: k for k, slot in enumerate(experiment.slots)}
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]

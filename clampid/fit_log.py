@@ -1,8 +1,9 @@
 """The fit of a torque log by passes over its windows: the results of `clampid.fit.fit`, without holding the log.
 
 For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
-outliers and noise, two where the log is long; then twice the prewhitened equations are summed, the second time by
-parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped Gauss-Newton.
+outliers and noise, two where the log is long; then the prewhitened equations are summed, again if that changes the
+noise, by parts, from which cross-validation has its fits too. Shape parameters take a pass for every step of damped
+Gauss-Newton.
 Source of the reduction: Golub & Van Loan, Matrix Computations (2013), section 5.3.8 (normal equations); they are
 balanced before they are solved, as everywhere here.
 """
@@ -19,7 +20,7 @@ from scipy import stats
 from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
 from clampid.moments import LogPoint, Moments, minimise
 from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -31,10 +32,20 @@ ENOUGH = 20  # rows of a motor from which a median says what an outlier is
 
 @dataclass(frozen=True)
 class LogNoise:
-    """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise."""
+    """Standard deviations of the motors ``(n,)``, Nm, and its autocorrelations; none for white noise.
+
+    Of logs that are logged more densely than their design can follow both are those of groups of rows.
+    """
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
+    counts: tuple[float, ...] = ()
+
+    def settled(self, again: LogNoise) -> bool:
+        """As `clampid.noise.Noise.settled`."""
+        ratios = again.sigma / self.sigma
+        channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
+        return all(settled(*channel) for channel in channels)
 
     @cached_property
     def predictors(self) -> tuple[Predictors, ...]:
@@ -147,9 +158,12 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
             break
         outliers, noise = np.union1d(outliers, bad), None
         found, _ = solved(LogNoise(np.ones(design.n)), found.at)
-    found, _ = solved(noise or _learned(design, folds, outliers, found.at), found.at)
-    noise = _learned(design, folds, outliers, found.at)
+    noise = noise or _learned(design, folds, outliers, found.at)
     found, sums = solved(noise, found.at, part)
+    again = _learned(design, folds, outliers, found.at)
+    if not noise.settled(again):
+        noise = again
+        found, sums = solved(noise, found.at, part)
     return LogFit(found, noise, outliers, part, sums)
 
 
@@ -177,7 +191,9 @@ def summed(
             of = None if part is None else part[channel.fold[used]]
             both = channel.both[used]
             if noise.autocorrelations:
-                both = _whitener(channel, used)(both, noise.predictors[c])
+                groups, whitener = _whitener(channel, used)
+                both = whitener(groups.mean(both), noise.predictors[c])
+                own, of = groups.own(own), None if of is None else of[groups.first]
             if of is None:
                 out[0].add(channel.columns, both[own:], noise.sigma[c])
                 continue
@@ -208,6 +224,13 @@ class Residuals:
     _channel: Channel
     _used: Integers | slice
     _design_at: Array
+
+    @property
+    def groups(self) -> Grouping:
+        """What of these rows is taken together."""
+        if isinstance(self._used, slice):
+            return self._channel.groups
+        return Grouping.of(self.row, self.stretch, self._channel.together)
 
     def at(self, theta: Array, part: Integers) -> Array:
         """The same ``(k,)`` at the parameters ``(parts, P + K)`` of the part that each fold ``(F,)`` is of."""
@@ -241,7 +264,8 @@ class _Memory:
     def add(self, found: Sequence[Residuals]) -> None:
         """Add a window's."""
         for r in found:
-            sums, counts = lag_products(r.values, r.row, r.stretch, r.own)
+            groups = r.groups
+            sums, counts = lag_products(groups.mean(r.values), groups.row, groups.stretch, groups.own(r.own))
             self.products[r.motor] += sums
             self.pairs[r.motor] += counts
 
@@ -249,7 +273,7 @@ class _Memory:
         """As `clampid.noise.learn_noise` finds it."""
         sigma = np.maximum(np.sqrt(self.products[:, 0] / np.maximum(self.pairs[:, 0], 1)), 1e-12)
         autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(self.products, self.pairs, strict=True))
-        return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations)
+        return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations, tuple(self.pairs[:, 0]))
 
 
 def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> tuple[Integers, LogNoise]:
@@ -290,8 +314,9 @@ def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) 
     return memory.noise()
 
 
-def _whitener(channel: Channel, used: Integers | slice) -> Whitener:
-    """The filter of some of a channel's rows."""
+def _whitener(channel: Channel, used: Integers | slice) -> tuple[Grouping, Whitener]:
+    """What of some of a channel's rows is taken together, and its filter."""
     if isinstance(used, slice):
-        return channel.whitener
-    return Whitener(channel.row[used], channel.stretch[used])
+        return channel.groups, channel.whitener
+    groups = Grouping.of(channel.row[used], channel.stretch[used], channel.together)
+    return groups, Whitener(groups.row, groups.stretch)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clampid.prewhitening import Predictors, Whitener, autocorrelation, lag_products
+from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 
@@ -22,9 +22,10 @@ NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 
 @dataclass(frozen=True)
 class Whitened:
-    """Whitened residual ``(M,)`` and Jacobian ``(M, P)``, one entry per used number.
+    """Whitened residual ``(M,)`` and Jacobian ``(M, P)``, one entry per used number, or per group of them.
 
-    ``entry`` ``(M,)`` is the row, ``channel`` ``(M,)`` the column of ``measured`` that each entry came from.
+    ``entry`` ``(M,)`` is the row, of a group the middle one, ``channel`` ``(M,)`` the column of ``measured`` that each
+    entry came from.
     """
 
     residual: Array
@@ -43,10 +44,24 @@ class Noise:
         ``(N, m)``: standard deviation of each number, all of its noise, SI; along the rows' axes of noise.
     autocorrelations
         Per channel that of its noise, lag 0 to 64; empty for white noise.
+    together
+        Rows of a log of which the mean is one number to the noise: standard deviation and autocorrelation are of these.
+    counts
+        Of how many numbers each channel's noise was learned.
     """
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
+    together: int = 1
+    counts: tuple[float, ...] = ()
+
+    def settled(self, again: Noise) -> bool:
+        """Whether a log's noise learned ``again`` from a fit that was weighted by this one is still the same."""
+        if not self.autocorrelations:
+            return False
+        ratios = np.median(again.sigma / self.sigma, axis=0)
+        channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
+        return all(settled(*channel) for channel in channels)
 
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
@@ -59,12 +74,12 @@ class Noise:
                 continue
             touched = np.any(jacobian[index, c], axis=0)  # most columns of a log touch one motor only
             both = self.whiten_channel(rows, c, np.c_[residual[:, c], jacobian[:, c, touched]])
-            r, j = both[:, 0], np.zeros((len(index), jacobian.shape[2]))
+            r, j = both[:, 0], np.zeros((len(both), jacobian.shape[2]))
             j[:, touched] = both[:, 1:]
             parts_r.append(r)
             parts_j.append(j)
-            entries.append(index)
-            channels.append(np.full(len(index), c))
+            entries.append(self._middle(rows, index))
+            channels.append(np.full(len(both), c))
         if not parts_r:
             return Whitened(np.zeros(0), np.zeros((0, jacobian.shape[2])), np.zeros(0, np.int64), np.zeros(0, np.int64))
         return Whitened(
@@ -72,16 +87,24 @@ class Noise:
         )
 
     def whiten_channel(self, rows: Rows, channel: int, columns: Array) -> Array:
-        """Whiten columns ``(N, k)`` of one channel: ``(used rows, k)``."""
+        """Whiten columns ``(N, k)`` of one channel: ``(used rows, k)``, or as many as there are groups of them."""
         index = np.flatnonzero(rows.used[:, channel])
         out = columns[index] / self.sigma[index, channel][:, None]
         if not self.autocorrelations:
             return np.asarray(out)
-        return Whitener(index, _stretches(rows)[index])(out, Predictors(self.autocorrelations[channel]))
+        groups = _groups(rows, index, self.together)
+        whitener = Whitener(groups.row, groups.stretch)
+        return whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
+
+    def _middle(self, rows: Rows, index: Integers) -> Integers:
+        """The rows ``(g,)`` that stand for what is whitened of the used rows ``(k,)``."""
+        if not self.autocorrelations or self.together == 1:
+            return index
+        return np.asarray(index[_groups(rows, index, self.together).first + self.together // 2])
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
-        return Noise(self.sigma[chosen], self.autocorrelations)
+        return Noise(self.sigma[chosen], self.autocorrelations, self.together, self.counts)
 
 
 def initial_noise(rows: Rows) -> Noise:
@@ -114,15 +137,23 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
     if rows.stage == "poses":
         return Noise(sigma)
-    autocorrelations, stretch = [], _stretches(rows)
+    autocorrelations, counts, together = [], [], int(rows.constants.get("together", 1))
     for c in range(residual.shape[1]):
         index = np.flatnonzero(rows.used[:, c])
         x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
-        products, pairs = lag_products(x[index] / sigma[index, c, None], index, stretch[index])
-        if absorbed is not None and pairs[0]:
-            sigma[:, c] *= np.sqrt(products[0] / pairs[0])  # the residual alone has scale 1
+        taken = _groups(rows, index, together)
+        products, pairs = lag_products(taken.mean(x[index] / sigma[index, c, None]), taken.row, taken.stretch)
+        if (absorbed is not None or together > 1) and pairs[0]:
+            sigma[:, c] *= max(np.sqrt(products[0] / pairs[0]), 1e-12)  # the residual alone, row by row, has scale 1
         autocorrelations.append(autocorrelation(products, pairs))
-    return Noise(sigma, tuple(autocorrelations))
+        counts.append(float(pairs[0]))
+    return Noise(sigma, tuple(autocorrelations), together, tuple(counts))
+
+
+def _groups(rows: Rows, index: Integers, together: int) -> Grouping:
+    """The groups of some rows ``(k,)``; of a log that is thinned, by their places in the whole of it."""
+    place = index if together == 1 else rows.constants["log_row"][index]
+    return Grouping.of(place, _stretches(rows)[index], together)
 
 
 def _stretches(rows: Rows) -> Integers:

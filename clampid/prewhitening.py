@@ -1,14 +1,20 @@
 """Prewhitening of logs: how noise remembers itself, and the filter that takes that out, across rows that do not count.
 
-The noise of a torque log is taken for autoregressive of order 12. A row is predicted from the latest twelve rows before
+The noise of a torque log is taken for autoregressive of order 12, over time: a log has speeds and accelerations over a
+window, and rows that are closer than half of it are taken together first, residual and columns alike (`Grouping`).
+Otherwise twelve rows of a log of 5 kHz are 2 ms, the filter makes its white noise of quicker changes than the design
+can have, and weighs the fit by those. A row is predicted from the latest twelve rows before
 it that count; between a move and the next, rows of rest and of acceleration do not, and the noise outlasts them. Where
 no row is missing that is the ordinary autoregressive filter. Unwhitened, ordinary tests fire on any clean log; with the
 filter begun anew after every gap, standard errors come out a tenth to a third too small.
 Source: Brockwell & Davis, Time Series: Theory and Methods (1991), sections 5.1 (best linear predictors), 8.1 and 12.3
-(missing values).
+(missing values); the same filter and decimation of both sides of the model: Khalil & Dombre, Modeling, Identification
+and Control of Robots (2002), section 12.6.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -18,17 +24,64 @@ from scipy.linalg.blas import daxpy
 from clampid.stages.rows import Array, Integers
 from experiments.signals import solve_definite
 
-__all__ = ["ORDER", "REACH", "Predictors", "Whitener", "autocorrelation", "lag_products"]
+__all__ = ["ORDER", "REACH", "Grouping", "Predictors", "Whitener", "autocorrelation", "lag_products", "settled"]
 
 ORDER = 12
 REACH = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
 CACHED = 1 << 14  # numbers that are filtered at once: they should stay in the processor's cache
 ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
 MOST_KINDS = 1 << 15  # of predictors that are kept
+SETTLED = 0.5  # of a standard error: noise that changes by less when it is learned again changes no weight
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
 
 Kinds = npt.NDArray[np.uint64]
 _PLAIN = np.array([(1 << ORDER) - 1], dtype=np.uint64)  # the twelve rows directly before
+
+
+@dataclass(frozen=True)
+class Grouping:
+    """Rows that count, taken together ``together`` at a time: the means of those that follow each other.
+
+    Groups begin at multiples of ``together`` among the rows of the log, so that they are the same whichever part of
+    the log is looked at; one of which a row does not count is left out.
+
+    Attributes
+    ----------
+    together
+        Rows of a group.
+    first
+        ``(g,)``: place of each group's first row among those given.
+    row, stretch
+        ``(g,)``: number of the group, and of which stretch of the log it is; what `Whitener` and `lag_products` take.
+    """
+
+    together: int
+    first: Integers
+    row: Integers
+    stretch: Integers
+
+    @staticmethod
+    def of(row: Integers, stretch: Integers, together: int) -> Grouping:
+        """The groups of rows ``(k,)`` of a log, in order, and of its stretches ``(k,)``."""
+        if together == 1:
+            return Grouping(1, np.arange(len(row)), row, stretch)
+        first = np.flatnonzero(row[: max(len(row) - together + 1, 0)] % together == 0)
+        last = first + together - 1
+        first = first[(row[last] - row[first] == together - 1) & (stretch[last] == stretch[first])]
+        return Grouping(together, first, row[first] // together, stretch[first])
+
+    def mean(self, values: Array) -> Array:
+        """Means ``(g, …)`` over the groups of what the rows have ``(k, …)``."""
+        if self.together == 1:
+            return values
+        out = values[self.first]
+        for k in range(1, self.together):
+            out += values[self.first + k]
+        return np.asarray(out / self.together)
+
+    def own(self, rows: int) -> int:
+        """How many of the groups end before the row in the place ``rows``."""
+        return int(np.searchsorted(self.first + self.together - 1, rows))
 
 
 def lag_products(x: Array, row: Integers, stretch: Integers, own: int = 0) -> tuple[Array, Array]:
@@ -97,6 +150,23 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
     for k in range(len(a) + 1, REACH + 1):
         out[k] = a @ out[k - len(a) : k][::-1]
     return out
+
+
+def settled(ratio: float, before: Array, after: Array, count: float) -> bool:
+    """Whether noise that is learned again is what it was, but for half of what it is known to.
+
+    Parameters
+    ----------
+    ratio
+        Its standard deviation over what that was. Of ``count`` numbers it is known to 1/sqrt(2 count).
+    before, after
+        Autocorrelations ``(65,)``, known to 1/sqrt(count) or worse: Brockwell & Davis (1991), section 7.2.
+    """
+    if count <= 0:
+        return True
+    change = float(np.max(np.abs(after - before)[: ORDER + 1]))
+    error = 1.0 / float(np.sqrt(count))
+    return change < SETTLED * error and abs(ratio - 1.0) < SETTLED * error / 2.0**0.5
 
 
 class Predictors:

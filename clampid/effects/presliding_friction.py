@@ -40,7 +40,15 @@ EFFECT = Effect(
     family="hysteresis",
     acts={"friction_state": state},
     parameters=(
-        Parameter("c", "", 1.0, "joint", (0.0, 1.0), "share of the dry friction that builds up over a travel"),
+        Parameter(
+            "c",
+            "",
+            0.3,  # the standard deviation of a share of which nothing is known
+            "joint",
+            (0.0, 1.0),
+            "share of the dry friction that builds up over a travel",
+            spread=1.0,
+        ),
         Parameter(
             "s",
             "rad",

@@ -86,12 +86,8 @@ class Experiment:
         return experiment(self.rows, self.effects, slots)
 
     def start(self) -> Array:
-        """A start: amplitudes zero, or in ``clamped`` stiff springs; shape parameters at the first of their grid."""
-        theta = np.zeros(len(self.slots) + self.offsets)
-        for k, parameter in enumerate(self.parameters):
-            if parameter.shape:
-                theta[k] = parameter.grid[0]
-        return theta
+        """A start: amplitudes zero, or in ``clamped`` stiff springs; shapes and shares as they say of themselves."""
+        return np.array([*(p.start for p in self.parameters), *([0.0] * self.offsets)])
 
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""
@@ -147,6 +143,15 @@ class Experiment:
         """Which parameters ``(P + K,)`` are shapes, not amplitudes."""
         own = [p.shape for p in self.parameters]
         return np.array([*own, *([False] * self.offsets)], dtype=bool)
+
+    def bounded(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which parameters ``(P + K,)`` a fit keeps within their bounds.
+
+        Shapes, shares, and all of a clamped arm, which has no equilibrium otherwise. An amplitude that comes out beyond
+        what is physical says that something else is wrong, such as friction that drives of an angle that is mirrored.
+        """
+        own = [p.shape or p.share or self.stage == "clamped" for p in self.parameters]
+        return np.array([*own, *([self.stage == "clamped"] * self.offsets)], dtype=bool)
 
 
 def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescription) -> Parameter:

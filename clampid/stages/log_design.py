@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.chain import Chain
-from clampid.prewhitening import REACH, Whitener
+from clampid.prewhitening import REACH, Grouping, Whitener
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
 from clampid.stages.rows import Array, Bools, Integers
@@ -45,6 +45,8 @@ class Channel:
         ``(p,)``: which parameters can touch this motor here.
     both
         ``(k, p + 1)``: the prediction's derivative; last, measured less predicted torque where the design is, Nm.
+    together
+        How many rows are one number to the noise.
     """
 
     row: Integers
@@ -53,11 +55,17 @@ class Channel:
     fold: Integers
     columns: Integers
     both: Array
+    together: int
+
+    @cached_property
+    def groups(self) -> Grouping:
+        """What of these rows is taken together."""
+        return Grouping.of(self.row, self.stretch, self.together)
 
     @cached_property
     def whitener(self) -> Whitener:
-        """The filter of all of these rows."""
-        return Whitener(self.row, self.stretch)
+        """The filter of all of these groups."""
+        return Whitener(self.groups.row, self.groups.stretch)
 
 
 @dataclass(frozen=True)
@@ -273,7 +281,7 @@ class LogDesign:
         measured = stacked(w, joint_columns("tau", "Nm", self.n))
         counts = counting(every, self.T, facts, run, self.wrist, self.accelerating)
         # Rows before the window's own are needed as far as the noise remembers.
-        counts[: max(w.start - REACH, 0)] = False
+        counts[: max(w.start - REACH * facts.together, 0)] = False
         counts[w.stop :] = False
         chosen = np.flatnonzero(counts.any(axis=1))
         if any(name.endswith("_temperature") for name, _ in kernel.signals):
@@ -319,6 +327,7 @@ class LogDesign:
                     fold=window.fold[used],
                     columns=np.r_[kernel.touched[c], columns],
                     both=both,
+                    together=self.facts.together,
                 )
             )
         return replace(window.bare, channels=tuple(channels))

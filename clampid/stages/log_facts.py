@@ -150,10 +150,20 @@ class LogFacts:
         """How many neighbours a window needs on either side."""
         return halo_of(self.step)
 
+    @property
+    def together(self) -> int:
+        """How many rows that follow each other are one number to the noise."""
+        return together_of(self.step)
+
 
 def halo_of(step: float) -> int:
     """Rows on either side of a window: its noise remembers some, whose speeds and accelerations reach for others."""
-    return prewhitening.REACH + max(NEIGHBOURS, REACH * round(WINDOW_S / step))
+    return prewhitening.REACH * together_of(step) + max(NEIGHBOURS, REACH * round(WINDOW_S / step))
+
+
+def together_of(step: float) -> int:
+    """How many rows fit into half the window of speeds and accelerations: quicker changes the design does not know."""
+    return max(1, round(0.5 * WINDOW_S / step))
 
 
 def joint_columns(kind: str, unit: str, n: int) -> list[str]:

@@ -109,10 +109,12 @@ def torque_rows(
         constants={
             "time": time,
             "run": run,
+            "together": facts.together,
+            "log_row": np.arange(len(run)),
             "offset_keys": standing_joints(facts, layout.wrist),
             "gravity": np.array([campaign.gravity for campaign in campaigns], dtype=float),
         },
-        per_row=("time", "run"),
+        per_row=("time", "run", "log_row"),
     )
 
 

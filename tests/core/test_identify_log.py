@@ -106,6 +106,20 @@ def test_accelerated_rows_temperatures_and_loads(free_air: Campaign) -> None:
     assert_same(by_windows([free_air], names, window=4000), fitted, errors)
 
 
+@pytest.mark.parametrize(("window", "kept", "holdout"), [(1 << 14, 1 << 28, 0.0), (1700, 0, 0.3)])
+def test_log_denser_than_its_design_can_follow(free_air: Campaign, window: int, kept: int, holdout: float) -> None:
+    """Three rows are one number to the noise, of which windows, folds and outliers begin and end anywhere."""
+    table = free_air.tables["free_air"].copy()
+    table["time_s"] /= 30.0
+    table.loc[[400, 900, 1701], "tau2_Nm"] += 50.0
+    dense = replace(free_air, tables={"free_air": table})
+    names = (*STANDARD, "inertia")
+    fitted, errors, held = held_whole([dense], names, holdout)
+    assert fitted.estimate.noise.together == 3
+    assert fitted.model.outliers
+    assert_same(by_windows([dense], names, held, window, kept), fitted, errors)
+
+
 def test_outliers_are_the_same(free_air: Campaign) -> None:
     table = free_air.tables["free_air"].copy()
     wrong = np.random.default_rng(3).choice(len(table), 80, replace=False)

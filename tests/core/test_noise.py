@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
+from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln, logsumexp
 
 from clampid.diagnosis.candidates import Candidate
@@ -25,6 +28,7 @@ from clampid.diagnosis.score import (
 )
 from clampid.effect import Stage
 from clampid.noise import initial_noise, learn_noise
+from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.slots import Slot
 from clampid.stages.rows import Rows
 
@@ -308,3 +312,70 @@ def test_a_wide_candidate_does_not_hide_a_narrow_one():
     null = flip_maxima(sp, scored, 199, 0)
     assert null.p_familywise(scored[0].log_p) == pytest.approx(1 / 200)
     assert null.p_familywise(scored[1].log_p) > 0.05
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    counts=st.lists(st.booleans(), min_size=1, max_size=80),
+    together=st.integers(1, 6),
+    cut=st.integers(0, 80),
+    broken=st.integers(0, 80),
+)
+def test_groups_are_whole_and_the_same_in_every_window(counts: list[bool], together: int, cut: int, broken: int):
+    """A group has all its rows, in one stretch; of two windows that overlap each has those that end in it."""
+    row = np.flatnonzero(counts)
+    stretch = (row >= broken).astype(np.int64)
+    groups = Grouping.of(row, stretch, together)
+    expected = [
+        start
+        for start in range(0, len(counts), together)
+        if all(counts[start : start + together])
+        and start + together <= len(counts)
+        and not start < broken < start + together
+    ]
+    np.testing.assert_array_equal(row[groups.first], expected)
+    np.testing.assert_allclose(groups.mean(row + 0.0), np.array(expected) + 0.5 * (together - 1), atol=1e-12)
+    before = row < cut
+    earlier = Grouping.of(row[before], stretch[before], together)
+    own = groups.own(int(np.count_nonzero(before)))
+    np.testing.assert_array_equal(np.r_[earlier.row, groups.row[own:]], groups.row)
+
+
+def test_noise_is_settled_where_it_changes_by_less_than_it_is_known_to():
+    """Two logs of the same noise differ by its error, and are not taken for one; one log and nearly itself are."""
+    rng, count = np.random.default_rng(4), 20_000
+
+    def learned(x: np.ndarray) -> tuple[float, np.ndarray, float]:
+        products, pairs = lag_products(x, np.arange(count), np.zeros(count, dtype=np.int64))
+        return float(np.sqrt(products[0] / pairs[0])), autocorrelation(products, pairs), float(pairs[0])
+
+    first = coloured(rng, count)
+    one, other = learned(first), learned(coloured(rng, count))
+    nearly = learned(first + 1e-3 * rng.standard_normal(count))
+    assert settled(nearly[0] / one[0], one[1], nearly[1], one[2])
+    assert not settled(other[0] / one[0], one[1], other[1], one[2])
+    assert not settled(1.0 + 1.0 / np.sqrt(count), one[1], one[1], one[2])
+
+
+def test_dense_log_is_weighted_by_what_its_design_can_follow():
+    """5 kHz: the motion is slow, and so is what the model leaves; the design has a little quick error of its own.
+
+    By the noise of single rows, quick changes weigh most, of which the design has only its error: the slope comes out
+    a tenth too small, at least. By that of means over 10 ms it is right.
+    """
+    rng, count, slope = np.random.default_rng(3), 50_000, 2.0
+    motion = gaussian_filter1d(rng.standard_normal(count), 200)
+    motion /= motion.std()
+    left = gaussian_filter1d(rng.standard_normal(count), 300)
+    torque = slope * motion + 0.1 * left / left.std() + 1e-4 * rng.standard_normal(count)
+    both = np.c_[motion + 1e-2 * rng.standard_normal(count), torque]
+    found = []
+    for together in (1, 50):
+        groups = Grouping.of(np.arange(count), np.zeros(count, dtype=np.int64), together)
+        values = groups.mean(both)
+        residual = values @ np.array([-slope, 1.0])
+        noise = Predictors(autocorrelation(*lag_products(residual, groups.row, groups.stretch)))
+        white = Whitener(groups.row, groups.stretch)(values, noise)
+        found.append(float(white[:, 0] @ white[:, 1] / (white[:, 0] @ white[:, 0])))
+    assert slope - found[0] > 0.1 * slope
+    assert abs(found[1] - slope) < 0.02 * slope
