@@ -19,6 +19,7 @@ __all__ = ["Experiment", "experiment", "parameter_of"]
 
 
 HELD = 1e-9  # sizes: as tightly as numbers allow
+STIFF = 0.1  # sizes: some 200 kNm/rad at the joint, as the main axes of a mid-size arm have
 OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
 
 
@@ -86,11 +87,17 @@ class Experiment:
         return experiment(self.rows, self.effects, slots)
 
     def start(self) -> Array:
-        """A start: amplitudes zero, or in ``clamped`` stiff springs; shape parameters at the first of their grid."""
+        """A start, and what is assumed before any row is seen: amplitudes zero, shapes the first of their grid.
+
+        In ``poses`` springs are stiff, but no stiffer than springs are: dry friction in an infinitely stiff one does
+        nothing, so that where a joint bears no load its clearance would seem told from friction that winds it up.
+        """
         theta = np.zeros(len(self.slots) + self.offsets)
-        for k, parameter in enumerate(self.parameters):
+        for k, (slot, parameter) in enumerate(zip(self.slots, self.parameters, strict=True)):
             if parameter.shape:
                 theta[k] = parameter.grid[0]
+            elif self.stage == "poses" and slot.effect == "joint_compliance":
+                theta[k] = STIFF * parameter.size
         return theta
 
     def sizes(self) -> Array:
