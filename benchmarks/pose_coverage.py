@@ -29,7 +29,6 @@ from virtual_arms import ARMS, arm
 
 from clampid.catalogue import catalogue
 from clampid.identify import identify, stage_rows
-from clampid.model import Model
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows

@@ -1,8 +1,8 @@
 """The arms of the pose studies: six bundled robots and a SCARA with a sliding joint, all of them with weight.
 
 Of these makers' arms, masses and torques are known of the KR20 only. Where a description has none, those of the KR20
-stand in: masses with the square of the reach, halfway along each link, and rated torques with its cube. They are guesses,
-but guesses from which the virtual individual then deviates, as a real one does from its data sheet.
+stand in: masses with the square of the reach, halfway along each link, and rated torques with its cube. They are
+guesses, but guesses from which the virtual individual then deviates, as a real one does from its data sheet.
 """
 
 from __future__ import annotations
