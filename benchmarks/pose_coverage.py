@@ -38,6 +38,7 @@ from kinematics.robot import RobotDescription
 
 Array = npt.NDArray[np.float64]
 TABLES = ("free_air", "wrist", "poses", "verification")
+BETWEEN_ARMS = 10_000  # seeds
 GAUGE_STEPS = 8  # Newton's method: each step squares the error
 COMMON = 0.5  # a parameter that fewer individuals identify is not in the table
 
@@ -87,7 +88,8 @@ def trial(name: str, seed: int) -> Trial:
     """Measure and identify one individual, and compare."""
     start = process_time()
     robot = arm(name)
-    measured = measure(robot, seed=seed, tables=TABLES)
+    # Of the same seed, two arms would have the same noise, and their errors would be the same.
+    measured = measure(robot, seed=ARMS.index(name) * BETWEEN_ARMS + seed, tables=TABLES)
     campaign = measured_campaign(measured, robot)
     model = identify(campaign)
     base = {0: model.sessions[0].base_reference}
