@@ -1,4 +1,4 @@
-"""Do the pose stage's intervals hold the truth on arms of every kind, a parallel linkage and a sliding joint among them?
+"""Do the pose stage's intervals hold the truth on arms of all kinds, with a linkage and a sliding joint among them?
 
 The study itself is benchmarks/pose_coverage.py; the virtual robot shares no code with the effects.
 """
