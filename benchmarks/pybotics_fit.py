@@ -21,7 +21,7 @@ from pybotics.robot import Robot
 from pybotics.tool import Tool
 from scipy.optimize import least_squares
 
-STEPS = 60  # of the search, which is then within a per cent of its error; in 700 it has not stopped by itself
+STEPS = 60  # of the search, whose validation error is then within a per cent; without a limit it takes many minutes
 
 
 def main(path: str) -> None:

@@ -81,8 +81,9 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     return found if _cost(found) < _cost(estimate) else estimate
 
 
-def _flanks(experiment: Experiment, theta: Array) -> Array | None:
-    return poses.flanks(experiment.rows, experiment.chain, theta)
+def _flanks(experiment: Experiment, theta: Array) -> Array:
+    found = poses.flanks(experiment.rows, experiment.chain, theta)
+    return np.zeros(0) if found is None else found
 
 
 def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, float]:
