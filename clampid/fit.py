@@ -147,7 +147,7 @@ def fit(
                 break
             estimate = solve(experiment, estimate.theta, model, precision, mean)
     if experiment.stage == "poses":
-        estimate = _with_repeatability(estimate)
+        estimate = _with_repeatability(_without_unknown_friction(estimate))
     return replace(estimate, outliers=rejected)
 
 
@@ -173,6 +173,25 @@ def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array,
     rows = estimate.experiment.rows
     by_joint = rows.in_noise_axes(estimate.experiment.by_joint(theta))[white.entry, white.channel]
     return by_joint / estimate.noise.sigma[white.entry, white.channel, None], rows.unit[white.entry]
+
+
+def _without_unknown_friction(estimate: Estimate) -> Estimate:
+    """The same pose fit, its covariance that at frictions of zero where the rows do not tell a friction.
+
+    What a joint yields to its dry friction is a product c F. Where neither is known by itself and the product is small,
+    F has some value by chance, and the linearised fit would take c for known through it.
+    """
+    experiment, identified = estimate.experiment, estimate.identified
+    unknown = [k for k, s in enumerate(experiment.slots) if s.effect == "wrist_coupling_friction" and not identified[k]]
+    if not unknown:
+        return estimate
+    theta = estimate.theta.copy()
+    theta[unknown] = 0.0
+    # The flanks stay those of the fit.
+    there = stage_point(experiment.with_flanks(estimate.theta), estimate.noise, theta)
+    white = replace(estimate.whitened, jacobian=there.white.jacobian)
+    normal = white.jacobian.T @ white.jacobian
+    return replace(estimate, whitened=white, covariance=_covariance(white, estimate.prior_precision, normal))
 
 
 def _with_repeatability(estimate: Estimate) -> Estimate:
@@ -325,13 +344,10 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
     best, iterations = descend(
         lambda at: stage_point(experiment, noise, at), theta, precision, mean, limits_of(experiment)
     )
-    covariance = inverse_of(best.normal()[0] + precision)
-    told = len(theta) - float(np.sum(covariance * precision))  # parameters that the rows tell, not the prior
-    scale = best.cost / max(best.count - told, 1.0)
     return Estimate(
         experiment=experiment,
         theta=best.theta,
-        covariance=covariance * max(scale, 1e-12),
+        covariance=_covariance(best.white, precision, best.normal()[0]),
         noise=noise,
         whitened=best.white,
         residual=best.residual,
@@ -340,6 +356,14 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
         prior_mean=mean,
         iterations=iterations,
     )
+
+
+def _covariance(white: Whitened, precision: Array, normal: Array) -> Array:
+    """Covariance ``(P, P)`` of a fit of independent numbers, of which the residual says the scale."""
+    inverse = inverse_of(normal + precision)
+    told = len(inverse) - float(np.sum(inverse * precision))  # parameters that the rows tell, not the prior
+    scale = float(white.residual @ white.residual) / max(len(white.residual) - told, 1.0)
+    return np.asarray(inverse * max(scale, 1e-12))
 
 
 def descend(

@@ -20,6 +20,7 @@ from clampid.mean_norm import compared, mean_norm
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
+from clampid.rest_friction import with_rest_friction
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
@@ -112,7 +113,7 @@ def fit_stage(
         estimate = fit(trial, (told,), start)
     else:
         priors, carried = carried_over(rows, before)
-        estimate = fit(trial, priors, {**carried, **start})
+        estimate = fit(trial, priors, with_rest_friction(trial, priors, {**carried, **start}))
         drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, estimate)
         contradicted = drives.contradicted
         if drives.prior is not None:

@@ -34,11 +34,13 @@ __all__ = [
 
 Array = npt.NDArray[np.float64]
 Labels = npt.NDArray[np.int64]
+FEWEST_FOR_DRP = 4  # returns: two early and two late
 MEANING = {
     "AP": "pose accuracy that the model leaves",
     "RP": "pose repeatability",
     "vAP": "variation with the side of approach",
     "dAP": "drift of the pose accuracy",
+    "dRP": "drift of the pose repeatability, later returns against earlier ones",
 }
 
 
@@ -143,16 +145,19 @@ class PoseMetrics:
         Over pose and target with two sides or more.
     drift_ap
         Over pose, target and side: first return against later ones.
+    drift_rp
+        Over pose, target and side with four returns or more: their earlier half against the later one.
     """
 
     ap: Spread | None
     rp: Spread | None
     vap: Spread | None
     drift_ap: Spread | None
+    drift_rp: Spread | None
 
     def to_json(self) -> dict[str, dict[str, float]]:
-        """For programs: ``AP``, ``RP``, ``vAP``, ``dAP``, those that there are."""
-        found = {"AP": self.ap, "RP": self.rp, "vAP": self.vap, "dAP": self.drift_ap}
+        """For programs: ``AP``, ``RP``, ``vAP``, ``dAP``, ``dRP``, those that there are."""
+        found = {"AP": self.ap, "RP": self.rp, "vAP": self.vap, "dAP": self.drift_ap, "dRP": self.drift_rp}
         return {name: spread.to_json() for name, spread in found.items() if spread is not None}
 
 
@@ -171,7 +176,7 @@ def pose_metrics(attained: Array, command: Array, place: Labels, side: Labels, t
         ``(n,)`` s.
     """
     error = attained - command
-    ap, rp, vap, moved = [], [], [], []
+    ap, rp, vap, moved, spread = [], [], [], [], []
     for p in np.unique(place):
         here = np.flatnonzero(place == p)
         sides = [here[side[here] == s] for s in np.unique(side[here]) if s >= 0]
@@ -182,9 +187,12 @@ def pose_metrics(attained: Array, command: Array, place: Labels, side: Labels, t
                 continue
             ap.append(accuracy(error[group], np.zeros(3)))
             rp.append(repeatability(error[group]))
-            cycles = [error[k][None] for k in group[np.argsort(time[group], kind="stable")]]
-            moved.append(drift(cycles, np.zeros(3))[0])
-    return PoseMetrics(*(_spread(values) for values in (ap, rp, vap, moved)))
+            in_time = error[group[np.argsort(time[group], kind="stable")]]
+            moved.append(drift([one[None] for one in in_time], np.zeros(3))[0])
+            if len(in_time) >= FEWEST_FOR_DRP:
+                half = len(in_time) // 2
+                spread.append(drift([in_time[:half], in_time[half:]], np.zeros(3))[1])
+    return PoseMetrics(*(_spread(values) for values in (ap, rp, vap, moved, spread)))
 
 
 def _spread(values: list[float]) -> Spread | None:

@@ -146,7 +146,7 @@ class IdentifiedArm:
         """
         n = self.n
         position, R, S, _, pressing = self.stations(q, conditions, mount, theta)
-        return position, R, S[:, :n] @ ca.DM(self.robot.linkage), pressing
+        return position, R, S[:, :n], pressing
 
     def stations(self, q: Any, conditions: Any, mount: Array, theta: Any = None) -> tuple[Any, Any, Any, Any, Any]:
         """As :meth:`expression`, with d pose / d station entries ``(6, S)``, the entries ``(S,)``, and what presses."""

@@ -39,7 +39,7 @@ def nominal_error(data: StageData) -> float | None:
     if data.stage != "poses" or not good.any():
         return None
     measured = piece.rows.measured[good, :3]
-    points = measured - piece.experiment.residual(piece.experiment.start())[0][good, :3]
+    points = measured - piece.experiment.with_slots(()).residual(np.zeros(0))[0][good, :3]
     base = align(points, measured)
     error = measured - points @ base[:3, :3].T - base[:3, 3]
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))

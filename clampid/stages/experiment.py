@@ -19,6 +19,7 @@ __all__ = ["Experiment", "experiment", "parameter_of"]
 
 
 HELD = 1e-9  # sizes: as tightly as numbers allow
+STIFF = 0.1  # sizes: some 200 kNm/rad at the joint, as the main axes of a mid-size arm have
 OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
 
 
@@ -86,8 +87,16 @@ class Experiment:
         return experiment(self.rows, self.effects, slots)
 
     def start(self) -> Array:
-        """A start: amplitudes zero, or in ``clamped`` stiff springs; shapes and shares as they say of themselves."""
-        return np.array([*(p.start for p in self.parameters), *([0.0] * self.offsets)])
+        """A start, and what is assumed before any row is seen: amplitudes zero, shapes and shares as they say.
+
+        In ``poses`` springs are stiff, but no stiffer than springs are: dry friction in an infinitely stiff one does
+        nothing, so that where a joint bears no load its clearance would seem told from friction that winds it up.
+        """
+        own = [
+            STIFF * p.size if self.stage == "poses" and slot.effect == "joint_compliance" else p.start
+            for slot, p in zip(self.slots, self.parameters, strict=True)
+        ]
+        return np.array([*own, *([0.0] * self.offsets)])
 
     def sizes(self) -> Array:
         """What each parameter may reasonably amount to ``(P + K,)``."""

@@ -56,7 +56,8 @@ def pose_function(linkage: Array, screws: Array, points: Array, flange: Array) -
     row = {name: ca.SX.sym(name, size) for name, size in (("q", n), ("X", 12), ("target", 3), ("d", 7 * n + 12))}
     d = row["d"]
     base, links = d[n : n + 6], [d[n + 6 + 6 * i : n + 12 + 6 * i] for i in range(n)]
-    q = ca.DM(linkage) @ row["q"] + d[:n]
+    # Drives and encoders sit on the controller's side of a linkage: what they are off by passes through it.
+    q = ca.DM(linkage) @ (row["q"] + d[:n])
     R, p = ca.reshape(row["X"][:9], 3, 3).T, row["X"][9:]
     # Forward, remembering what every deviation's frame is.
     before, (R, p) = R, _moved(R, p, ca.DM.zeros(3), base)
@@ -70,7 +71,8 @@ def pose_function(linkage: Array, screws: Array, points: Array, flange: Array) -
         frames.append((before, p + R @ ca.DM(points[i]), links[i]))
     at_flange = ca.DM(flange[:3, :3]) @ (row["target"] + d[7 * n + 6 : 7 * n + 9]) + ca.DM(flange[:3, 3])
     position, rotation = p + R @ at_flange, R @ ca.DM(flange[:3, :3])
-    columns = [_joint_column(*pose, screw, position) for pose, screw in zip(joints, screws, strict=True)]
+    by_chain = ca.horzcat(*(_joint_column(*pose, screw, position) for pose, screw in zip(joints, screws, strict=True)))
+    columns = [by_chain @ ca.sparsify(ca.DM(linkage))]
     columns += [_twist_columns(*frame, position) for frame in frames]
     columns += [ca.vertcat(rotation, ca.SX(3, 3)), ca.vertcat(ca.SX.eye(3), ca.SX(3, 3))]
     sensitivity = ca.densify(ca.horzcat(*columns))

@@ -18,7 +18,7 @@ from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
-__all__ = ["evaluate", "flanks", "link_vectors", "predict", "residual"]
+__all__ = ["evaluate", "flanks", "link_vectors", "predict", "pressing", "residual"]
 
 _NOTHING = np.zeros(0)
 
@@ -52,13 +52,18 @@ def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
     return position, rotation.reshape(-1, 3, 3), sensitivity.reshape(len(rows), 6, -1)
 
 
-def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
-    """Sides on which the torques press at these parameters ``(N, n)``, or None if no effect asks."""
+def pressing(rows: Rows, chain: Chain, theta: Array) -> Array | None:
+    """Torques that press on the flanks at these parameters ``(N, n)``, Nm, or None if no effect asks."""
     if not chain.reads_flanks:
         return None
     open_ = {**rows.signals, "flank": np.zeros((len(rows), rows.robot.n))}
-    pressing = chain.evaluate(np.maximum(theta, chain.least), open_).pressing
-    return None if pressing is None else np.sign(pressing)
+    return chain.evaluate(np.maximum(theta, chain.least), open_).pressing
+
+
+def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
+    """Sides on which the torques press at these parameters ``(N, n)``, or None if no effect asks."""
+    found = pressing(rows, chain, theta)
+    return None if found is None else np.sign(found)
 
 
 def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:

@@ -71,6 +71,19 @@ def test_a_table_is_grouped_by_place_and_side() -> None:
     assert pose_metrics(off[:1], off[:1], place[:1], side[:1], np.zeros(1)).to_json() == {}
 
 
+def test_drift_of_repeatability_sets_early_returns_against_late_ones() -> None:
+    early, late = 1.0 * SQUARE, 3.0 * SQUARE
+    time = np.random.default_rng(0).permutation(2 * len(SQUARE)).astype(float)
+    off = np.vstack([early, late])[time.astype(int)]  # rows in any order: their time counts
+    same = np.zeros(len(off), dtype=np.int64)
+    found = pose_metrics(off, np.zeros_like(off), same, same, time).to_json()
+    expected = repeatability(late) - repeatability(early)
+    assert found["dRP"] == {"poses": 1, "mean": pytest.approx(expected), "max": pytest.approx(expected)}
+    few = pose_metrics(off[:3], np.zeros((3, 3)), same[:3], same[:3], time[:3]).to_json()
+    assert "dRP" not in few
+    assert "dAP" in few
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [

@@ -20,6 +20,7 @@ from clampid.slots import Slot
 from clampid.stages import poses
 from clampid.stages.experiment import experiment
 from clampid.stages.loads import bearing_signals, gravity_signals, inertia_torque
+from clampid.stages.pose_kernel import kernel
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, Instrument, Tool
@@ -101,6 +102,25 @@ def test_sensitivities_are_differences(rows: Rows, size: float):
         np.testing.assert_allclose((p1 - p0) / (2 * step), sensitivity[:, :3, k], atol=1e-8)
         turned = log_so3(R1 @ np.swapaxes(R0, 1, 2)) / (2 * step)
         np.testing.assert_allclose(turned, sensitivity[:, 3:, k], atol=1e-8)
+
+
+def test_what_a_drive_is_off_by_passes_through_the_linkage():
+    robot, rng = weighed("linkage"), np.random.default_rng(5)
+    q, off = rng.uniform(-1.5, 1.5, (8, 6)), rng.uniform(-0.2, 0.2, (8, 6))
+    frame, target = np.tile(np.r_[np.eye(3).ravel(), 0.1, 0.2, 0.3], (8, 1)), rng.uniform(-0.1, 0.1, (8, 3))
+
+    def predicted(q: np.ndarray, joints: np.ndarray) -> list[np.ndarray]:
+        rest = np.zeros((8, 6 + 6 * 6 + 6))
+        return kernel(robot)(np.zeros(0), q, frame[:, :9], frame[:, 9:], target, np.hstack([joints, rest]))
+
+    for there, commanded in zip(predicted(q, off), predicted(q + off, np.zeros((8, 6))), strict=True):
+        np.testing.assert_allclose(there, commanded, atol=1e-12)
+    step = 1e-6
+    slope = predicted(q, off)[2].reshape(8, 6, -1)[:, :3, :6]
+    for j in range(6):
+        more = step * np.eye(6)[j]
+        moved = (predicted(q, off + more)[0] - predicted(q, off - more)[0]) / (2 * step)
+        np.testing.assert_allclose(moved, slope[:, :, j], atol=1e-8)
 
 
 vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
