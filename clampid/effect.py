@@ -246,6 +246,8 @@ class Effect:
     tried
         How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
         ``jointly``: at all places at once, after which each place must pay for itself.
+    holds_weight
+        Whether it is there to hold the arm's weight: at a joint that bears none, such as an upright one, there is none.
     sized_by
         Its shape parameter that is the size of all its amplitudes, which are counted in it and have a prior of one.
         Where nobody gives it, the rows do (:mod:`clampid.evidence`); a fit holds it.
@@ -277,6 +279,7 @@ class Effect:
     beyond: str | None = None
     tried: Literal["places", "together", "both", "jointly"] = "both"
     revealed_by: str | None = None
+    holds_weight: bool = False
     sized_by: str | None = None
     aligns: str | None = None
     event: str | None = None

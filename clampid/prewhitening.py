@@ -9,7 +9,7 @@ no row is missing that is the ordinary autoregressive filter. Unwhitened, ordina
 filter begun anew after every gap, standard errors come out a tenth to a third too small.
 Source: Brockwell & Davis, Time Series: Theory and Methods (1991), sections 5.1 (best linear predictors), 8.1 and 12.3
 (missing values); the same filter and decimation of both sides of the model: Khalil & Dombre, Modeling, Identification
-and Control of Robots (2002), section 12.6.
+and Control of Robots (2002), chapter 12.
 """
 
 from __future__ import annotations

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.next_measurement import SAME
@@ -13,7 +15,7 @@ from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_t
 from clampid.effect import Effect
 from clampid.fit import Estimate
 from clampid.stages.experiment import parameter_of
-from clampid.stages.rows import Integers
+from clampid.stages.rows import Integers, Rows
 from kinematics.description import RobotDescription
 
 __all__ = ["ABLE", "CONFUSABLE", "IMPOSSIBLE", "RATE", "Look", "look_at", "rivals_of"]
@@ -22,6 +24,7 @@ RATE = 0.025  # false alarms of each dictionary; named effects and probes share 
 CONFUSABLE = 0.8
 STANDS_IN = 0.9
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
+WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")
 
 
@@ -73,6 +76,7 @@ def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: in
     named += events
     robot = estimate.experiment.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
+    named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]
     folds = estimate.experiment.rows.fold[estimate.whitened.entry]
     return Look(space, named, free, named_null, free_null, _best(free), folds)
 
@@ -80,6 +84,15 @@ def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: in
 def _best(scored: Sequence[Scored]) -> Scored | None:
     able = [s for s in scored if s.freedom and s.state in ABLE]
     return max(able, key=lambda s: s.bic, default=None)
+
+
+def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
+    """Whether it would hold the weight at joints that bear none in any row."""
+    if not effects[s.candidate.name].holds_weight:
+        return False
+    bears = np.abs(rows.signals["regressor"]).max(axis=(0, 2), initial=0.0)
+    joints = [int(place.removeprefix("joint")) - 1 for place in s.candidate.places]
+    return bool(np.all(bears[joints] <= WEIGHTLESS * bears.max(initial=0.0)))
 
 
 def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:

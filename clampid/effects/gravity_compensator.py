@@ -27,5 +27,6 @@ EFFECT = Effect(
     stages=("free_air", "poses"),
     equation="tau = k (l - l_0) dl/dq, l^2 = a^2 + b^2 - 2 a b cos(q - q_0), as two harmonics of q",
     source=("Klimchik",),
+    holds_weight=True,
     tried="places",
 )
