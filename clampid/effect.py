@@ -157,6 +157,9 @@ class Parameter:
     held
         Where a fit keeps it at its start: ``everywhere``, because it is chosen and not measured, or at the ``first`` of
         its places, because the others count from there.
+    share
+        Whether it is a share of another amplitude, none to all, to which a fit keeps it. It begins at all: at none its
+        effect's shapes would mean nothing, and a search that begins there, on the bound, may stay.
     """
 
     name: str
@@ -170,12 +173,15 @@ class Parameter:
     spread: float = WEAK
     held: Literal["nowhere", "first", "everywhere"] = "nowhere"
     gearing: int = 0
+    share: bool = False
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
             raise EffectError(f"parameter {self.name}: unit {self.unit!r} is not known; known: {sorted(UNITS)}")
         if self.shape and not self.grid:
             raise EffectError(f"parameter {self.name}: a shape parameter needs a grid; its first value is the start")
+        if self.share and self.bounds != (0.0, 1.0):
+            raise EffectError(f"parameter {self.name}: a share has the bounds (0, 1), found {self.bounds}")
         if not self.size > 0:
             raise EffectError(f"parameter {self.name}: size must be positive, found {self.size}")
         if not self.spread > 0:
@@ -185,14 +191,6 @@ class Parameter:
     def prior_std(self) -> float:
         """Standard deviation of the prior, in the parameter's unit; a shape is known up to its own size."""
         return self.size * (1.0 if self.shape else self.spread)
-
-    @property
-    def share(self) -> bool:
-        """Whether it is a share of another amplitude, none to all: bounded, and all of it where nothing else is known.
-
-        At none its effect's shapes would mean nothing, and a search that begins there, on the bound, may stay.
-        """
-        return self.unit == "" and self.bounds == (0.0, 1.0)
 
     @property
     def start(self) -> float:

@@ -51,11 +51,14 @@ class Look:
         return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
 
     def only_stands_in(self, best: Scored) -> bool:
-        """Whether a name explains so much less than a probe that it only stands in for something else."""
-        if not self.fires or self.probe is None:
+        """Whether a name only stands in for something else, which a probe says better.
+
+        It explains so much less than the probe; or it can follow nearly anything, and the probe is a simple one.
+        """
+        if not self.fires or self.probe is None or self.probe.bic - best.bic <= SAME:
             return False
-        less = self.probe.bic - best.bic > SAME
-        return less and best.explained < STANDS_IN * self.probe.explained
+        follows = best.candidate.sized_by is not None and self.probe.candidate.prior is None
+        return follows or best.explained < STANDS_IN * self.probe.explained
 
 
 def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int) -> Look:

@@ -48,6 +48,7 @@ EFFECT = Effect(
             (0.0, 1.0),
             "share of the dry friction that builds up over a travel",
             spread=1.0,
+            share=True,
         ),
         Parameter(
             "s",
