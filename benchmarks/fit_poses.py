@@ -16,6 +16,7 @@ import os
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
@@ -136,16 +137,17 @@ class Task:
     other: Rows
     slots: tuple[Slot, ...]
 
-    @property
+    @cached_property
     def trial(self) -> Experiment:
         return experiment(self.rows, catalogue(), self.slots)
 
+    @cached_property
     def prior(self) -> tuple[Array, Array]:
         """Start, which is the mean, and precision: ten times each parameter's reasonable size."""
         return np.zeros(len(self.slots)), np.diag(1.0 / (10.0 * self.trial.sizes()) ** 2)
 
     def solved(self) -> Estimate:
-        zero, precision = self.prior()
+        zero, precision = self.prior
         return solve(self.trial, zero, initial_noise(self.rows), precision, zero)
 
     def error(self, theta: Array) -> float:
@@ -187,7 +189,7 @@ def beside_loop(data: Campaign, runs: int) -> None:
     """Against scipy over a Python loop."""
     rows, other = rows_of(data, targets_in_turn)
     task = Task(rows, other, slots_of_benchmark(rows))
-    zero, precision = task.prior()
+    zero, precision = task.prior
     task.trial.residual(zero)
     ours, estimate = timed(task.solved, runs)
     loop, weak = loop_model(rows, task.slots), np.sqrt(np.diag(precision))
