@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import StageErrors, stage_errors
-from clampid.catalogue import with_user_effects
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.score import score, space_of
@@ -97,9 +96,8 @@ def add(
     """
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
-    effects = with_user_effects(chosen)
     opened = reopen(model, several, chosen)
-    layout, stages, base = opened.layout, opened.stages, opened.base
+    effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
     here = [s for s in stages_of(several) if s in stages]
     wanted = _parse(terms, effects, layout, here)
     mended, ledger = dict(stages), list(model.ledger)

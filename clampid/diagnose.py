@@ -89,7 +89,8 @@ def diagnose(
         if wanted and opened.has(TABLES_OF[stage]):
             found[stage] = _one(opened, stage, seed, flips)
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
-    alone = (reopen(model, c, user_effects) for c in opened.campaigns)  # each has a controller's setting of its own
+    several = len(opened.campaigns) > 1  # each has a controller's setting of its own
+    alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
     compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
     if compensation is not None and "poses" in found:
         found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()

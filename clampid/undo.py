@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from clampid.catalogue import catalogue, with_user_effects
+from clampid.catalogue import catalogue
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import fit_stage
 from clampid.identify import has_inertia, stage_rows
@@ -46,9 +46,8 @@ def undo(
             raise ModelError(f"{campaign.name}: expected a campaign that the model was fitted on, found another")
     last = model.ledger[-1]
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
-    effects = with_user_effects(chosen)
     opened = reopen(model, several, chosen)
-    layout, stages, base = opened.layout, opened.stages, opened.base
+    effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
     mended: dict[Stage, StageModel] = dict(stages)
     again: list[Stage] = [last.stage]
     if last.stage != "poses" and "poses" in mended:
