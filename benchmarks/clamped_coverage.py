@@ -21,6 +21,7 @@ from time import perf_counter
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from coverage_table import TWO_SIDED_95, coverage
 
 from clampid.catalogue import catalogue
 from clampid.drives import DETECTION, Drives, drives_of
@@ -33,7 +34,6 @@ from experiments.virtual_robot import Plant, measure
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 
-INTERVAL = 1.959963984540054  # standard errors to either side that hold the truth in 95 %
 WRIST = ((3, 4), (3, 5), (4, 5))  # the cross terms of the compliance matrix
 SMALL, LARGE = 0.5, 3.0  # detection limits: up to the first nothing must be told from zero, beyond the second all
 
@@ -105,7 +105,7 @@ def pair(seed: int) -> tuple[Trial, Trial]:
 
 def covered(trials: Sequence[Trial]) -> np.ndarray:
     """Share of seeds ``(21,)`` whose 95 % interval holds the truth."""
-    return np.mean([np.abs(t.off) < INTERVAL for t in trials], axis=0)
+    return np.mean([np.abs(t.off) < TWO_SIDED_95 for t in trials], axis=0)
 
 
 def told(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
@@ -138,13 +138,11 @@ def names() -> list[str]:
 
 def show(pairs: Sequence[tuple[Trial, Trial]]) -> None:
     first, second = [p[0] for p in pairs], [p[1] for p in pairs]
-    share, off = covered(first), np.array([t.off for t in first])
+    share = covered(first)
     relative = np.median([t.std / np.abs(t.true) for t in first], axis=0)
     print(f"{len(first)} seeds; fit {np.median([t.seconds for t in first]):.2f} s (median)")
-    print(f"{'':16s}{'covered':>9s}{'mean error/std':>16s}{'rms':>7s}{'std/true':>10s}")
-    for k, name in enumerate(names()):
-        rms = np.sqrt(np.mean(off[:, k] ** 2))
-        print(f"{name:16s}{share[k]:9.1%}{off[:, k].mean():16.2f}{rms:7.2f}{relative[k]:10.2%}")
+    print(coverage([dict(zip(names(), t.off, strict=True)) for t in first]).table())
+    print("standard error over value, median: " + ", ".join(f"{x:.2%}" for x in relative[:12]))
     print(
         f"pooled: springs and clearances {share[:12].mean():.1%}, springs {share[:6].mean():.1%}, clearances "
         f"{share[6:12].mean():.1%}, friction {share[12:18].mean():.1%}, cross terms {share[18:].mean():.1%}"

@@ -19,6 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import numpy.typing as npt
+from coverage_table import coverage
 
 from clampid.compare import compare
 from clampid.identify import identify
@@ -37,7 +38,6 @@ ROBOT = "kuka_kr20_r1810"
 POSTURES = 400
 TABLES = ("free_air", "wrist")
 OTHER_PROGRAM = 100_000  # added to the seed: programs and noise of its own
-TWO_SIDED_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,9 @@ def main() -> None:
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.processes) as pool:
         trials = list(pool.map(trial, seeds))
-    names = [name for name in trials[0].errors if all(name in t.errors for t in trials)]
-    z = np.array([[t.errors[name] for name in names] for t in trials])
-    inside = np.abs(z) < TWO_SIDED_95
-    print(f"{len(z)} robots; 95 % intervals that hold the truth: {100 * inside.mean():.1f} %")
-    print(f"{'':>24}  covered   rms   mean   of error over standard error")
-    for k, name in enumerate(names):
-        rms, mean = np.sqrt(np.mean(z[:, k] ** 2)), z[:, k].mean()
-        print(f"{name:>24} {100 * inside[:, k].mean():6.1f} %  {rms:5.2f}  {mean:+5.2f}")
+    held = coverage([t.errors for t in trials])
+    print(f"{len(trials)} robots; 95 % intervals that hold the truth: {held.summary}")
+    print(held.table())
     unseen = np.array([t.unseen for t in trials])
     print(f"torques of another program, rms error over noise, motor by motor: {np.round(unseen.mean(axis=0), 3)}")
     print(f"largest of all: {unseen.max():.3f}")
