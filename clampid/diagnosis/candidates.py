@@ -21,7 +21,7 @@ from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Array
 
-__all__ = ["Candidate", "named_candidates", "terms_not_active"]
+__all__ = ["Candidate", "columns_of", "named_candidates", "terms_not_active"]
 
 
 @dataclass(frozen=True)
@@ -152,6 +152,17 @@ def named_candidates(
                 if members:
                     out.append(_candidate(effect, group, members, parameters, index, values, white))
     return out
+
+
+def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
+    """Whitened columns ``(M, k)`` of candidates in the rows that another fit counts, each slot once."""
+    active = set(estimate.slots)
+    shapes = {slot: value for c in candidates for slot, value in c.shapes.items() if slot not in active}
+    amplitudes = list(dict.fromkeys(slot for c in candidates for slot in c.slots if slot not in active))
+    if not amplitudes:
+        return np.zeros((len(estimate.whitened.residual), 0))
+    white = _whitened_columns(estimate, [*amplitudes, *shapes], [0.0] * len(amplitudes) + list(shapes.values()))
+    return np.asarray(white.jacobian[:, : len(amplitudes)], dtype=float)
 
 
 def _whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float]) -> Whitened:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clampid.diagnosis.candidates import named_candidates
+from clampid.diagnosis.candidates import Candidate, columns_of, named_candidates
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
@@ -61,15 +61,19 @@ class Look:
         return follows or best.explained < STANDS_IN * self.probe.explained
 
 
-def look_at(estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int) -> Look:
+def look_at(
+    estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate] = ()
+) -> Look:
     """Score both dictionaries on what a fit leaves, with their nulls.
 
     Parameters
     ----------
     flips, seed
         How many sign flips make a null, and their stream; the probes' is the next one.
+    granted
+        Candidates that are not fitted, and what they could explain is no evidence of anything else.
     """
-    space = space_of(estimate)
+    space = space_of(estimate).beside(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}

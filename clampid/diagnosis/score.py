@@ -14,7 +14,7 @@ flipped. With Z = (1 - QQ')D only products such as Z'Z = D'D - (Q'D)'(Q'D) are e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -77,6 +77,22 @@ class Space:
     freedom: int
     rows: int
     told: Array
+
+    def beside(self, columns: Array) -> Space:
+        """The same with whitened columns ``(M, k)`` that are granted to the model: what they explain is no evidence."""
+        if not columns.shape[1]:
+            return self
+        further = np.zeros((len(self.residual), columns.shape[1]))
+        further[: self.rows] = columns
+        length = np.linalg.norm(further, axis=0)
+        further = further[:, length > 0] / length[length > 0]
+        Q, R, _ = linalg.qr(further - self.basis @ (self.basis.T @ further), mode="economic", pivoting=True)
+        kept = np.asarray(Q, dtype=float)[:, np.abs(np.diag(R)) > np.sqrt(ABSORBED)]
+        basis = np.hstack([self.basis, kept - self.basis @ (self.basis.T @ kept)])
+        residual = self.residual - kept @ (kept.T @ self.residual)
+        freedom = max(self.freedom - kept.shape[1], 1)
+        scale = max(float(np.sqrt(residual @ residual / freedom)), 1e-12)
+        return replace(self, residual=residual, basis=basis, scale=scale, freedom=freedom)
 
     @cached_property
     def by_unit(self) -> Sums:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
+from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of
@@ -140,9 +141,9 @@ class Bench:
     seed: int
     flips: int
 
-    def look(self, fitted: FittedStage, number: int) -> Look:
+    def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
-        return look_at(fitted.estimate, self.effects, self.flips, self.seed + number)
+        return look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted)
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's errors on rows that it has not seen."""
@@ -194,7 +195,9 @@ class Bench:
     def beside(self, undecided: Undecided, fitted: FittedStage, number: int) -> Tried | list[Undecided]:
         """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.
 
-        All of them are fitted along, so that what any of them could explain is not evidence.
+        The first of them is fitted along and the others are granted to the model, so that what any of them could
+        explain is not evidence. To fit them all along a valley, in which one grows as another falls, takes long and
+        brings nothing.
 
         Returns
         -------
@@ -213,12 +216,19 @@ class Bench:
         return groups
 
     def _along(self, groups: Sequence[Undecided], fitted: FittedStage, number: int) -> tuple[FittedStage, Look]:
-        """All that is undecided fitted along, and a look at what that leaves."""
-        members = [s for group in groups for s in group.members]
-        terms = dict.fromkeys(t for s in members for t in s.candidate.terms)
-        shapes = {slot: value for s in reversed(members) for slot, value in s.candidate.shapes.items()}
+        """The first of each group fitted along, and a look at what that and the others leave."""
+        members = [s.candidate for group in groups for s in group.members]
+        firsts = {group.members[0].candidate.label for group in groups}
+        granted = [c for c in members if c.label not in firsts and self._linear(c)]
+        fitted_too = [c for c in members if c not in granted]
+        terms = dict.fromkeys(term for c in fitted_too for term in c.terms)
+        shapes = {slot: value for c in reversed(fitted_too) for slot, value in c.shapes.items()}
         whole = self.refit([*fitted.model.terms, *terms], fitted, shapes)
-        return whole, self.look(whole, 2 * number - 1)
+        return whole, self.look(whole, 2 * number - 1, granted)
+
+    def _linear(self, candidate: Candidate) -> bool:
+        """Whether its columns say all of it: no prior limits its amplitudes, and it is no event."""
+        return candidate.prior is None and self.effects[candidate.name].event is None
 
     def fitted_with(self, tried: Tried, fitted: FittedStage) -> Tried:
         """What was confirmed beside undecided candidates, fitted without them."""

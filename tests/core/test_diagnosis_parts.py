@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from clampid.accuracy import FOLDS, cross_validated
 from clampid.catalogue import catalogue
+from clampid.diagnosis.candidates import columns_of, named_candidates
+from clampid.diagnosis.score import score, space_of
 from clampid.fit import solve
 from clampid.identify import identify
 from clampid.reopen import reopen
@@ -62,3 +64,26 @@ def test_folds_by_one_step_are_folds_refitted(simulated: Callable[..., Campaign]
         expected = held.with_rows(held.rows.take(out)).residual(fitted.theta)[0]
         off = (found[out] - expected) / estimate.noise.sigma[out]
         assert np.sqrt(np.mean(off**2)) < 0.02  # of the noise
+
+
+def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Campaign]):
+    """An eccentric gear, with the balancer granted that stands for it: neither is left, and all else is as it was."""
+    campaign = simulated(seed=7, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint3",))
+    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    candidates = {c.label: c for c in named_candidates(estimate, catalogue(), set())}
+    space = space_of(estimate)
+    gear, balancer = (candidates[f"{name}@joint3"] for name in ("gear_eccentricity", "gravity_compensator"))
+    own = columns_of(estimate, [balancer])
+    np.testing.assert_allclose(own, balancer.columns.dense(len(own)))
+    granted = space.beside(own)
+    np.testing.assert_allclose(granted.basis.T @ granted.basis, np.eye(granted.basis.shape[1]), atol=1e-9)
+    np.testing.assert_allclose(granted.basis.T @ granted.residual, 0.0, atol=1e-8 * space.scale * len(own))
+    before, after = score(space, [gear, balancer]), score(granted, [gear, balancer])
+    assert before[0].explained > 100.0
+    assert after[1].state == "absorbed"
+    assert after[0].explained < 0.1 * before[0].explained
+    both = score(space.beside(gear.columns.dense(len(own))), [balancer])[0]
+    together = after[0].explained * granted.scale**2 + before[1].explained * space.scale**2
+    swapped = both.explained * space.beside(gear.columns.dense(len(own))).scale ** 2
+    assert swapped + before[0].explained * space.scale**2 == pytest.approx(together, rel=1e-6)  # in either order
+    assert space.beside(own[:, :0]) is space
