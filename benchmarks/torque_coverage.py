@@ -37,6 +37,7 @@ Array = npt.NDArray[np.float64]
 ROBOT = "kuka_kr20_r1810"
 POSTURES = 400
 TABLES = ("free_air", "wrist")
+MOST = 0.5  # of the robots: of some joints the friction on the arm's side is told only together with the motor's
 OTHER_PROGRAM = 100_000  # added to the seed: programs and noise of its own
 
 
@@ -58,7 +59,7 @@ def main() -> None:
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with ProcessPoolExecutor(arguments.processes) as pool:
         trials = list(pool.map(trial, seeds))
-    held = coverage([t.errors for t in trials])
+    held = coverage([t.errors for t in trials], stated_by=MOST)
     print(f"{len(trials)} robots; 95 % intervals that hold the truth: {held.summary}")
     print(held.table())
     unseen = np.array([t.unseen for t in trials])
