@@ -19,7 +19,7 @@ import numpy as np
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
 
-__all__ = ["ROUNDS", "mirrored", "settled"]
+__all__ = ["mirrored", "settled"]
 
 ROUNDS = 8
 

@@ -13,13 +13,13 @@ Statistics, 1981, ch. 6; Liang, Zeger, Biometrika 73, 1986.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, optimize
 
 from clampid.fit import Estimate, FitError, inverse_of, limits_of, stage_point
-from clampid.flanks import ROUNDS
+from clampid.flanks import settled
 from clampid.noise import Noise
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
@@ -60,13 +60,13 @@ def mean_norm(estimate: Estimate) -> Estimate:
     trial = estimate.experiment.with_rows(replace(rows, used=used))
     sigma = float(np.sqrt(np.mean(estimate.residual[used[:, 0], :3] ** 2)))
     kappa = ALIKE * sigma
-    theta, held = estimate.theta, trial.with_flanks(estimate.theta)
-    for _ in range(ROUNDS):
-        theta = _search(held, theta, estimate, kappa)
-        moved = trial.with_flanks(theta)
-        if moved is trial or np.array_equal(moved.rows.signals["flank"], held.rows.signals["flank"]):
-            break
-        held = moved
+    theta = settled(
+        estimate.theta,
+        lambda at: [trial.with_flanks(at)],
+        lambda held, at: _Lowest(_search(held[0], at, estimate, kappa)),
+        lambda held, at: _cost(held[0], at, estimate, kappa)[0],
+    ).theta
+    held = trial.with_flanks(theta)
     error = np.linalg.norm(held.residual(theta)[0][:, :3], axis=1)
     variance = kappa * np.maximum(error, NEAREST * sigma)
     noise = Noise(np.repeat(np.sqrt(variance)[:, None], rows.measured.shape[1], axis=1))
@@ -90,13 +90,30 @@ def compared(estimate: Estimate, squares: Estimate) -> dict[str, dict[str, float
     return {name: norm_metrics(np.linalg.norm(e.residual[used, :3], axis=1)) for name, e in fits.items()}
 
 
+@dataclass(frozen=True)
+class _Lowest:
+    """Where ``(P,)`` a search with flanks held ended."""
+
+    theta: Array
+
+
+def _cost(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> tuple[float, Array]:
+    """Sum of the norms over κ with the prior's share, and its gradient ``(P,)``."""
+    used = trial.rows.used[:, 0]
+    residual, by = trial.residual(theta)
+    e = residual[used, :3]
+    norm = np.linalg.norm(e, axis=1)
+    u = e / np.maximum(norm, 1e-15)[:, None]
+    off = theta - estimate.prior_mean
+    pull = estimate.prior_precision @ off
+    return float(norm.sum() / kappa + 0.5 * off @ pull), pull - np.einsum("ni,nip->p", u, by[used, :3]) / kappa
+
+
 def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> Array:
     """SLSQP from ``theta``, flanks held, in coordinates in which least squares would be a ball."""
-    A, mean = estimate.prior_precision, estimate.prior_mean
     free = np.flatnonzero(~trial.held())
     J = estimate.whitened.jacobian
-    L = linalg.cholesky(inverse_of(J.T @ J + A)[np.ix_(free, free)], lower=True)
-    used = trial.rows.used[:, 0]
+    L = linalg.cholesky(inverse_of(J.T @ J + estimate.prior_precision)[np.ix_(free, free)], lower=True)
 
     def at(z: Array) -> Array:
         out = theta.copy()
@@ -104,14 +121,8 @@ def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -
         return out
 
     def cost(z: Array) -> tuple[float, Array]:
-        here = at(z)
-        residual, by = trial.residual(here)
-        e = residual[used, :3]
-        norm = np.linalg.norm(e, axis=1)
-        u = e / np.maximum(norm, 1e-15)[:, None]
-        off = here - mean
-        gradient = A @ off - np.einsum("ni,nip->p", u, by[used, :3]) / kappa
-        return float(norm.sum() / kappa + 0.5 * off @ A @ off), L.T @ gradient[free]
+        value, gradient = _cost(trial, at(z), estimate, kappa)
+        return value, L.T @ gradient[free]
 
     limits = limits_of(trial)
     rows = [(sign * L[k], sign * (theta[j] - bound)) for k, j in enumerate(free) if limits.bounded[j]
