@@ -145,15 +145,18 @@ def _bending(opened: Reopened, trial: Experiment) -> _Bending:
     angle = trial.chain.offsets["joint_angle"]
     stiff = model.theta.copy()
     stiff[springs] = 0.0
+    n = angle.stop - angle.start
 
     def through_each(signals: Mapping[str, Array]) -> Array:
-        none = trial.chain.evaluate(stiff, signals).values[:, angle]
-        each = []
-        for k in springs:
-            alone = stiff.copy()
-            alone[k] = model.theta[k]
-            each.append(trial.chain.evaluate(alone, signals).values[:, angle] - none)
-        return np.array(each)
+        """``(K, N, n)``, rad: compliances times what a unit of each does, for springs are linear."""
+        found = trial.chain.evaluate(stiff, signals)
+        each = np.zeros((len(springs), len(found.values), n))
+        for k, spring in enumerate(springs):
+            for entry in np.flatnonzero(found.parameter == spring):
+                station = found.station[entry] - angle.start
+                if 0 <= station < n:
+                    each[k, :, station] = model.theta[spring] * found.partials[:, entry]
+        return each
 
     declared = opened.campaign.tool.mass * np.r_[1.0, opened.campaign.tool.com]
     bare = {**held, "gravity_torque": held["gravity_torque"] - held["tool_regressor"] @ declared}
