@@ -16,6 +16,7 @@ from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
 from clampid.fit import Estimate, fit
 from clampid.gauge import independent_geometry
+from clampid.kept_friction import with_kept_friction
 from clampid.mean_norm import compared, mean_norm
 from clampid.model import StageModel
 from clampid.nulls import null_directions
@@ -67,6 +68,7 @@ class FittedStage:
 
     def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
         """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""
+        estimate = with_kept_friction(estimate)
         model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, told)
         return replace(self, model=model, estimate=estimate)
 
@@ -118,6 +120,7 @@ def fit_stage(
         contradicted = drives.contradicted
         if drives.prior is not None:
             estimate = fit(trial, (*priors, drives.prior), estimate.values())
+    estimate = with_kept_friction(estimate)
     universal = None
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)

@@ -28,7 +28,7 @@ from experiments.campaign import Campaign
 from experiments.signals import slip_states
 from kinematics.poe import forward, space_jacobian
 
-__all__ = ["BLOCK_ROWS", "clamped_rows", "fixture_motion", "loop_compliance", "residual"]
+__all__ = ["BLOCK_ROWS", "clamped_rows", "fixture_motion", "joint_torques", "loop_compliance", "residual"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
@@ -82,6 +82,12 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
         else:
             jacobian[mine, held - n, len(chain.slots) + k] = 1.0
     return rows.measured - predicted, jacobian
+
+
+def joint_torques(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
+    """Joint torques ``(N, n)``, Nm, at which the model is in balance, friction apart."""
+    shift = rows.constants["wound"] - rows.offset_table(offsets, 2)[:, : rows.robot.n]
+    return _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])[0]
 
 
 def fixture_motion(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:

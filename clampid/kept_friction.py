@@ -1,0 +1,63 @@
+"""How far a clamped block slipped, given that nobody knows what friction the held motors kept.
+
+A held motor's torque is its gear's and what friction it kept, anything between its limits. When a block slips, torques
+change, and of a gear whose torque changed its sign the clearance was passed, too. Which gears did is told only where no
+friction that the motor may have kept could hide it; elsewhere the slip is known but for these clearances. A fit settles
+on one of the combinations, and a standard error made at that one says nothing of the others, which fit as well. So what
+they would have made of the slip is added to the covariance: its second moment over frictions uniform between limits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.fit import Estimate
+from clampid.stages.clamped import joint_torques
+from clampid.stages.rows import Array
+
+__all__ = ["with_kept_friction"]
+
+DRAWS, SEED = 1000, 0
+AXES = ("rx", "ry", "rz", "x", "y", "z")
+
+
+def with_kept_friction(estimate: Estimate) -> Estimate:
+    """The same fit, with what held motors' friction leaves open of slips in their covariance.
+
+    Unchanged where no slip is fitted. Torques about the arm's joints are related to those at the motors by T.
+    """
+    effects = estimate.experiment.effects
+    covariance = estimate.covariance.copy()
+    for name in dict.fromkeys(slot.effect for slot in estimate.slots):
+        if effects[name].event is None:
+            continue
+        index = {slot.parameter: k for k, slot in enumerate(estimate.slots) if slot.effect == name}
+        own = [index[axis] for axis in AXES]
+        covariance[np.ix_(own, own)] += _open(estimate, float(estimate.theta[index[str(effects[name].event)]]))
+    return replace(estimate, covariance=covariance)
+
+
+def _open(estimate: Estimate, at: float) -> Array:
+    """Second moment ``(6, 6)`` of what a slip at that ``sweep_progress`` may differ by, (w, v), rad and m."""
+    experiment, n = estimate.experiment, estimate.experiment.rows.robot.n
+    rows, count = experiment.rows, len(estimate.slots)
+    mine = np.flatnonzero(rows.constants["run"] == int(at))
+    after = int(np.searchsorted(rows.signals["sweep_progress"][mine], at))
+    if not 0 < after < len(mine):
+        return np.zeros((6, 6))
+    beside = mine[[after - 1, after]]
+    theta, offsets = estimate.theta[:count], estimate.theta[count:]
+    torque = joint_torques(rows, experiment.chain, theta, offsets)[beside]
+    kept = rows.offset_table(offsets, 2)[beside[0], n:]
+    values = {(s.effect, s.parameter, s.place): v for s, v in zip(estimate.slots, theta, strict=True)}
+    gap = np.array([abs(values.get(("backlash", "gap", f"joint{j + 1}"), 0.0)) for j in range(n)])
+    held = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
+    limit = np.where(held, rows.constants["held_friction"], 0.0)
+    drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (DRAWS, n)) * limit, kept)
+    T = np.asarray(rows.robot.transmission)
+    other = torque + np.linalg.solve(T, (kept - drawn).T).T[:, None, :]  # (DRAWS, 2, n)
+    passed = 0.5 * (np.sign(other[:, 1]) - np.sign(other[:, 0])) - 0.5 * (np.sign(torque[1]) - np.sign(torque[0]))
+    slip = (passed * gap) @ np.linalg.pinv(rows.constants["inverse_jacobian"][beside[0]]).T
+    return np.asarray(slip.T @ slip / DRAWS)
