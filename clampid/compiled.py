@@ -35,7 +35,7 @@ BLOCK = 256  # rows evaluated at once
 # Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
 OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 PLAIN = ("-std=c99",)
-NATIVE = ("-std=gnu99", "-march=native", "-Wno-psabi")  # for this processor; not every compiler knows what that is
+NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
 _log = logging.getLogger(__name__)
