@@ -69,9 +69,7 @@ class Noise:
         if not self.autocorrelations:
             channel, entry = np.nonzero(rows.used.T)
             sigma = self.sigma[entry, channel]
-            return Whitened(
-                residual[entry, channel] / sigma, jacobian[entry, channel] / sigma[:, None], entry, channel
-            )
+            return Whitened(residual[entry, channel] / sigma, jacobian[entry, channel] / sigma[:, None], entry, channel)
         parts_r, parts_j, entries, channels = [], [], [], []
         for c in range(residual.shape[1]):
             used = rows.used[:, c]
