@@ -66,8 +66,6 @@ class Deviations:
         ``(nonzeros,)``: which entry of S and which parameter each column of ``partials`` belongs to.
     by_torque
         ``(N, S, n)``: d values / d joint torque, in the stage ``clamped``; else None.
-    pressing
-        ``(N, n)``: in ``poses``, where an effect reads flanks, the torque whose sign is the flank, Nm; else None.
     """
 
     values: Array
@@ -75,7 +73,6 @@ class Deviations:
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
     by_torque: Array | None = None
-    pressing: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -88,6 +85,8 @@ class Chain:
         Station → slice of the entries S.
     least
         What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
+    flank_function
+        In ``poses``, where an effect reads flanks: what decides on them. Else None.
     """
 
     stage: Stage
@@ -98,9 +97,23 @@ class Chain:
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
     least: Array
+    flank_function: Blocks | None = None
 
     def evaluate(self, theta: Array, signals: Mapping[str, Array], torque: Array | None = None) -> Deviations:
         """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""
+        out = self.function(theta, *self._columns(signals, torque))
+        by_torque = None
+        if self.stage == "clamped":
+            by_torque = out[2].reshape(len(out[0]), -1, out[0].shape[1]).transpose(0, 2, 1)
+        return Deviations(out[0], out[1], self.station, self.parameter, by_torque)
+
+    def pressing(self, theta: Array, signals: Mapping[str, Array]) -> Array | None:
+        """Torques ``(N, n)``, Nm, whose signs are the flanks, at ``theta`` ``(P,)``; None where no effect reads any."""
+        if self.flank_function is None:
+            return None
+        return self.flank_function(np.maximum(theta, self.least), *self._columns(signals, None))[0]
+
+    def _columns(self, signals: Mapping[str, Array], torque: Array | None) -> list[Array]:
         columns = []
         count = next(len(v) for v in signals.values())
         for name, width in self.signals:
@@ -108,12 +121,7 @@ class Chain:
             if values is None:
                 raise ValueError("the chain of the stage clamped needs the joint torques it is to be evaluated at")
             columns.append(np.reshape(values, (count, width)))
-        out = self.function(theta, *(columns or [np.zeros((count, 0))]))
-        by_torque = None
-        if self.stage == "clamped":
-            by_torque = out[2].reshape(count, -1, out[0].shape[1]).transpose(0, 2, 1)
-        pressing = out[2] if self.stage == "poses" and len(out) > 2 else None
-        return Deviations(out[0], out[1], self.station, self.parameter, by_torque, pressing)
+        return columns or [np.zeros((count, 0))]
 
     @property
     def reads_flanks(self) -> bool:
@@ -186,13 +194,24 @@ def build_chain(
     outputs = [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)]
     if stage == "clamped":
         outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
-    elif "flank" in row.flats:
+    pressing = None
+    if stage == "poses" and "flank" in row.flats:
         # A joint without load rests on the side it came from; any load beyond that decides the flank.
-        outputs.append(ca.densify(row.offered["torque"] + row.recorded("rest_direction")))
-    function = ca.Function("deviations", [theta, ca.vertcat(*row.flats.values())], outputs)
+        pressing = ca.densify(row.offered["torque"] + row.recorded("rest_direction"))
+    inputs = [theta, ca.vertcat(*row.flats.values())]
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
     least = least_deciding(slots, effects)
-    return Chain(stage, tuple(slots), offsets, widths, Blocks(function), station_of, parameter_of, least)
+    return Chain(
+        stage,
+        tuple(slots),
+        offsets,
+        widths,
+        Blocks(ca.Function("deviations", inputs, outputs)),
+        station_of,
+        parameter_of,
+        least,
+        None if pressing is None else Blocks(ca.Function("pressing", inputs, [pressing])),
+    )
 
 
 def least_deciding(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Array:

@@ -31,11 +31,11 @@ __all__ = ["Blocks", "compile_function", "compile_rows", "compiler"]
 
 Array = npt.NDArray[np.float64]
 
-BLOCK = 256  # rows evaluated at once
+BLOCK = 64  # rows evaluated at once; the last block of a call is filled up with what was there before
 # Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
 OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 PLAIN = ("-std=c99",)
-NATIVE = ("-std=gnu99", "-march=native", "-Wno-psabi")  # for this processor; not every compiler knows what that is
+NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
 _log = logging.getLogger(__name__)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -253,6 +254,11 @@ class StagePoint:
     residual: Array
     white: Whitened
 
+    @cached_property
+    def matrix(self) -> Array:
+        """Normal matrix ``(P, P)``."""
+        return np.asarray(self.white.jacobian.T @ self.white.jacobian)
+
     @property
     def cost(self) -> float:
         """Sum of the whitened squares."""
@@ -265,8 +271,7 @@ class StagePoint:
 
     def normal(self) -> tuple[Array, Array]:
         """Normal matrix and downhill gradient."""
-        J = self.white.jacobian
-        return J.T @ J, J.T @ self.white.residual
+        return self.matrix, self.white.jacobian.T @ self.white.residual
 
 
 def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint:
@@ -347,7 +352,7 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
     return Estimate(
         experiment=experiment,
         theta=best.theta,
-        covariance=_covariance(best.white, precision, best.normal()[0]),
+        covariance=_covariance(best.white, precision, best.matrix),
         noise=noise,
         whitened=best.white,
         residual=best.residual,

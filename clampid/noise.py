@@ -66,6 +66,10 @@ class Noise:
     def whiten(self, rows: Rows, residual: Array, jacobian: Array) -> Whitened:
         """Whiten a residual ``(N, m)`` and a Jacobian ``(N, m, P)`` of these rows."""
         residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
+        if not self.autocorrelations:
+            channel, entry = np.nonzero(rows.used.T)
+            sigma = self.sigma[entry, channel]
+            return Whitened(residual[entry, channel] / sigma, jacobian[entry, channel] / sigma[:, None], entry, channel)
         parts_r, parts_j, entries, channels = [], [], [], []
         for c in range(residual.shape[1]):
             used = rows.used[:, c]

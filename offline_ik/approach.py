@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,7 +98,7 @@ def approach_through(
     towards = detector.towards(detector.to_base(found.target), first.roll)
     unknown = detector.propagation.at(end.q, detector.still, towards)
     through = np.clip(end.q - side * back, detector.lower, detector.upper)
-    kept = found if found.solutions else replace(answer, solutions=(first,))
+    kept = found if found.solutions else answer._replace(solutions=(first,))
     return Approach(kept, through, side, unknown.std_m, end.uncertainty.std_m)
 
 

@@ -240,14 +240,15 @@ class Detector:
         if branch < 0:
             return None
         error = said[16 + 2 * n : 22 + 2 * n]
-        q = first[16 : 16 + n]
+        q, approach = first[16 : 16 + n], said[22 + 2 * n : 22 + 3 * n]
+        half = kernel.out[2].reshape(n, 6) if 0.0 in approach else None
         status, turn = status_and_turn(self.solver.ortho, self._chain(q), int(branch))
         return first[:16].reshape(4, 4), Solution(
             q,
             first[16 + n : 16 + 2 * n],
             math.hypot(*error[:3]),
             math.hypot(*error[3:]),
-            self.propagation.combined(kernel.out[1].reshape(6, -1), kernel.out[2].reshape(n, 6), covariance),
+            self.propagation.combined(kernel.out[1].reshape(6, -1), half, covariance),
             asked[3],
             self.search.names(wrist, elbow, -shoulder),
             status,

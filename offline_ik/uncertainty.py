@@ -156,14 +156,14 @@ class Propagation:
         J = (towards.T @ J.reshape(2, 3, -1)).reshape(6, -1)
         return self.combined(J, unknown[:, None] * (spread.reshape(-1, 2, 3) @ towards).reshape(-1, 6), self.covariance)
 
-    def combined(self, J: Array, half: Array, covariance: Array) -> Uncertainty:
+    def combined(self, J: Array, half: Array | None, covariance: Array) -> Uncertainty:
         """From the derivative ``(6, C)`` by parameters of a covariance ``(C, C)``, and half the spread ``(n, 6)``.
 
-        The spread is that of unknown approaches.
+        The spread is that of unknown approaches; None where all are known.
         """
         model = J @ covariance @ J.T
         model_m, approach_m, both = math.sqrt(sum(_variances(model)[:3])), 0.0, model
-        if half.any():
+        if half is not None and half.any():
             approach = half.T @ half
             approach_m, both = math.sqrt(sum(_variances(approach)[:3])), model + approach
         return Uncertainty(both, model_m, approach_m, self.cell.pixel)

@@ -106,13 +106,11 @@ def counting(
     out = np.abs(signals["motor_speed"]) > np.maximum(facts.rest_motor, facts.clear_motor)
     if resting:
         out |= signals["motor_motion"] != 0
-    unknown = np.zeros(out.shape, dtype=bool)
     for j in wrist:
         speed = np.abs(signals["joint_speed"][:, j])
         creeping = (speed > facts.rest[j]) & (speed <= facts.clear[j])
         unmoved = signals["joint_motion"][:, j] == 0  # not moved yet in this run
-        unknown[:, j] = facts.moved[run, j] & (creeping | unmoved)
-    out &= ~((unknown.astype(float) @ (transmission != 0).T.astype(float)) > 0)
+        out[np.ix_(facts.moved[run, j] & (creeping | unmoved), transmission[:, j] != 0)] = False
     if not accelerating:
         out &= np.abs(signals["joint_acceleration"]) <= facts.steady  # rotors and links have inertia of their own
     return np.asarray(out)

@@ -24,6 +24,7 @@ from experiments.log_windows import Window, windows
 
 __all__ = ["Block", "Channel", "LogDesign", "Sampled"]
 
+PIECE = 1 << 11  # rows of a window that the kernel evaluates at once: what it gives of them stays in the cache
 KEPT_BYTES = 1 << 28  # of a short log all windows are kept
 
 
@@ -96,7 +97,7 @@ class _Prepared:
     Attributes
     ----------
     signals
-        Name → ``(k, …)``, of the rows of which some motor counts by its motion.
+        ``(k, s)``: what the kernel reads, of the rows of which some motor counts by its motion.
     counts, measured
         ``(k, n)``: which motors count, and their torques, Nm.
     row, stretch, run, fold
@@ -106,7 +107,7 @@ class _Prepared:
     """
 
     kernel: TorqueKernel
-    signals: Mapping[str, Array]
+    signals: Array
     counts: Bools
     measured: Array
     row: Integers
@@ -118,7 +119,7 @@ class _Prepared:
     @property
     def size(self) -> int:
         """Bytes, about."""
-        return self.measured.nbytes + sum(v.nbytes for v in self.signals.values()) + 6 * self.row.nbytes
+        return self.measured.nbytes + self.signals.nbytes + 6 * self.row.nbytes
 
 
 @dataclass
@@ -292,7 +293,7 @@ class LogDesign:
         first, mine = before + w.first + w.start, slice(w.start, w.stop)
         prepared = _Prepared(
             kernel=kernel,
-            signals={name: every[name][chosen] for name, _ in kernel.signals},
+            signals=kernel.stacked(every, chosen),
             counts=counts[chosen],
             measured=measured[chosen],
             row=row[chosen],
@@ -306,15 +307,20 @@ class LogDesign:
     def _block(self, window: _Prepared) -> Block:
         """A window's channels at the parameters that the design is about."""
         kernel = window.kernel
-        inertial, design = kernel.evaluate(self.at[: len(self.chain.slots)], window.signals)
-        counts = window.counts
-        if not self.accelerating:
-            counts = counts & negligible(inertial, self.facts)
+        counts = window.counts.copy()
+        found: list[list[Array]] = [[] for _ in range(self.n)]
+        for first in range(0, max(len(counts), 1), PIECE):
+            piece = slice(first, first + PIECE)
+            inertial, design = kernel.evaluate(self.at[: len(self.chain.slots)], window.signals[piece])
+            if not self.accelerating:
+                counts[piece] &= negligible(inertial, self.facts)
+            for kept, values, used in zip(found, design, counts[piece].T, strict=True):
+                kept.append(values[used])
         channels = []
         for c in range(self.n):
             used = np.flatnonzero(counts[:, c])
             columns, extra = self._still(window.run[used], c)
-            both = design[c][used]
+            both = np.concatenate(found[c])
             both[:, -1] = window.measured[used, c] - both[:, -1]
             if len(columns):
                 both = np.concatenate([both[:, :-1], extra, both[:, -1:]], axis=1)
@@ -346,7 +352,7 @@ class LogDesign:
         """The friction of joints that stand still in these rows' runs: which parameters, and their columns."""
         columns, values = [], []
         keys = self.offset_keys
-        for k in np.flatnonzero(np.isin(keys[:, 0], run)) if len(run) else ():
+        for k in np.flatnonzero(np.isin(keys[:, 0], run)) if len(keys) else ():
             if self.T[motor, keys[k, 1]] != 0:
                 columns.append(len(self.chain.slots) + int(k))
                 values.append((run == keys[k, 0]) * self.T[motor, keys[k, 1]])

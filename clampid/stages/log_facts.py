@@ -172,8 +172,8 @@ def joint_columns(kind: str, unit: str, n: int) -> list[str]:
 
 
 def stacked(window: Window, names: Sequence[str]) -> Array:
-    """Columns of a window beside each other ``(w, c)``."""
-    return np.column_stack([window.columns[name] for name in names])
+    """Columns of a window beside each other ``(w, c)``; in memory one after the other, as filters go through them."""
+    return np.array([window.columns[name] for name in names]).T
 
 
 def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22, use_logged: bool = True) -> LogFacts:
@@ -197,7 +197,7 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
     logged = use_logged and all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
     motions = Motions(n, step, logged)
     to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
-    counts = [np.zeros((n, 1), dtype=np.int64)] * 2
+    counts = [speed_counts(np.zeros((0, n))) for _ in range(2)]
     top = np.zeros((3, n))
     since, rows = np.inf, 0
     found: dict[tuple[int, int], tuple[int, Array]] = {}
@@ -206,7 +206,8 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
             own = slice(w.start, w.stop)
             _, qd, qdd = (v[own] for v in motions.of(p, w))
             wm = qd @ to_motor
-            counts = [c + speed_counts(v) for c, v in zip(counts, (qd, wm), strict=True)]
+            for kind, v in enumerate((qd, wm)):
+                counts[kind] += speed_counts(v)
             top = np.maximum(top, [np.abs(v).max(axis=0) for v in (qd, wm, qdd)])
             since, rows = min(since, float(w.columns["time_s"][own].min())), rows + len(qd)
             run = w.columns["run"][own].astype(np.int64)

@@ -54,10 +54,7 @@ def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
 
 def pressing(rows: Rows, chain: Chain, theta: Array) -> Array | None:
     """Torques that press on the flanks at these parameters ``(N, n)``, Nm, or None if no effect asks."""
-    if not chain.reads_flanks:
-        return None
-    open_ = {**rows.signals, "flank": np.zeros((len(rows), rows.robot.n))}
-    return chain.evaluate(np.maximum(theta, chain.least), open_).pressing
+    return chain.pressing(theta, {**rows.signals, "flank": np.zeros((len(rows), rows.robot.n))})
 
 
 def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:

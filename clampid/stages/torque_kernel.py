@@ -51,14 +51,22 @@ class TorqueKernel:
     linear: bool
     function: Blocks | Lanes
 
-    def evaluate(self, theta: Array, signals: Mapping[str, Array]) -> tuple[Array, list[Array]]:
+    def stacked(self, signals: Mapping[str, Array], chosen: Integers) -> Array:
+        """Of some rows ``(N,)`` the signals that the function reads, each ``(w, …)``, beside each other ``(N, s)``."""
+        columns = [column for name, width in self.signals for column in signals[name].reshape(-1, width).T]
+        out = np.empty((len(columns), len(chosen)))  # column by column, as signals are in memory
+        for column, place in zip(columns, out, strict=True):
+            np.take(column, chosen, out=place)
+        return out.T
+
+    def evaluate(self, theta: Array, rows: Array) -> tuple[Array, list[Array]]:
         """Motor torques of inertia ``(N, n)``, Nm; per motor ``(N, p + 1)``: derivatives, and the torque predicted.
 
-        ``theta``: the parameters ``(P,)``; where the torques are linear in them, they are predicted at zero.
+        ``theta``: the parameters ``(P,)``; where the torques are linear in them, they are predicted at zero. ``rows``
+        ``(N, s)``: signals as :meth:`stacked` gives them.
         """
-        count, n = len(signals["q"]), len(self.touched)
-        columns = [np.reshape(signals[name], (count, width)) for name, width in self.signals]
-        values = self.function(theta[: 0 if self.linear else None], *columns)[0]
+        n = len(self.touched)
+        values = self.function(theta[: 0 if self.linear else None], rows)[0]
         ends = n + np.cumsum([0, *(len(t) + 1 for t in self.touched)])
         return values[:, :n], [values[:, a:b] for a, b in pairwise(ends)]
 

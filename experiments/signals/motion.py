@@ -101,11 +101,12 @@ def _order_statistic(below: Integers, edges: Array, rank: float) -> float:
 def held_sign(speed: Array, threshold: Array, run: Integers) -> Array:
     """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first."""
     start = np.r_[True, run[1:] != run[:-1]][: len(run)]
-    index = np.arange(len(run))
-    first = np.maximum.accumulate(np.where(start, index, 0))
-    out = np.empty(speed.shape)
+    # What is known anew in a row, at a run's start or in motion, as four times the row and 0, 1 or 2 for its sign: the
+    # largest so far is the last, and says which.
+    rest = 4 * np.arange(1, len(run) + 1)
+    at_start = np.where(start, rest + 1, 0)
+    out = np.empty(speed.shape, order="F")
     for j, column in enumerate(speed.T):
-        own = np.ascontiguousarray(column)
-        last = np.maximum.accumulate(np.where(np.abs(own) > threshold[j], index, -1))
-        out[:, j] = np.where(last >= first, np.sign(own)[last], 0.0)
+        known = np.where(np.abs(column) > threshold[j], rest + 1 + np.sign(column).astype(np.int64), at_start)
+        out[:, j] = (np.maximum.accumulate(known) & 3) - 1
     return out

@@ -77,23 +77,27 @@ def local_polynomial(
         ``(N, c)``, in units of the columns per s^order. Where a stretch has too few samples, the degree is what
         they allow; a derivative that they do not determine is 0.
     """
+    values = np.asfortranarray(values)  # all that follows goes down the columns
     out = np.zeros_like(values)
     step = typical_step(time, run) if step is None else step
     # A polynomial does not reach across more than half its window: what is there need not be on it.
     reach = (half + 0.5) * step
     for rows in _stretches(time, run, reach):
-        known = rows[usable[rows]]
+        own, stamps = values[rows], time[rows]
+        known = np.flatnonzero(usable[rows])
         # A repeated stamp is no second sample of its time.
-        known = known[np.r_[True, np.diff(time[known]) > 0.0]] if len(known) else known
-        if len(known):
-            out[rows] = _stretch(values[known], time[known], time[rows], half, order, step)
+        known = known[np.r_[True, np.diff(stamps[known]) > 0.0]] if len(known) else known
+        if len(known) == len(own):
+            out[rows] = _stretch(own, stamps, stamps, half, order, step)
+        elif len(known):
+            out[rows] = _stretch(own[known], stamps[known], stamps, half, order, step)
     return out
 
 
-def _stretches(time: Array, run: Integers, reach: float) -> list[Integers]:
+def _stretches(time: Array, run: Integers, reach: float) -> list[slice]:
     steps = np.diff(time)
     breaks = np.flatnonzero((run[1:] != run[:-1]) | (steps < 0.0) | (steps > reach)) + 1
-    return [np.asarray(rows) for rows in np.split(np.arange(len(time)), breaks) if len(rows)]
+    return [slice(int(a), int(b)) for a, b in pairwise(np.r_[0, breaks, len(time)])]
 
 
 def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, step: float) -> Array:
@@ -101,13 +105,12 @@ def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, 
     length = len(known)
     base = values.mean(axis=0)  # rounding is relative to the size of what is summed
     values = values - base
-    out = np.empty((len(wanted), values.shape[1]))
+    out = np.empty((len(wanted), values.shape[1]), order="F")
     known, pieces = _evened(known, step)
-    place = np.minimum(np.searchsorted(known, wanted), length - 1)
-    same = len(wanted) == length
-    if same:
+    if len(wanted) == length:
         place, wanted = np.arange(length), known
     else:
+        place = np.minimum(np.searchsorted(known, wanted), length - 1)
         before = np.maximum(place - 1, 0)
         place = np.where(np.abs(known[before] - wanted) < np.abs(known[place] - wanted), before, place)
         exact = np.abs(known[place] - wanted) < 1e-3 * step
@@ -150,7 +153,7 @@ def _evened(time: Array, step: float) -> tuple[Array, list[tuple[int, int, float
 def _convolved(values: Array, half: int, order: int) -> Array:
     weights = kernel(half, order)
     if half < _LONG:
-        return np.asarray(correlate1d(values, weights, axis=0, mode="nearest"))
+        return np.asarray(correlate1d(values.T, weights, axis=1, mode="nearest").T)
     return np.asarray(oaconvolve(values, weights[::-1, None], mode="same", axes=0))
 
 

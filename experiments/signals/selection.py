@@ -54,8 +54,19 @@ def medians(stream: Stream, held: int = _HELD) -> Array:
             pieces = []
     if total <= held:
         columns = [np.concatenate(parts) for parts in zip(*pieces, strict=True)]
-        return np.array([np.median(c) if len(c) else np.nan for c in columns])
+        return np.array([_median(c) for c in columns])
     return _narrowed(stream, [_Middle.both_of(count) for count in counts], held)
+
+
+def _median(values: Array) -> float:
+    """As `numpy.median`, which looks for both middle numbers and for NaN one by one, and takes eight times as long."""
+    if not len(values):
+        return np.nan
+    middle = len(values) // 2
+    ordered = np.partition(values, middle)
+    if np.isnan(ordered[middle:].max()):  # NaN is the last of all
+        return np.nan
+    return float(ordered[middle] if len(values) % 2 else 0.5 * (ordered[:middle].max() + ordered[middle]))
 
 
 @dataclass

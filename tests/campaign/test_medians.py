@@ -30,6 +30,13 @@ def test_nothing_has_no_median(held: int) -> None:
     np.testing.assert_array_equal(found, [np.nan, 1.0])
 
 
+@pytest.mark.parametrize("place", [0, 2, 4])
+def test_what_is_held_has_no_median_where_a_number_is_missing(place: int) -> None:
+    values = np.array([3.0, 1.0, 2.0, 5.0, 4.0])
+    values[place] = np.nan
+    assert np.isnan(medians(lambda: iter([[values]]))).all()
+
+
 def test_a_long_stream_is_gone_through_twice() -> None:
     numbers, passes = np.random.default_rng(0).standard_normal((20, 1000, 2)), []
 
