@@ -55,12 +55,8 @@ _FUNCTIONS = {
     ca.OP_CEIL: "ceil",
 }
 _FUNCTIONS_OF_TWO = {ca.OP_ATAN2: "atan2"}
-_VECTORS = (
-    "sin",
-    "cos",
-    "exp",
-    "log",
-)  # which glibc's libmvec has for whole vectors, right to four units of the last bit
+# Which glibc's libmvec has for whole vectors, right to four units of the last bit.
+_VECTORS = ("sin", "cos", "exp", "log")
 _HEAD = """#include <math.h>
 typedef double lanes __attribute__((vector_size(8 * sizeof(double))));
 typedef long long bits __attribute__((vector_size(8 * sizeof(long long))));

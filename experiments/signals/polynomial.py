@@ -97,7 +97,7 @@ def local_polynomial(
 def _stretches(time: Array, run: Integers, reach: float) -> list[slice]:
     steps = np.diff(time)
     breaks = np.flatnonzero((run[1:] != run[:-1]) | (steps < 0.0) | (steps > reach)) + 1
-    return [slice(int(a), int(b)) for a, b in pairwise(np.r_[0, breaks, len(time)])]
+    return [slice(int(a), int(b)) for a, b in pairwise(np.r_[0, breaks, len(time)]) if b > a]
 
 
 def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, step: float) -> Array:
