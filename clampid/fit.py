@@ -15,7 +15,7 @@ from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
 from clampid.repeatability import Scatter, clustered_covariance, shared_moments, visit_scatter
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped import BLOCK_ROWS, loop_compliance
-from clampid.stages.experiment import Experiment
+from clampid.stages.experiment import HELD, Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = [
@@ -45,6 +45,7 @@ OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothi
 ITERATIONS = 30
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
+WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
 
 
@@ -177,22 +178,38 @@ def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array,
 
 
 def _without_unknown_friction(estimate: Estimate) -> Estimate:
-    """The same pose fit, its covariance that at frictions of zero where the rows do not tell a friction.
+    """The same pose fit with frictions of zero where the rows do not tell them, and its covariance there.
 
     What a joint yields to its dry friction is a product c F. Where neither is known by itself and the product is small,
-    F has some value by chance, and the linearised fit would take c for known through it.
+    F has some value by chance, and the linearised fit would take c for known through it; and whoever propagates an
+    unknown c at that F would take the product for unknown, which is known. At F = 0 both are right, where the rest of
+    the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0.
     """
     experiment, identified = estimate.experiment, estimate.identified
     unknown = [k for k, s in enumerate(experiment.slots) if s.effect == "wrist_coupling_friction" and not identified[k]]
     if not unknown:
         return estimate
-    theta = estimate.theta.copy()
+    theta, precision, mean = estimate.theta.copy(), estimate.prior_precision, estimate.prior_mean
     theta[unknown] = 0.0
+    held, at_zero = precision.copy(), np.where(np.isin(np.arange(len(mean)), unknown), 0.0, mean)
+    held[unknown, unknown] += 1.0 / (HELD * experiment.sizes()[unknown]) ** 2
+    found = solve(experiment, theta, estimate.noise, held, at_zero)
+    if _cost(found, precision, mean) - _cost(estimate, precision, mean) < WORSE:
+        white = found.whitened
+        covariance = _covariance(white, precision, white.jacobian.T @ white.jacobian)
+        return replace(found, covariance=covariance, prior_precision=precision, prior_mean=mean)
     # The flanks stay those of the fit.
     there = stage_point(experiment.with_flanks(estimate.theta), estimate.noise, theta)
     white = replace(estimate.whitened, jacobian=there.white.jacobian)
     normal = white.jacobian.T @ white.jacobian
-    return replace(estimate, whitened=white, covariance=_covariance(white, estimate.prior_precision, normal))
+    return replace(estimate, whitened=white, covariance=_covariance(white, precision, normal))
+
+
+def _cost(estimate: Estimate, precision: Array, mean: Array) -> float:
+    """Whitened squares of the rows and of a prior, at the flanks that the parameters give."""
+    point = stage_point(estimate.experiment.with_flanks(estimate.theta), estimate.noise, estimate.theta)
+    off = estimate.theta - mean
+    return point.cost + float(off @ precision @ off)
 
 
 def _with_repeatability(estimate: Estimate) -> Estimate:

@@ -15,7 +15,7 @@ from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
 from kinematics.description import RobotDescription
 
-__all__ = ["Experiment", "experiment", "parameter_of"]
+__all__ = ["HELD", "Experiment", "experiment", "parameter_of"]
 
 
 HELD = 1e-9  # sizes: as tightly as numbers allow
