@@ -1,6 +1,6 @@
 """Hides every effect of the virtual robot at several sizes, and counts what diagnosis calls it.
 
-    python benchmarks/hidden_effects.py OUT [--seeds 10] [--sizes 0.4,0.8,1.6] [--families base_tilt,…]
+    python benchmarks/hidden_effects.py OUT [--seeds 10] [--first 1] [--sizes 0.4,0.8,1.6] [--families base_tilt,…]
         [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--kinds single,several,outside,clean] [--no-best]
         [--report]
 
@@ -69,10 +69,13 @@ def jobs(options: argparse.Namespace) -> Iterator[Job]:
     ]
     clean = options.clean if "clean" in kinds and families is None else 0
     done = 0
-    for seed in range(1, options.seeds + 1):
+    for number in range(options.seeds):
+        seed = options.first + number
         yield from (Job(case, size, seed, options.poses, options.best) for case, size in wanted)
-        until = clean * seed // options.seeds
-        yield from (Job(None, 0.0, CLEAN_SEED + k, options.poses, options.best) for k in range(done, until))
+        until = clean * (number + 1) // options.seeds
+        yield from (
+            Job(None, 0.0, CLEAN_SEED + options.first - 1 + k, options.poses, options.best) for k in range(done, until)
+        )
         done = until
 
 
@@ -80,6 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=1, help="the first seed")
     parser.add_argument("--sizes", default="0.4,0.8,1.6")
     parser.add_argument("--families", default="", help="only these names of the virtual robot")
     parser.add_argument("--stages", default="free_air,clamped,poses")

@@ -134,8 +134,8 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             continue  # variants of one effect at one place are one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
-        if other.candidate.prior is not None and other.bic < best.bic - SAME:
-            continue  # what can follow anything explains what the simpler one does, and is no rival for it
+        if other.bic < best.bic - SAME:
+            continue  # what needs more numbers explains what the simpler one does, and is no rival for it
         if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
             found.setdefault((other.candidate.name, other.candidate.places), other)
     kept = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from hypothesis import strategies as st
 
 from clampid.accuracy import FOLDS, cross_validated
 from clampid.catalogue import catalogue
-from clampid.diagnosis.candidates import columns_of, named_candidates
+from clampid.diagnosis.candidates import Candidate, columns_of, named_candidates
+from clampid.diagnosis.columns import Columns
+from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.score import score, space_of
 from clampid.fit import solve
 from clampid.identify import identify
 from clampid.reopen import reopen
-from clampid.slots import Slot
+from clampid.slots import Slot, Term
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign
 from kinematics.description import load_robot
@@ -87,3 +90,25 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
     swapped = both.explained * space.beside(gear.columns.dense(len(own))).scale ** 2
     assert swapped + before[0].explained * space.scale**2 == pytest.approx(together, rel=1e-6)  # in either order
     assert space.beside(own[:, :0]) is space
+
+
+def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Callable[..., Campaign]):
+    campaign = simulated(seed=7, poses=60, tables=("poses",))
+    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    rows = len(estimate.whitened.residual)
+    noise = np.random.default_rng(1).normal(size=(rows, 8))
+    fitted = space_of(estimate)
+    shown = noise[:, :1] - fitted.basis[:rows] @ (fitted.basis[:rows].T @ noise[:, :1])
+    residual = fitted.residual.copy()
+    residual[:rows] += 0.5 * shown[:, 0]
+    space = replace(fitted, residual=residual - fitted.basis @ (fitted.basis.T @ residual))
+
+    def candidate(name: str, width: int) -> Candidate:
+        slots = tuple(Slot(name, f"p{k}", "joint1") for k in range(width))
+        columns = Columns(((0, noise[:, :width]),), width)
+        return Candidate(name, name, (Term(name, "joint1"),), slots, {}, columns, (), ("joint1",))
+
+    alone, little, much = score(space, [candidate("alone", 1), candidate("little", 2), candidate("much", 8)])
+    assert alone.explained > 50.0
+    assert little.explained >= alone.explained - 1e-6
+    assert [s.candidate.name for s in rivals_of(space, [alone, little, much], alone, set())] == ["little"]
