@@ -90,7 +90,9 @@ def test_joints_on_one_curve_are_found_and_the_others_left(seed: int, deviation:
     assert list(found.refused) == [3]
     assert found.refused[3] < STRONG
     if deviation:
-        assert found.deviation == pytest.approx(deviation, rel=0.5)
+        # With the noise above, three times a coefficient's deviation, that is hardly told; with a tenth of it, to 6 %.
+        quiet, *_ = drawn(np.random.default_rng(seed), 3, deviation, noise=1e-6)
+        assert align(quiet).deviation == pytest.approx(deviation, rel=0.4)
 
 
 @settings(max_examples=2, deadline=None)
