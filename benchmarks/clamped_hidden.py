@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from coverage_table import TWO_SIDED_95
 
 from clampid.add import add
 from clampid.catalogue import catalogue
@@ -32,7 +33,6 @@ from kinematics.description import load_robot
 
 STANDARD = ("joint_compliance", "backlash", "coulomb_friction")
 WITHIN = 1.10  # of the held-out error that the true effect set reaches
-INTERVAL = 1.959963984540054  # standard errors that hold the truth in 95 %
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Outcome:
     @property
     def covered(self) -> int:
         """How many of the springs' intervals hold the truth."""
-        return int((np.abs(self.springs_after) < INTERVAL).sum())
+        return int((np.abs(self.springs_after) < TWO_SIDED_95).sum())
 
 
 def campaign_of(measured: Measured, watched: bool) -> Campaign:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from coverage_table import TWO_SIDED_95
 
 from clampid.accuracy import noise_floor, predicted, size_of
 from clampid.effect import Stage
@@ -129,7 +130,7 @@ def main() -> None:
             f"{stage}: squared error in units of noise {np.mean(whole.apart):.4f}, joint {np.mean(whole.joint):.4f}, "
             f"difference {whole.difference:+.5f} ± {whole.error:.5f}: {whole.worse:+.2f} standard errors"
         )
-    inside = np.mean(np.abs(np.array(off)) < 1.959963984540054, axis=(0, 2))
+    inside = np.mean(np.abs(np.array(off)) < TWO_SIDED_95, axis=(0, 2))
     print(
         f"springs and clearances of the sweeps, 95 % intervals: stage by stage {inside[0]:.1%}, joint {inside[1]:.1%}"
     )

@@ -194,7 +194,10 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
     held, at_zero = precision.copy(), np.where(np.isin(np.arange(len(mean)), unknown), 0.0, mean)
     held[unknown, unknown] += 1.0 / (HELD * experiment.sizes()[unknown]) ** 2
     found = solve(experiment, theta, estimate.noise, held, at_zero)
-    if _cost(found, precision, mean) - _cost(estimate, precision, mean) < WORSE:
+    before, after = (
+        _cost(experiment.with_flanks(e.theta), e.theta, estimate.noise, precision, mean) for e in (estimate, found)
+    )
+    if after - before < WORSE:
         white = found.whitened
         covariance = _covariance(white, precision, white.jacobian.T @ white.jacobian)
         return replace(found, covariance=covariance, prior_precision=precision, prior_mean=mean)
@@ -205,11 +208,9 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
     return replace(estimate, whitened=white, covariance=_covariance(white, precision, normal))
 
 
-def _cost(estimate: Estimate, precision: Array, mean: Array) -> float:
-    """Whitened squares of the rows and of a prior, at the flanks that the parameters give."""
-    point = stage_point(estimate.experiment.with_flanks(estimate.theta), estimate.noise, estimate.theta)
-    off = estimate.theta - mean
-    return point.cost + float(off @ precision @ off)
+def _cost(held: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> float:
+    """Whitened squares of the rows, flanks held, and of a prior at ``theta`` ``(P + K,)``."""
+    return stage_point(held, noise, theta).cost + float((theta - mean) @ precision @ (theta - mean))
 
 
 def _with_repeatability(estimate: Estimate) -> Estimate:
@@ -342,7 +343,7 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     theta = limits_of(experiment).clipped(theta)
 
     def cost(held: Sequence[Experiment], at: Array) -> float:
-        return stage_point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
+        return _cost(held[0], at, noise, precision, mean)
 
     def found(start: Array) -> Estimate:
         return settled(
