@@ -44,6 +44,8 @@ _ITERATIONS = 8
 _ALL_ORDERS = 4
 # A target nearer to the last joint's axis than the wrist's own errors is not moved by that joint.
 ON_AXIS_M = 0.005
+# Off a plane by as much as the points reach within it, an error seen in their thickness alone is twenty times larger.
+FLAT = 0.05
 
 
 def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
@@ -74,6 +76,8 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
         if unit:
             yield unit
             continue
+        if table == "poses":
+            yield from _flat(measured)
         yield from _target_distances(campaign, table, measured)
         if table not in angles_wrong:
             yield from _rigid_fit(campaign, table, poses, measured)
@@ -107,6 +111,25 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
             f"{', '.join(names)}: within {1e3 * ON_AXIS_M:g} mm of joint {robot.n}'s axis, which hardly moves "
             f"{'them' if count > 1 else 'it'}: zero offset, clearance and compliance of joint {robot.n} cannot be seen",
         )  # fmt: skip
+
+
+def _flat(measured: FloatArray) -> Iterator[Finding]:
+    """Whether the points (rows, 3) lie in a plane or on a line, off which errors of the fitted model are hardly seen."""
+    off = measured - np.median(measured, axis=0)
+    near = np.linalg.norm(off, axis=1)
+    kept = off[near <= 5.0 * np.median(near)]  # a lost point does not make a plane a volume
+    extent = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False) / np.sqrt(len(kept))  # rms along main axes, m
+    if len(kept) < 4 or not extent[0] > SMALLEST_SPREAD_M or extent[2] >= FLAT * extent[0]:
+        return
+    line = extent[1] < FLAT * extent[0]
+    thick, wide = (float(extent[1]), float(extent[0])) if line else (float(extent[2]), float(extent[0]))
+    missing = "how the base is turned about it is hardly told, and " if line else ""
+    yield Finding(
+        "warning", "poses", "x_m", None,
+        f"the points lie {'on a line' if line else 'in a plane'}: within {1e3 * thick:.3g} mm (rms) of it, where they "
+        f"reach {1e3 * wide:.3g} mm along it: {missing}errors that grow away from it are hardly seen; measure "
+        "points off it",
+    )  # fmt: skip
 
 
 def _nominal_poses(campaign: Campaign, table: str) -> FloatArray:

@@ -8,10 +8,12 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.optimize import least_squares
 
 from experiments.campaign import Campaign, read_campaign
 from experiments.check import Finding, check_campaign
 from experiments.simulate import simulate
+from kinematics.poe import forward
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +75,44 @@ def test_a_target_on_the_last_joints_axis(campaign: Campaign) -> None:
     found = told(campaign, one, targets=targets)
     words = "T1: within 5 mm of joint 6's axis, which hardly moves it: zero offset, clearance and compliance of joint 6"
     assert any(words in f.message for f in found), found
+
+
+def on_a_face(campaign: Campaign, axes: list[int], joints: list[int], noise: float) -> pd.DataFrame:
+    """The poses' T1 brought to where its coordinates ``axes`` are as at the first pose, by moving ``joints``."""
+    robot, place = campaign.robot, np.r_[campaign.targets["T1"], 1.0]
+    table = campaign.tables["poses"].groupby("pose").first().reset_index().assign(target="T1", visit=1)
+    names = [f"q{i + 1}_rad" for i in range(robot.n)]
+    rng, kept, points = np.random.default_rng(0), [], []
+    there = None
+    for row, q in enumerate(table[names].to_numpy()):
+
+        def point(at: np.ndarray, q: np.ndarray = q) -> np.ndarray:
+            moved = q.copy()
+            moved[joints] = at
+            return (forward(robot.screws, robot.flange, moved) @ place)[:3]
+
+        if there is None:
+            there = point(q[joints])
+        found = least_squares(lambda at: (point(at) - there)[axes], q[joints])  # noqa: B023 (run at once)
+        if found.cost > 1e-12:
+            continue
+        table.loc[row, [names[j] for j in joints]] = found.x
+        kept.append(row)
+        points.append(point(found.x) + noise * rng.standard_normal(3))
+    assert len(kept) >= 15
+    return (
+        table.loc[kept]
+        .reset_index(drop=True)
+        .assign(**dict(zip(("x_m", "y_m", "z_m"), np.array(points).T, strict=True)))
+    )
+
+
+@pytest.mark.parametrize(
+    ("axes", "joints", "words"),
+    [([2], [2], "the points lie in a plane"), ([1, 2], [0, 2], "the points lie on a line")],
+)
+def test_points_in_a_plane_or_on_a_line(campaign: Campaign, axes: list[int], joints: list[int], words: str) -> None:
+    flat = [f for f in told(campaign, on_a_face(campaign, axes, joints, 1e-4)) if "the points lie" in f.message]
+    assert [f.message.startswith(words) for f in flat] == [True]
+    thick = [f for f in told(campaign, on_a_face(campaign, axes, joints, 0.1)) if "the points lie" in f.message]
+    assert thick == []
