@@ -114,7 +114,7 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
 
 
 def _flat(measured: FloatArray) -> Iterator[Finding]:
-    """Whether the points (rows, 3) lie in a plane or on a line, off which errors of the fitted model are hardly seen."""
+    """Whether the points (rows, 3) lie in a plane or on a line, off which errors are hardly seen."""
     off = measured - np.median(measured, axis=0)
     near = np.linalg.norm(off, axis=1)
     kept = off[near <= 5.0 * np.median(near)]  # a lost point does not make a plane a volume
