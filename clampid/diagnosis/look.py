@@ -42,7 +42,7 @@ class Look:
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
-        best = _best([s for s in self.named if s.candidate.label not in rejected])
+        best = _best([s for s in self.named if s.candidate.label not in rejected], self.named_null)
         return best if best is not None and self.named_null.p_familywise(best.log_p) <= RATE else None
 
     @property
@@ -85,12 +85,18 @@ def look_at(
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]
     folds = estimate.experiment.rows.fold[estimate.whitened.entry]
-    return Look(space, named, free, named_null, free_null, _best(free), folds)
+    return Look(space, named, free, named_null, free_null, _best(free, free_null), folds)
 
 
-def _best(scored: Sequence[Scored]) -> Scored | None:
+def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
+    """The first of those that stand out of their null; where none does, the first of all.
+
+    Not all rows have the noise that the score takes them to have: what acts where there is more of it explains much by
+    chance, as its own flips say, and is not to stand before what does not.
+    """
     able = [s for s in scored if s.freedom and s.state in ABLE]
-    return max(able, key=lambda s: s.bic, default=None)
+    out = [s for s in able if null.p_familywise(s.log_p) <= RATE]
+    return max(out or able, key=lambda s: s.bic, default=None)
 
 
 def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
