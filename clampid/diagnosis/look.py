@@ -89,13 +89,13 @@ def look_at(
 
 
 def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
-    """The first of those that stand out of their null; where none does, the first of all.
+    """The first of those that stand out of their null and pay for their numbers; where none does, the first of all.
 
     Not all rows have the noise that the score takes them to have: what acts where there is more of it explains much by
     chance, as its own flips say, and is not to stand before what does not.
     """
     able = [s for s in scored if s.freedom and s.state in ABLE]
-    out = [s for s in able if null.p_familywise(s.log_p) <= RATE]
+    out = [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= RATE]
     return max(out or able, key=lambda s: s.bic, default=None)
 
 
