@@ -15,6 +15,7 @@ from scipy.special import gammaln, logsumexp
 
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns
+from clampid.diagnosis.look import RATE, Look
 from clampid.diagnosis.score import (
     Flips,
     Space,
@@ -312,6 +313,25 @@ def test_a_wide_candidate_does_not_hide_a_narrow_one():
     null = flip_maxima(sp, scored, 199, 0)
     assert null.p_familywise(scored[0].log_p) == pytest.approx(1 / 200)
     assert null.p_familywise(scored[1].log_p) > 0.05
+
+
+def test_what_explains_much_by_chance_does_not_stand_before_what_stands_out():
+    """Ten times the noise in a few units: what acts there explains much of it, and its own flips do so, too."""
+    rng = np.random.default_rng(11)
+    unit = np.repeat(np.arange(100), 4)
+    loud = unit < 10
+    y = np.where(loud, 10.0 * rng.standard_normal(100)[unit], rng.standard_normal(400))
+    D = np.where(loud, 0.0, rng.standard_normal(400))[:, None]
+    there = np.where(loud, rng.standard_normal(100)[unit] + y / 10, 0.0)[:, None]
+    sp = space(rng.standard_normal((400, 5)), y + 2.0 * D[:, 0], unit)
+    scored = score(sp, [candidate(D, "true"), candidate(there, "loud")])
+    null = flip_maxima(sp, scored, 199, 0)
+    assert max(scored, key=lambda s: s.bic).candidate.name == "loud"
+    assert null.p_familywise(scored[1].log_p) > RATE
+    best = Look(sp, scored, [], null, null, None, unit).best()
+    assert best is not None
+    assert best.candidate.name == "true"
+    assert Look(sp, scored[1:], [], null, null, None, unit).best() is None
 
 
 @settings(max_examples=100, deadline=None)
