@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import combinations
 
+from clampid.effect import Stage
+
 __all__ = ["separating_measurement"]
 
 _SEPARATORS: dict[frozenset[str], str] = {
@@ -36,9 +38,16 @@ _SEPARATORS: dict[frozenset[str], str] = {
 }  # fmt: skip
 
 
-def separating_measurement(effects: Iterable[str]) -> str:
-    """A sentence on what to measure next, so that these effects can be told apart."""
+_MORE: dict[Stage, str] = {
+    "poses": "more poses, spread over the joints' full ranges, with other loads and temperatures than these",
+    "free_air": "a longer log over the joints' full ranges, with other loads, speeds and temperatures than this one",
+    "clamped": "more sweeps, in other postures, with other amplitudes and temperatures than these",
+}
+
+
+def separating_measurement(effects: Iterable[str], stage: Stage) -> str:
+    """A sentence on what to measure next in a stage, so that these effects can be told apart."""
     found = [_SEPARATORS[frozenset(p)] for p in combinations(sorted(set(effects)), 2) if frozenset(p) in _SEPARATORS]
     if found:
         return "; ".join(dict.fromkeys(found))
-    return "more poses, spread over the joints' full ranges, with other loads and temperatures than these"
+    return _MORE[stage]

@@ -114,7 +114,7 @@ def _undecided(
             entry = entry_of(s, group.look.named_null, effects, result.after, None, rivals=group.members)
             result.candidates.append({**entry, "alternative": True, "group": number})
     first = groups[0]
-    result.next_measurement = separating_measurement(s.candidate.family for s in first.members)
+    result.next_measurement = separating_measurement((s.candidate.family for s in first.members), result.stage)
     if propose is not None:
         result.ask_for(propose(estimate, first.members, first.look.space.scale))
 
