@@ -11,6 +11,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from clampid.flanks import mirrored, settled
+from clampid.held_motors import other_crossings
 from clampid.noise import NORMAL, Noise, Whitened, initial_noise, learn_noise
 from clampid.repeatability import Scatter, clustered_covariance, shared_moments, visit_scatter
 from clampid.slots import Prior, Slot
@@ -43,6 +44,7 @@ OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
+CROSSING_PASSES = 4
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
@@ -134,7 +136,7 @@ def fit(
     mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
-    estimate = solve(experiment, theta, model, precision, mean)
+    estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
     for _ in range(OUTLIER_PASSES if reject else 0):
         bad = _outliers(experiment.rows, estimate.residual) & ~rejected
         if not bad.any() or (bad | rejected).mean() > OUTLIER_SHARE:
@@ -148,9 +150,34 @@ def fit(
             if experiment.stage == "free_air" and estimate.noise.settled(model):
                 break
             estimate = solve(experiment, estimate.theta, model, precision, mean)
+        estimate = _past_clearances(estimate)
     if experiment.stage == "poses":
         estimate = _with_repeatability(_without_unknown_friction(estimate))
     return replace(estimate, outliers=rejected)
+
+
+def _past_clearances(estimate: Estimate) -> Estimate:
+    """The estimate, or one that costs less, of a clamped arm whose held joints cross their clearances elsewhere."""
+    if estimate.experiment.stage != "clamped":
+        return estimate
+    for _ in range(CROSSING_PASSES):
+        known = estimate.noise, estimate.prior_precision, estimate.prior_mean
+        other = other_crossings(estimate.experiment, known[0], estimate.theta, known[1], known[2])
+        if other is None:
+            return estimate
+        found = solve(estimate.experiment, other, *known)
+        if not _unlikely(found) < _unlikely(estimate):
+            return estimate
+        estimate = found
+    return estimate
+
+
+def _unlikely(estimate: Estimate) -> float:
+    """-2 log of the evidence of where a search has ended, by Laplace's approximation."""
+    white, off = estimate.whitened, estimate.theta - estimate.prior_mean
+    size = estimate.experiment.sizes()
+    A = (white.jacobian.T @ white.jacobian + estimate.prior_precision) * np.outer(size, size)
+    return float(white.residual @ white.residual + off @ estimate.prior_precision @ off + np.linalg.slogdet(A)[1])
 
 
 def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:

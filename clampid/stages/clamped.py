@@ -35,7 +35,6 @@ STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so 
 NEWTON_STEPS, HALVINGS = 60, 12
 SETTLED_STEP = 1e-9  # of the rated torque
 SLIPS = (0.05, 0.15, 0.4)  # of a sweep's amplitude, which an element takes to be wound up: twice that after a reversal
-CHANGES = 3.0  # times its noise: of a held motor's torque, which then moves for a reason
 GAP_SOFTNESS = 0.1  # of a torque's noise, at the joint: how sharply a gap closes
 
 
@@ -50,12 +49,9 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     n, count = rows.robot.n, len(rows)
     T = np.asarray(rows.robot.transmission)
     run, keys = rows.constants["run"], rows.constants["offset_keys"]
-    constant = rows.offset_table(offsets, 2)
-    shift = rows.constants["wound"] - constant[:, :n]
     inverse = rows.constants["inverse_jacobian"]
-    torque, deviations, slope = _equilibrium(rows, chain, theta, shift, inverse)
+    left, by_angle, deviations = _by_angle(rows, chain, theta, offsets)
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
-    predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor] + constant[:, n:]
     # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
     balance, direct = np.zeros((2, count, n, len(chain.slots)))
     for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
@@ -68,11 +64,6 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
             direct[:, station - motor.start, parameter] += part
         else:
             balance[:, :, parameter] -= inverse[:, :, station - n] * part[:, None]
-    if deviations.by_torque is None:
-        raise ValueError("the chain was not built for the stage clamped")
-    # Friction may follow the load, so that the torque reaches the motors by way of it too.
-    through = T + T @ deviations.by_torque[:, joint] + deviations.by_torque[:, motor]
-    by_angle = through @ np.linalg.inv(slope)
     jacobian = np.zeros((count, n, len(chain.slots) + len(offsets)))
     jacobian[:, :, : len(chain.slots)] = direct - by_angle @ balance
     for k, (sweep, held) in enumerate(keys):  # an offset is an angle that is missing, in the rows of its own sweep
@@ -81,13 +72,47 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
             jacobian[mine, :, len(chain.slots) + k] = by_angle[mine, :, held]
         else:
             jacobian[mine, held - n, len(chain.slots) + k] = 1.0
-    return rows.measured - predicted, jacobian
+    return left, jacobian
+
+
+def residual_by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
+    """Measured less predicted motor torques ``(N, n)``, Nm, and what a missing angle of a joint does to the prediction.
+
+    The latter ``(N, n, n)``, Nm/rad, by motor and joint; friction that a held motor keeps adds to its torque as it is.
+    """
+    left, by_angle, _ = _by_angle(rows, chain, theta, offsets)
+    return left, by_angle
+
+
+def _by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array, Deviations]:
+    T, n = np.asarray(rows.robot.transmission), rows.robot.n
+    constant = rows.offset_table(offsets, 2)
+    shift = rows.constants["wound"] - constant[:, :n]
+    torque, deviations, slope = _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])
+    motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
+    predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor] + constant[:, n:]
+    if deviations.by_torque is None:
+        raise ValueError("the chain was not built for the stage clamped")
+    # Friction may follow the load, so that the torque reaches the motors by way of it too.
+    through = T + T @ deviations.by_torque[:, joint] + deviations.by_torque[:, motor]
+    return rows.measured - predicted, through @ np.linalg.inv(slope), deviations
 
 
 def joint_torques(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
     """Joint torques ``(N, n)``, Nm, at which the model is in balance, friction apart."""
     shift = rows.constants["wound"] - rows.offset_table(offsets, 2)[:, : rows.robot.n]
     return _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])[0]
+
+
+def standing_angles(rows: Rows, chain: Chain, theta: Array, torque: Array) -> tuple[Array, Array]:
+    """Offsets ``(N, n)``, rad, at which rows are in balance at joint torques ``(N, n)``; the balance by torque.
+
+    The latter ``(N, n, n)``, rad/Nm.
+    """
+    n, fixture, inverse = rows.robot.n, chain.offsets["fixture"], rows.constants["inverse_jacobian"]
+    d = chain.evaluate(theta, rows.signals, torque)
+    moved = np.einsum("nij,nj->ni", inverse, d.values[:, fixture])
+    return rows.constants["wound"] + d.values[:, :n] - moved, _slope(d, inverse, fixture, n)
 
 
 def fixture_motion(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
@@ -202,7 +227,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         wrench[s] = inverse[s].T
     noise = step_noise(measured, motion, sweep)
     still = [(s, i) for s in range(sweeps) for i in range(n) if not motion[sweep == s, i].any()]
-    keeping = [(s, n + i) for s, i in still if measured[sweep == s, i].std() > CHANGES * noise[i]]
+    keeping = [(s, n + i) for s, i in still if np.ptp(measured[sweep == s, i]) > 0.0]  # an imagined table has none
     signals = {
         "q": q,
         "motor": motor,
