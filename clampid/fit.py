@@ -44,7 +44,8 @@ OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
-CROSSING_PASSES = 4
+CROSSING_PASSES = 2
+FIRST = 0.01  # of its friction: how far a motor is let off what it is taken to have kept, at first
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
@@ -136,7 +137,9 @@ def fit(
     mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
-    estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
+    estimate = _past_clearances(
+        solve(experiment, _begun(experiment, theta, model, precision, mean), model, precision, mean)
+    )
     for _ in range(OUTLIER_PASSES if reject else 0):
         bad = _outliers(experiment.rows, estimate.residual) & ~rejected
         if not bad.any() or (bad | rejected).mean() > OUTLIER_SHARE:
@@ -150,10 +153,26 @@ def fit(
             if experiment.stage == "free_air" and estimate.noise.settled(model):
                 break
             estimate = solve(experiment, estimate.theta, model, precision, mean)
-        estimate = _past_clearances(estimate)
     if experiment.stage == "poses":
         estimate = _with_repeatability(_without_unknown_friction(estimate))
     return replace(estimate, outliers=rejected)
+
+
+def _begun(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
+    """Where a search begins: of a clamped arm, found with held motors' friction as their last motion left it.
+
+    Springs and a block of which nothing is known yet would draw it to where other clearances are crossed, for good.
+    """
+    if experiment.stage != "clamped":
+        return theta
+    kept = len(experiment.slots) + np.flatnonzero(
+        experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
+    )
+    if not len(kept):
+        return theta
+    held = precision.copy()
+    held[kept, kept] += 1.0 / (FIRST * experiment.sizes()[kept]) ** 2
+    return solve(experiment, theta, noise, held, mean).theta
 
 
 def _past_clearances(estimate: Estimate) -> Estimate:
@@ -493,8 +512,7 @@ def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) ->
 
 def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
-    precision = np.diag(1.0 / experiment.prior_std() ** 2)
-    mean = experiment.start()
+    precision, mean = experiment.prior()
     for prior in priors:
         index = {slot: k for k, slot in enumerate(experiment.slots)}
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]

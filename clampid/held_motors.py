@@ -10,99 +10,114 @@ have been clamped; sweep by sweep, because no sweep shares these numbers with an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clampid.noise import Noise
 from clampid.stages.clamped import BLOCK_ROWS, joint_torques, residual_by_angle, standing_angles
 from clampid.stages.experiment import Experiment
-from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["other_crossings"]
 
-SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: where a joint's torque is tried to change its sign
+SHARES = (0.1, 0.35, 0.65, 0.9)  # of the rows: where a joint's torque is tried to change its sign
 BEYOND = 1.0  # of the noise: as far outside all rows that none changes it
-LARGEST = 2.5  # times what friction a motor shows: more is not kept
+LARGEST = 2.0  # times the friction that a motor shows: more is not kept
 TOLD = 4.0  # of chi-square: changes of torque worth less tell nothing of crossings
-BETTER = 1.0  # of chi-square: what chance would gain
-STEPS, DAMPING, SETTLED = 8, 1e-3, 0.1
 NEAR = 2.0  # of the noise: a torque so small may be of either sign
+BETTER = 1.0  # of -2 log of the evidence
+STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1
 CENTRING = 5
-PASSES = 2
 
 
 @dataclass(frozen=True)
 class _Sweeps:
-    """Some sweeps of a clamped arm with all but their own constants held: tables ``(sweeps, 2 n)``, costs a sweep."""
+    """Sweeps of a clamped arm with all but their own constants ``(K,)`` held.
+
+    Attributes
+    ----------
+    rows
+        Of some of the sweeps.
+    index
+        Which of the K constants are these sweeps' own.
+    clamping
+        ``(sweeps,)``: sweeps of one number share what is known of their constants.
+    """
 
     experiment: Experiment
+    rows: Rows
     noise: Noise
     theta: Array
     mean: Array
-    precision: Array  # zero where a sweep has no such constant
+    precision: Array
+    keys: Integers
+    index: Integers
+    clamping: Integers
 
     @classmethod
     def of(cls, experiment: Experiment, noise: Noise, theta: Array, precision: Array, mean: Array) -> _Sweeps:
-        count, keys = len(experiment.slots), experiment.rows.constants["offset_keys"]
-        shape = (int(experiment.rows.constants["run"].max()) + 1, 2 * experiment.rows.robot.n)
-        tables = np.zeros((2, *shape))
-        tables[0][keys[:, 0], keys[:, 1]] = mean[count:]
-        tables[1][keys[:, 0], keys[:, 1]] = np.diag(precision)[count:]
-        return cls(experiment, noise, theta[:count], tables[0], tables[1])
+        count, rows = len(experiment.slots), experiment.rows
+        keys = rows.constants["offset_keys"]
+        own = np.asarray(precision[count:, count:])
+        clamping = np.arange(int(rows.constants["run"].max()) + 1)
+        for a, b in np.argwhere(np.triu(own != 0.0, 1)):
+            pair = clamping[keys[[a, b], 0]]
+            clamping[clamping == pair.max()] = pair.min()
+        return cls(experiment, rows, noise, theta[:count], mean[count:], own, keys, np.arange(len(keys)), clamping)
 
-    def only(self, sweeps: Bools) -> _Sweeps:
-        """The rows of some sweeps ``(sweeps,)`` alone."""
-        chosen = np.flatnonzero(sweeps[self.experiment.rows.constants["run"]])
-        taken = self.experiment.with_rows(self.experiment.rows.take(chosen))
-        return _Sweeps(taken, self.noise.at(chosen), self.theta, self.mean, self.precision)
+    def only(self, clampings: Bools) -> _Sweeps:
+        """The rows of some clampings ``(sweeps,)`` alone."""
+        chosen = np.flatnonzero(clampings[self.clamping[self.rows.constants["run"]]])
+        if len(chosen) == len(self.rows):
+            return self
+        index = self.index[clampings[self.clamping[self.keys[self.index, 0]]]]
+        return replace(self, rows=self.rows.take(chosen), noise=self.noise.at(chosen), index=index)
 
-    def flat(self, table: Array) -> Array:
-        keys = self.experiment.rows.constants["offset_keys"]
-        return np.asarray(table[keys[:, 0], keys[:, 1]])
-
-    def quadratic(self, table: Array) -> tuple[Array, Array, Array]:
-        """Costs ``(sweeps,)``, normal matrices ``(sweeps, 2 n, 2 n)`` and downhill gradients ``(sweeps, 2 n)``."""
-        rows, n = self.experiment.rows, self.experiment.rows.robot.n
-        residual, by_angle = residual_by_angle(rows, self.experiment.chain, self.theta, self.flat(table))
+    def quadratic(self, own: Array) -> tuple[Array, Array, Array]:
+        """Costs ``(sweeps,)`` by clamping, normal matrix ``(K, K)`` and downhill gradient ``(K,)``."""
+        rows, n, count = self.rows, self.rows.robot.n, len(self.clamping)
+        residual, by_angle = residual_by_angle(rows, self.experiment.chain, self.theta, own[self.index])
         kept = np.broadcast_to(np.eye(n), (len(rows), n, n))
         white = self.noise.whiten(rows, residual, np.concatenate([by_angle, kept], axis=2))
         run = rows.constants["run"][white.entry]
-        off = np.where(self.precision > 0.0, table - self.mean, 0.0)
-        cost = np.bincount(run, white.residual**2, len(table)) + (self.precision * off**2).sum(axis=1)
-        A, g = np.zeros((len(table), 2 * n, 2 * n)), -self.precision * off
+        lever = self.precision @ (own - self.mean)
+        prior = np.bincount(self.clamping[self.keys[:, 0]], (own - self.mean) * lever, count)
+        cost = np.bincount(self.clamping[run], white.residual**2, count) + prior
+        A, g = self.precision.copy(), -lever
         for s in np.unique(run):
-            J = white.jacobian[run == s]
-            A[s] = J.T @ J
-            g[s] += J.T @ white.residual[run == s]
-        there = self.precision > 0.0
-        A = np.where(there[:, :, None] & there[:, None, :], A, 0.0)
-        A += np.eye(2 * n) * np.where(there, self.precision, 1.0)[:, :, None]
-        return cost, A, np.where(there, g, 0.0)
+            mine, at = run == s, np.flatnonzero(self.keys[:, 0] == s)
+            J = white.jacobian[mine][:, self.keys[at, 1]]
+            A[np.ix_(at, at)] += J.T @ J
+            g[at] += J.T @ white.residual[mine]
+        return cost, A, g
 
-    def descend(self, table: Array, sweeps: Bools) -> tuple[Array, Array]:
-        """Tables at the sweeps' own minima from ``table``, and how unlikely they are; infinitely for other sweeps.
+    def descend(self, own: Array, clampings: Bools) -> tuple[Array, Array]:
+        """Constants ``(K,)`` at the clampings' own minima, and how unlikely they are ``(sweeps,)``.
 
-        That is -2 log of the evidence by Laplace's approximation: the cost, and what of the prior's room is left.
+        That is -2 log of the evidence by Laplace's approximation: the cost, and what is left of the prior's room;
+        infinite for other clampings.
         """
-        part, best = self.only(sweeps), table.copy()
+        part, best, of = self.only(clampings), own.copy(), self.clamping[self.keys[:, 0]]
         cost, A, g = part.quadratic(best)
-        cost = np.where(sweeps, cost, np.inf)
-        damping, moving = np.zeros(len(table)), sweeps.copy()
+        damping, moving = np.zeros(len(cost)), clampings.copy()
         for _ in range(STEPS):
-            size = np.einsum("sii->si", A)
-            step = np.linalg.solve(A + damping[:, None, None] * size[:, :, None] * np.eye(A.shape[1]), g[:, :, None])
-            step = step[:, :, 0] * moving[:, None]
-            moving &= np.einsum("si,si->s", step, g) > SETTLED
+            step = np.linalg.solve(A + np.diag(damping[of] * np.diag(A)), g) * moving[of]
+            moving &= np.bincount(of, step * g, len(cost)) > SETTLED
             if not moving.any():
                 break
             part = part.only(moving)
-            trial = best + step * moving[:, None]
+            trial = best + step * moving[of]
             reached, A_there, g_there = part.quadratic(trial)
             lower = moving & (reached < cost)
-            best[lower], cost[lower], A[lower], g[lower] = trial[lower], reached[lower], A_there[lower], g_there[lower]
+            at = lower[of]
+            best[at], cost[lower], g[at] = trial[at], reached[lower], g_there[at]
+            A[np.ix_(at, at)] = A_there[np.ix_(at, at)]
             damping = np.where(lower, damping / 10 * (damping > DAMPING), np.maximum(10 * damping, DAMPING))
-        return best, cost + np.linalg.slogdet(A)[1]
+        for c in np.flatnonzero(clampings):
+            cost[c] += np.linalg.slogdet(A[np.ix_(of == c, of == c)])[1]
+        return best, np.where(clampings, cost, np.inf)
 
 
 def other_crossings(experiment: Experiment, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array | None:
@@ -117,32 +132,23 @@ def other_crossings(experiment: Experiment, noise: Noise, theta: Array, precisio
     """
     if not any(slot.effect == "backlash" for slot in experiment.slots):
         return None
-    sweeps, count = _Sweeps.of(experiment, noise, theta, precision, mean), len(experiment.slots)
-    keys = experiment.rows.constants["offset_keys"]
-    live = _live(experiment, theta)
+    live, count = _live(experiment, theta), len(experiment.slots)
     if not live.any():
         return None
-    table = np.zeros_like(sweeps.mean)
-    table[keys[:, 0], keys[:, 1]] = theta[count:]
-    table, cost = sweeps.descend(table, live.any(axis=1))
-    changed, waiting = False, live.any(axis=1)
-    for _ in range(PASSES):
-        moved = np.zeros_like(waiting)
-        for motor in np.flatnonzero(live[waiting].any(axis=0)):
-            for trial, tried in _tried(sweeps, table, motor, live[:, motor] & waiting):
-                if not tried.any():
-                    continue
-                found, reached = sweeps.descend(trial, tried)
-                better = reached < cost - BETTER
-                table[better], cost[better] = found[better], reached[better]
-                moved |= better
-        changed |= bool(moved.any())
-        waiting = moved
-        if not moved.any():
-            break
-    if not changed:
-        return None
-    return np.r_[theta[:count], sweeps.flat(table)]
+    sweeps = _Sweeps.of(experiment, noise, theta, precision, mean)
+    waiting = np.bincount(sweeps.clamping, live.any(axis=1), len(live)) > 0.0
+    own, cost = sweeps.descend(theta[count:], waiting)
+    begun = False
+    for motor, stands in _stands(sweeps, live):
+        for trial, tried in _tried(sweeps, own, motor, stands):
+            if not tried.any():
+                continue
+            found, reached = sweeps.descend(trial, tried)
+            better = reached < cost - BETTER
+            at = better[sweeps.clamping[sweeps.keys[:, 0]]]
+            own[at], cost[better] = found[at], reached[better]
+            begun |= bool(better.any())
+    return np.r_[theta[:count], own] if begun else None
 
 
 def _live(experiment: Experiment, theta: Array) -> Bools:
@@ -166,65 +172,129 @@ def _strained(experiment: Experiment, theta: Array) -> Array:
     return standing_angles(rows, experiment.chain, theta, far)[1]
 
 
-def _tried(sweeps: _Sweeps, table: Array, motor: int, live: Bools) -> list[tuple[Array, Bools]]:
-    """Tables with another friction kept by one motor, and the sweeps ``(sweeps,)`` in which it is another.
+def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]]]:
+    """Motors, and of each the sweeps through which it stood still and that tell of crossings; one stand a clamping."""
+    keys, n = sweeps.keys, live.shape[1]
+    for motor in np.flatnonzero(live.any(axis=0)):
+        stands: list[list[int]] = []
+        at = np.flatnonzero(keys[:, 1] == n + motor)
+        for k, s in zip(at, keys[at, 0], strict=True):
+            linked = stands and sweeps.precision[k, at[keys[at, 0] == stands[-1][-1]]].any()
+            if linked:
+                stands[-1].append(int(s))
+            else:
+                stands.append([int(s)])
+        told = sweeps.rows.constants["kept_sign"]
+        stands = [s for s in stands if live[s, motor].any() and not told[s[0], motor]]
+        while stands:
+            clampings = [int(sweeps.clamping[s[0]]) for s in stands]
+            first = [s for k, s in enumerate(stands) if clampings[k] not in clampings[:k]]
+            yield int(motor), first
+            stands = [s for s in stands if s not in first]
 
-    The first has, of the levels tried, that which leaves least of the balance of angles; the second the best of those
-    which let the clearance be crossed where the first does not, or do not where it does.
+
+def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]]) -> list[tuple[Array, Bools]]:
+    """Constants ``(K,)`` with another friction kept by one motor, and the clampings ``(sweeps,)`` where it is another.
+
+    The first has, of the frictions tried, that which leaves least of the balance of angles; the second the best of
+    those with which the clearance is crossed in other sweeps than with the first.
     """
-    experiment, n = sweeps.experiment, sweeps.experiment.rows.robot.n
-    rows, chain = experiment.rows, experiment.chain
-    T = np.asarray(rows.robot.transmission)
-    inverse = np.linalg.inv(T)
-    offsets = sweeps.flat(table)
-    residual, _ = residual_by_angle(rows, chain, sweeps.theta, offsets)
-    torque = joint_torques(rows, chain, sweeps.theta, offsets) + residual @ inverse.T
-    run, usable = rows.constants["run"], _usable(rows)
-    spread = np.sqrt((rows.sigma**2) @ (inverse**2).T)
-    gap = _gaps(experiment, sweeps.theta)
-    gain = T @ np.linalg.inv(_strained(experiment, sweeps.theta))
-    kept = np.full((len(SHARES) + 2, len(table)), np.nan)
-    left = np.full((len(SHARES) + 2, len(table)), np.inf)
-    angles = np.zeros((len(SHARES) + 2, len(table), n))
-    for level in range(len(kept)):
-        shift = np.zeros_like(torque)
-        for s in np.flatnonzero(live):
-            mine = np.flatnonzero((run == s) & usable)
-            if not len(mine):
-                continue
-            change = _level(torque[mine, motor], level, float(spread[mine[0], motor])) / inverse[motor, motor]
-            if abs(table[s, n + motor] + change) < LARGEST * rows.constants["held_friction"][motor]:
-                kept[level, s] = table[s, n + motor] + change
-                shift[mine] = inverse[:, motor] * change
-        there = torque - shift
-        angle, _ = standing_angles(rows, chain, sweeps.theta, there)
-        side = there / np.sqrt(there**2 + rows.signals["rest_direction"] ** 2)
-        near = np.abs(there) < NEAR * spread
-        low = angle - np.where(near, 0.5 * gap * (1.0 - side), 0.0)
-        high = angle + np.where(near, 0.5 * gap * (1.0 + side), 0.0)
-        for s in np.flatnonzero(np.isfinite(kept[level])):
-            mine = np.flatnonzero((run == s) & usable)
-            middle = _middle(low[mine], high[mine])
-            off = np.clip(middle, low[mine], high[mine]) - middle
-            lost = np.einsum("nij,nj->ni", gain[mine], off) / rows.sigma[mine]
-            left[level, s], angles[level, s] = float((lost**2).sum()), middle
+    table = _Table.of(sweeps, own, motor)
+    n, count = sweeps.rows.robot.n, len(sweeps.clamping)
+    limit = LARGEST * sweeps.rows.constants["held_friction"][motor]
+    levels = [[c for c in table.changes(stand) if abs(table.kept[stand[0]] + c) < limit] for stand in stands]
+    found: list[list[tuple[float, tuple[bool, ...], float, Array]]] = [[] for _ in stands]
+    for k in range(max(map(len, levels), default=0)):
+        change = np.zeros(count)
+        for stand, own_levels in zip(stands, levels, strict=True):
+            change[stand] = own_levels[k] if k < len(own_levels) else 0.0
+        left, crossed, angles = table.balance(change)
+        for stand, own_levels, seen in zip(stands, levels, found, strict=True):
+            if k < len(own_levels):
+                seen.append((float(left[stand].sum()), tuple(crossed[stand]), own_levels[k], angles[stand]))
     out = []
-    best = np.argmin(left, axis=0)
-    crossing = np.arange(len(kept)) < len(SHARES)
-    other = np.argmin(np.where(crossing[:, None] == crossing[best][None], np.inf, left), axis=0)
-    every = np.arange(len(table))
-    for chosen in (best, other):
-        tried = np.isfinite(left[chosen, every])
-        trial = table.copy()
-        trial[tried, n + motor] = kept[chosen, every][tried]
-        trial[tried, :n] = angles[chosen, every][tried]
+    for rank in (0, 1):
+        trial, tried = own.copy(), np.zeros(count, dtype=bool)
+        for stand, seen in zip(stands, found, strict=True):
+            best = min(seen, key=lambda entry: entry[0], default=None)
+            if best is not None and rank:
+                best = min((e for e in seen if e[1] != best[1]), key=lambda entry: entry[0], default=None)
+            if best is None:
+                continue
+            tried[sweeps.clamping[stand[0]]] = True
+            for s, angle in zip(stand, best[3], strict=True):
+                for k in np.flatnonzero(sweeps.keys[:, 0] == s):
+                    column = sweeps.keys[k, 1]
+                    if column < n:
+                        trial[k] = angle[column]
+                    elif column == n + motor:
+                        trial[k] = table.kept[s] + best[2]
         out.append((trial, tried))
     return out
 
 
-def _usable(rows: Rows) -> Bools:
-    """Rows ``(N,)`` whose moving motors all count."""
-    return np.asarray(rows.used.all(axis=1))
+@dataclass(frozen=True)
+class _Table:
+    """What the measured torques say of the balance of angles if one held motor had kept another friction."""
+
+    sweeps: _Sweeps
+    motor: int
+    kept: Array  # (sweeps,)
+    torque: Array  # (N, n), at the joints, as measured
+    spread: Array  # (N, n), its noise
+    lever: Array  # (n,): of the joints' torques, for friction of the motor
+    gain: Array  # (N, n, n): torques at the motors by angles, no clearance in between
+    rows_of: tuple[Integers, ...]  # by sweep, where all motors count
+
+    @classmethod
+    def of(cls, sweeps: _Sweeps, own: Array, motor: int) -> _Table:
+        rows, chain, keys = sweeps.rows, sweeps.experiment.chain, sweeps.keys
+        T = np.asarray(rows.robot.transmission)
+        inverse = np.linalg.inv(T)
+        residual, _ = residual_by_angle(rows, chain, sweeps.theta, own)
+        torque = joint_torques(rows, chain, sweeps.theta, own) + residual @ inverse.T
+        kept = np.zeros(len(sweeps.clamping))
+        at = keys[:, 1] == len(T) + motor
+        kept[keys[at, 0]] = own[at]
+        run, counts = rows.constants["run"], rows.used.all(axis=1)
+        return cls(
+            sweeps, motor, kept, torque, np.sqrt(rows.sigma**2 @ (inverse**2).T), inverse[:, motor],
+            T @ np.linalg.inv(_strained(sweeps.experiment, sweeps.theta)),
+            tuple(np.flatnonzero((run == s) & counts) for s in range(len(kept))),
+        )  # fmt: skip
+
+    def changes(self, stand: Sequence[int]) -> list[float]:
+        """Changes of the kept friction, Nm, at which the joint's torque crosses zero elsewhere, or nowhere."""
+        out: list[float] = []
+        for s in stand:
+            mine = self.rows_of[s]
+            if not len(mine):
+                continue
+            torque, noise = self.torque[mine, self.motor], float(self.spread[mine[0], self.motor])
+            smooth = np.array([b.mean() for b in np.array_split(torque, max(len(torque) // BLOCK_ROWS, 1))])
+            at = [*np.quantile(smooth, SHARES), smooth.min() - BEYOND * noise, smooth.max() + BEYOND * noise]
+            out += [float(a) / float(self.lever[self.motor]) for a in at]
+        return out
+
+    def balance(self, change: Array) -> tuple[Array, Bools, Array]:
+        """What of the balance changed frictions ``(sweeps,)`` leave, by sweep: chi-square; crossed; angles ``(, n)``."""
+        rows, theta = self.sweeps.rows, self.sweeps.theta
+        torque = self.torque - change[rows.constants["run"], None] * self.lever
+        angle, _ = standing_angles(rows, self.sweeps.experiment.chain, theta, torque)
+        side = torque / np.sqrt(torque**2 + rows.signals["rest_direction"] ** 2)
+        gap = np.where(np.abs(torque) < NEAR * self.spread, _gaps(self.sweeps.experiment, theta), 0.0)
+        low, high = angle - 0.5 * gap * (1.0 - side), angle + 0.5 * gap * (1.0 + side)
+        n, count = torque.shape[1], len(change)
+        left, crossed, angles = np.full(count, np.inf), np.zeros(count, dtype=bool), np.zeros((count, n))
+        for s, mine in enumerate(self.rows_of):
+            if len(mine):
+                angles[s] = _middle(low[mine], high[mine])
+                off = np.clip(angles[s], low[mine], high[mine]) - angles[s]
+                lost = np.einsum("nij,nj->ni", self.gain[mine], off) / rows.sigma[mine]
+                left[s] = float((lost**2).sum())
+                below = float((torque[mine, self.motor] < 0.0).mean())
+                crossed[s] = min(SHARES) / 2 < below < 1 - min(SHARES) / 2
+        return left, crossed, angles
 
 
 def _gaps(experiment: Experiment, theta: Array) -> Array:
@@ -241,13 +311,4 @@ def _middle(low: Array, high: Array) -> Array:
     middle = 0.5 * (low + high).mean(axis=0)
     for _ in range(CENTRING):
         middle = np.clip(middle, low, high).mean(axis=0)
-    return middle
-
-
-def _level(torque: Array, level: int, noise: float) -> float:
-    """A torque that all rows ``(N,)`` are above or below, or that a share of them is."""
-    blocks = np.array_split(torque, max(len(torque) // BLOCK_ROWS, 1))
-    smooth = np.array([block.mean() for block in blocks])
-    if level < len(SHARES):
-        return float(np.quantile(smooth, SHARES[level]))
-    return float(smooth.min() - BEYOND * noise) if level == len(SHARES) else float(smooth.max() + BEYOND * noise)
+    return np.asarray(middle)

@@ -226,6 +226,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         inverse[s] = np.linalg.pinv(J, rcond=1e-3)
         wrench[s] = inverse[s].T
     noise = step_noise(measured, motion, sweep)
+    stood = _stood(motor, typical, sweep, session)
     still = [(s, i) for s in range(sweeps) for i in range(n) if not motion[sweep == s, i].any()]
     keeping = [(s, n + i) for s, i in still if np.ptp(measured[sweep == s, i]) > 0.0]  # an imagined table has none
     signals = {
@@ -261,7 +262,8 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             "time": time,
             "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
             "held_friction": loop_friction(motor, measured, motion, used, sweep),
-            "kept_sign": _kept_signs(motor, motion, typical, sweep, session),
+            "stood": stood,
+            "kept_sign": _kept_signs(motion, used, stood, sweep),
             "driven": driven,
             "wound": q - reference[sweep],
             "reference": reference,
@@ -295,18 +297,26 @@ def _typical_steps(motor: Array, driven: Integers, sweep: Integers) -> Array:
     return np.where(np.isfinite(out), out, known.min() if len(known) else 1.0)
 
 
-def _kept_signs(motor: Array, motion: Array, typical: Array, sweep: Integers, session: Integers) -> Array:
-    """The side ``(sweeps, n)``, +1 or -1, of the friction that a motor keeps from the sweep before; 0 if not known.
-
-    It is that of its last motion, as long as the motor has not moved since.
-    """
+def _stood(motor: Array, typical: Array, sweep: Integers, session: Integers) -> Bools:
+    """Which motors ``(sweeps, n)`` have not moved since the sweep before."""
     sweeps = int(sweep.max(initial=-1)) + 1
-    out = np.zeros((sweeps, motor.shape[1]))
+    out = np.zeros((sweeps, motor.shape[1]), dtype=bool)
     for s in range(1, sweeps):
         last, first = np.flatnonzero(sweep == s - 1)[-1], np.flatnonzero(sweep == s)[0]
-        stayed = (np.abs(motor[first] - motor[last]) < STILL * typical) & (session[first] == session[last])
-        left = np.where(motion[last] != 0.0, motion[last], out[s - 1])
-        out[s] = np.where(stayed, left, 0.0)
+        out[s] = (np.abs(motor[first] - motor[last]) < STILL * typical) & (session[first] == session[last])
+    return out
+
+
+def _kept_signs(motion: Array, used: Bools, stood: Bools, sweep: Integers) -> Array:
+    """The side ``(sweeps, n)``, +1 or -1, of the friction that a motor keeps from the sweep before; 0 if not known.
+
+    It is that of its last motion, once friction had built up, as long as the motor has not moved since.
+    """
+    out = np.zeros(stood.shape)
+    for s in range(1, len(stood)):
+        last = np.flatnonzero(sweep == s - 1)[-1]
+        left = np.where(motion[last] != 0.0, motion[last] * used[last], out[s - 1])
+        out[s] = np.where(stood[s], left, 0.0)
     return out
 
 

@@ -20,6 +20,7 @@ __all__ = ["HELD", "Experiment", "experiment", "parameter_of"]
 
 HELD = 1e-9  # sizes: as tightly as numbers allow
 STIFF = 0.1  # sizes: some 200 kNm/rad at the joint, as the main axes of a mid-size arm have
+CREEP, ROUGH = 0.05, 0.25  # of its friction: what a motor at rest loses between sweeps; what the loops say of it
 OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
 
 
@@ -122,6 +123,31 @@ class Experiment:
             size.append(OFFSET_SIZE[self.stage] if kept < 0 else float(friction[kept]))
             prior.append(WEAK * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
         return size, prior
+
+    def prior(self) -> tuple[Array, Array]:
+        """Precision ``(P + K, P + K)`` and mean ``(P + K,)`` of what is assumed before any row is seen.
+
+        A held motor keeps the friction of its last motion, or of which nothing is known, as long as it stands still.
+        """
+        precision, mean = np.diag(1.0 / self.prior_std() ** 2), self.start()
+        constants, n, count = self.rows.constants, self.rows.robot.n, len(self.slots)
+        if self.stage != "clamped":
+            return precision, mean
+        keys = [(int(s), int(k)) for s, k in constants["offset_keys"]]
+        place = {key: count + i for i, key in enumerate(keys)}
+        for s, k in keys:
+            at, before = place[s, k], place.get((s - 1, k))
+            if k < n or not constants["stood"][s, k - n]:
+                continue
+            friction = float(constants["held_friction"][k - n])
+            if before is not None:
+                pair = np.ix_([before, at], [before, at])
+                mean[at], precision[at, at] = mean[before], 0.0
+                precision[pair] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / (CREEP * friction) ** 2
+            elif constants["kept_sign"][s, k - n]:
+                mean[at] = constants["kept_sign"][s, k - n] * friction
+                precision[at, at] = 1.0 / (ROUGH * friction) ** 2
+        return precision, mean
 
     def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` a fit keeps where they start."""
