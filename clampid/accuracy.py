@@ -146,8 +146,8 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
         step = newton_step(A, b, size, 0.0, free)
         if len(its_own):  # a run or sweep that was not fitted shows its own constants itself
             shown = np.diag(A_out)[its_own] > 0
-            weak = np.diag(1.0 / experiment.prior_std()[its_own] ** 2)
-            left = b_out[its_own] - A_out[np.ix_(its_own, shared)] @ step[shared] - weak @ estimate.theta[its_own]
+            weak = estimate.prior_precision[np.ix_(its_own, its_own)]
+            left = b_out[its_own] - A_out[np.ix_(its_own, shared)] @ step[shared] + lever[its_own]
             alone = newton_step(A_out[np.ix_(its_own, its_own)] + weak, left, size[its_own], 0.0, shown)
             step[its_own] = np.where(shown, alone, step[its_own])
         mine = part == k

@@ -45,7 +45,7 @@ OUTLIER_PASSES = 3
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 ITERATIONS = 30
 CROSSING_PASSES = 2
-FIRST = 0.01  # of its friction: how far a motor is let off what it is taken to have kept, at first
+FIRST = 0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
@@ -137,9 +137,8 @@ def fit(
     mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or initial_noise(experiment.rows)
-    estimate = _past_clearances(
-        solve(experiment, _begun(experiment, theta, model, precision, mean), model, precision, mean)
-    )
+    theta = _kept_first(experiment, theta, model, precision, mean)
+    estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
     for _ in range(OUTLIER_PASSES if reject else 0):
         bad = _outliers(experiment.rows, estimate.residual) & ~rejected
         if not bad.any() or (bad | rejected).mean() > OUTLIER_SHARE:
@@ -158,33 +157,31 @@ def fit(
     return replace(estimate, outliers=rejected)
 
 
-def _begun(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
-    """Where a search begins: of a clamped arm, found with held motors' friction as their last motion left it.
+def _kept_first(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
+    """Where the search of a clamped arm begins: found with held motors' friction as their last motion left it.
 
-    Springs and a block of which nothing is known yet would draw it to where other clearances are crossed, for good.
+    Springs, and a block of which nothing is known yet, would else draw that friction to where other clearances are
+    crossed, and a search does not come back from there.
     """
     if experiment.stage != "clamped":
         return theta
-    kept = len(experiment.slots) + np.flatnonzero(
-        experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
-    )
-    if not len(kept):
-        return theta
+    motors = experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
+    kept = len(experiment.slots) + np.flatnonzero(motors)
     held = precision.copy()
     held[kept, kept] += 1.0 / (FIRST * experiment.sizes()[kept]) ** 2
-    return solve(experiment, theta, noise, held, mean).theta
+    return solve(experiment, theta, noise, held, mean).theta if len(kept) else theta
 
 
 def _past_clearances(estimate: Estimate) -> Estimate:
-    """The estimate, or one that costs less, of a clamped arm whose held joints cross their clearances elsewhere."""
+    """The estimate, or a likelier one, of a clamped arm whose held joints cross their clearances elsewhere."""
     if estimate.experiment.stage != "clamped":
         return estimate
+    noise, precision, mean = estimate.noise, estimate.prior_precision, estimate.prior_mean
     for _ in range(CROSSING_PASSES):
-        known = estimate.noise, estimate.prior_precision, estimate.prior_mean
-        other = other_crossings(estimate.experiment, known[0], estimate.theta, known[1], known[2])
+        other = other_crossings(estimate.experiment, noise, estimate.theta, precision, mean)
         if other is None:
             return estimate
-        found = solve(estimate.experiment, other, *known)
+        found = solve(estimate.experiment, other, noise, precision, mean)
         if not _unlikely(found) < _unlikely(estimate):
             return estimate
         estimate = found

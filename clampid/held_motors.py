@@ -1,11 +1,14 @@
 """What friction held motors kept: past the clearances that a search of a clamped arm cannot cross.
 
-The torque of a held motor is its gear's and the friction that it kept, anything between its limits. Where a block that
-yields changes the torques of held joints, it is this friction that decides whether a joint's clearance is crossed, and
-in which rows. A search moves on within the one answer that it began with: another is beyond rows that would have to
-enter or leave a clearance all at once, and costs more on the way. So at every held motor a few frictions are tried
-which let the joint's clearance be crossed in other rows, or in none, each with the angles at which the arm would then
-have been clamped; sweep by sweep, because no sweep shares these numbers with another.
+The torque of a held motor is its gear's and the friction that it kept. Where a block that yields changes the torques of
+held joints, it is this friction that decides whether a joint's clearance is crossed, and in which rows. A motor that has
+moved since the arm was clamped keeps what its last motion left. Of another it may be anything between the limits, and a
+search ends at one of several answers: the next is beyond rows that would have to enter or leave a clearance all at once,
+and costs more on the way. So a few frictions are tried at every such motor, which let the clearance be crossed in other
+rows, or in none, each with the angles at which the arm would then have been clamped. They are told apart by their
+evidence, not by their cost: an answer in which a clearance is crossed leaves the friction hardly any room, and among
+many such one would fit better by chance. Source: Laplace's approximation, as in MacKay, Bayesian interpolation, Neural
+Computation 4, 1992.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ LARGEST = 2.0  # times the friction that a motor shows: more is not kept
 TOLD = 4.0  # of chi-square: changes of torque worth less tell nothing of crossings
 NEAR = 2.0  # of the noise: a torque so small may be of either sign
 BETTER = 1.0  # of -2 log of the evidence
-STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1
+STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1  # of the descent of what is tried; the whole search follows
 CENTRING = 5
 
 
@@ -152,7 +155,7 @@ def other_crossings(experiment: Experiment, noise: Noise, theta: Array, precisio
 
 
 def _live(experiment: Experiment, theta: Array) -> Bools:
-    """Held motors ``(sweeps, n)`` whose joint's torque the model lets change by what the rows can tell."""
+    """Held motors ``(sweeps, n)`` whose joint's torque the model, its clearances closed, lets change tellably."""
     rows, n, count = experiment.rows, experiment.rows.robot.n, len(experiment.slots)
     keys, run = rows.constants["offset_keys"], rows.constants["run"]
     angle, _ = standing_angles(rows, experiment.chain, theta[:count], np.zeros((len(rows), n)))
@@ -173,7 +176,7 @@ def _strained(experiment: Experiment, theta: Array) -> Array:
 
 
 def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]]]:
-    """Motors, and of each the sweeps through which it stood still and that tell of crossings; one stand a clamping."""
+    """Motors, and the sweeps through which each stood still with a friction that no motion tells; one a clamping."""
     keys, n = sweeps.keys, live.shape[1]
     for motor in np.flatnonzero(live.any(axis=0)):
         stands: list[list[int]] = []
@@ -235,7 +238,10 @@ def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]])
 
 @dataclass(frozen=True)
 class _Table:
-    """What the measured torques say of the balance of angles if one held motor had kept another friction."""
+    """What the measured torques say of the balance of angles if one held motor had kept another friction.
+
+    A torque near zero may be of either sign, so that it asks for nothing between the two flanks.
+    """
 
     sweeps: _Sweeps
     motor: int
@@ -277,7 +283,7 @@ class _Table:
         return out
 
     def balance(self, change: Array) -> tuple[Array, Bools, Array]:
-        """What of the balance changed frictions ``(sweeps,)`` leave, by sweep: chi-square; crossed; angles ``(, n)``."""
+        """What changed frictions ``(sweeps,)`` leave of the balance, by sweep: chi-square, crossed or not, angles."""
         rows, theta = self.sweeps.rows, self.sweeps.theta
         torque = self.torque - change[rows.constants["run"], None] * self.lever
         angle, _ = standing_angles(rows, self.sweeps.experiment.chain, theta, torque)

@@ -9,9 +9,10 @@ motor. The offset is the posture at which the
 arm was clamped, one per joint and sweep, unknown. Gravity only shifts load between clamp and drives: it is in there
 too.
 
-A motor that is held keeps some friction, anything between what it has in either direction. The offsets take that up,
-unless the joint's torque changes all the same, because a block yields or slips: then it decides when the joint's gap is
-crossed. So it is unknown too, one per held motor and sweep, where the torque changes.
+A motor that is held keeps some friction: what its last motion left or, since the arm was clamped, anything between what
+it has in either direction. The offsets take that up, unless the joint's torque changes all the same, because a block
+yields or slips: then it decides when the joint's gap is crossed. So it is unknown too, one per held motor and sweep,
+however little its torque changes: less than the noise of a row, over a whole sweep, tells a clearance that is crossed.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     Parameters
     ----------
     offsets
-        ``(K,)``: one per joint and sweep, rad, and one per held motor whose torque changes, Nm; see the module.
+        ``(K,)``: one per joint and sweep, rad, and one per held motor, Nm; see the module.
     """
     n, count = rows.robot.n, len(rows)
     T = np.asarray(rows.robot.transmission)
