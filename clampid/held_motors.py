@@ -1,14 +1,14 @@
 """What friction held motors kept: past the clearances that a search of a clamped arm cannot cross.
 
 The torque of a held motor is its gear's and the friction that it kept. Where a block that yields changes the torques of
-held joints, it is this friction that decides whether a joint's clearance is crossed, and in which rows. A motor that has
-moved since the arm was clamped keeps what its last motion left. Of another it may be anything between the limits, and a
-search ends at one of several answers: the next is beyond rows that would have to enter or leave a clearance all at once,
-and costs more on the way. So a few frictions are tried at every such motor, which let the clearance be crossed in other
-rows, or in none, each with the angles at which the arm would then have been clamped. They are told apart by their
-evidence, not by their cost: an answer in which a clearance is crossed leaves the friction hardly any room, and among
-many such one would fit better by chance. Source: Laplace's approximation, as in MacKay, Bayesian interpolation, Neural
-Computation 4, 1992.
+held joints, it is this friction that decides whether a joint's clearance is crossed, and in which rows. A motor that
+has moved since the arm was clamped keeps what its last motion left. Of another it may be anything between the limits,
+and a search ends at one of several answers: the next is beyond rows that would have to enter or leave a clearance all
+at once, and costs more on the way. So a few frictions are tried at every such motor, which let the clearance be crossed
+in other rows, or in none, each with the angles at which the arm would then have been clamped. They are told apart by
+their evidence, not by their cost: an answer in which a clearance is crossed leaves the friction hardly any room, and
+among many such one would fit better by chance. Source: Laplace's approximation, as in MacKay, Bayesian interpolation,
+Neural Computation 4, 1992.
 """
 
 from __future__ import annotations

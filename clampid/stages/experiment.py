@@ -127,7 +127,8 @@ class Experiment:
     def prior(self) -> tuple[Array, Array]:
         """Precision ``(P + K, P + K)`` and mean ``(P + K,)`` of what is assumed before any row is seen.
 
-        A held motor keeps the friction of its last motion, or of which nothing is known, as long as it stands still.
+        A motor keeps its friction as long as it stands still, but for a little that creeps away: that of its last
+        motion, about as large as its own loops show it, or where it has not moved since the arm was clamped, any.
         """
         precision, mean = np.diag(1.0 / self.prior_std() ** 2), self.start()
         constants, n, count = self.rows.constants, self.rows.robot.n, len(self.slots)
