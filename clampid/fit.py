@@ -157,13 +157,18 @@ def fit(
     return replace(estimate, outliers=rejected)
 
 
+def _yields(experiment: Experiment) -> bool:
+    """Whether what holds a clamped arm moves in the model, so that torques of held joints change."""
+    return any("fixture" in experiment.effects[slot.effect].acts for slot in experiment.slots)
+
+
 def _kept_first(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
     """Where the search of a clamped arm begins: found with held motors' friction as their last motion left it.
 
     Springs, and a block of which nothing is known yet, would else draw that friction to where other clearances are
     crossed, and a search does not come back from there.
     """
-    if experiment.stage != "clamped":
+    if not _yields(experiment):
         return theta
     motors = experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
     kept = len(experiment.slots) + np.flatnonzero(motors)
@@ -174,7 +179,7 @@ def _kept_first(experiment: Experiment, theta: Array, noise: Noise, precision: A
 
 def _past_clearances(estimate: Estimate) -> Estimate:
     """The estimate, or a likelier one, of a clamped arm whose held joints cross their clearances elsewhere."""
-    if estimate.experiment.stage != "clamped":
+    if not _yields(estimate.experiment):
         return estimate
     noise, precision, mean = estimate.noise, estimate.prior_precision, estimate.prior_mean
     for _ in range(CROSSING_PASSES):
