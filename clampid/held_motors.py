@@ -94,7 +94,7 @@ class _Sweeps:
             J = white.jacobian[mine][:, self.keys[at, 1]]
             A[np.ix_(at, at)] += J.T @ J
             g[at] += J.T @ white.residual[mine]
-        return cost, A, g
+        return np.asarray(cost, dtype=float), A, g
 
     def descend(self, own: Array, clampings: Bools) -> tuple[Array, Array]:
         """Constants ``(K,)`` at the clampings' own minima, and how unlikely they are ``(sweeps,)``.
@@ -226,12 +226,12 @@ def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]])
                 continue
             tried[sweeps.clamping[stand[0]]] = True
             for s, angle in zip(stand, best[3], strict=True):
-                for k in np.flatnonzero(sweeps.keys[:, 0] == s):
-                    column = sweeps.keys[k, 1]
+                for at in np.flatnonzero(sweeps.keys[:, 0] == s):
+                    column = sweeps.keys[at, 1]
                     if column < n:
-                        trial[k] = angle[column]
+                        trial[at] = angle[column]
                     elif column == n + motor:
-                        trial[k] = table.kept[s] + best[2]
+                        trial[at] = table.kept[s] + best[2]
         out.append((trial, tried))
     return out
 
@@ -264,7 +264,7 @@ class _Table:
         kept[keys[at, 0]] = own[at]
         run, counts = rows.constants["run"], rows.used.all(axis=1)
         return cls(
-            sweeps, motor, kept, torque, np.sqrt(rows.sigma**2 @ (inverse**2).T), inverse[:, motor],
+            sweeps, motor, kept, torque, np.asarray(np.sqrt(rows.sigma**2 @ (inverse**2).T), dtype=float), inverse[:, motor],
             T @ np.linalg.inv(_strained(sweeps.experiment, sweeps.theta)),
             tuple(np.flatnonzero((run == s) & counts) for s in range(len(kept))),
         )  # fmt: skip
