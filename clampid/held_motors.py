@@ -256,7 +256,7 @@ class _Table:
     def of(cls, sweeps: _Sweeps, own: Array, motor: int) -> _Table:
         rows, chain, keys = sweeps.rows, sweeps.experiment.chain, sweeps.keys
         T = np.asarray(rows.robot.transmission)
-        inverse = np.linalg.inv(T)
+        inverse = np.asarray(np.linalg.inv(T), dtype=float)
         residual, _ = residual_by_angle(rows, chain, sweeps.theta, own)
         torque = joint_torques(rows, chain, sweeps.theta, own) + residual @ inverse.T
         kept = np.zeros(len(sweeps.clamping))
@@ -264,7 +264,7 @@ class _Table:
         kept[keys[at, 0]] = own[at]
         run, counts = rows.constants["run"], rows.used.all(axis=1)
         return cls(
-            sweeps, motor, kept, torque, np.asarray(np.sqrt(rows.sigma**2 @ (inverse**2).T), dtype=float), inverse[:, motor],
+            sweeps, motor, kept, torque, np.sqrt(rows.sigma**2 @ (inverse**2).T), inverse[:, motor],
             T @ np.linalg.inv(_strained(sweeps.experiment, sweeps.theta)),
             tuple(np.flatnonzero((run == s) & counts) for s in range(len(kept))),
         )  # fmt: skip
