@@ -24,9 +24,8 @@ from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
 from offline_ik.errors import DetectorError, TargetError
-from offline_ik.kernel import Kernel
-from offline_ik.kernels import locate_kernel
 from offline_ik.mount import identified_mount
+from offline_ik.nearest import Nearest
 from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
 from offline_ik.reach import nearest_reachable
 from offline_ik.solver import Solver
@@ -74,7 +73,7 @@ class Detector:
         self.propagation.jacobian(self.rest, self.still)
         if self.solver.analytic is not None:
             self.solver.branches(near[None])
-        self._quick((0.0, 0.0, 1.0, 0.0), self.rest, None)
+        self.locate(0.0, 0.0, 1.0, nearest=False)
 
     @cached_property
     def still(self) -> Conditions:
@@ -171,8 +170,8 @@ class Detector:
         check_target(gamma, delta, r, 0.0 if roll is None else roll)
         choice = parse_choice(branch) if isinstance(branch, str) else branch
         here = self.rest if near is None else self.check_posture(near)
-        if choice.kind == "nearest" and roll is not None:
-            quick = self._quick((gamma, delta, r, roll), here, direction)
+        if choice.kind == "nearest" and roll is not None and self._nearest is not None:
+            quick = self._nearest.locate((gamma, delta, r, roll), here, direction, self._still_vector)
             if quick is not None:
                 return self._answer((gamma, delta, r, roll), quick[0], (quick[1],))
         rolls = np.array([roll]) if roll is not None else np.arange(ROLLS) * (2 * np.pi / ROLLS) - np.pi
@@ -208,62 +207,9 @@ class Detector:
         return self.cell.convention.to_json(), self.cell.to_json()
 
     @cached_property
-    def _kernel(self) -> tuple[Kernel, Array] | None:
-        """What locates the detector, and the covariance ``(C, C)`` of the parameters that it gives derivatives by."""
+    def _nearest(self) -> Nearest | None:
         ortho = self.solver.ortho
-        if ortho is None:
-            return None
-        covariance = self.propagation.covariance
-        kernel, counting = locate_kernel(
-            self.arm, ortho, self.solver.mount, self.lower, self.upper, self.cell.convention, self.propagation.mount,
-            np.asarray(covariance.any(axis=0)),
-        )  # fmt: skip
-        return kernel, covariance[np.ix_(counting, counting)]
-
-    def _quick(
-        self, asked: tuple[float, float, float, float], here: Array, direction: Direction
-    ) -> tuple[Array, Solution] | None:
-        """Target and nearest solution by the one compiled kernel; None where that is not the whole story."""
-        if self._kernel is None:
-            return None
-        (kernel, covariance), n = self._kernel, self.arm.n
-        row = kernel.row
-        row[:4] = asked
-        row[4] = isinstance(direction, str)
-        row[5 : 5 + n] = here
-        row[5 + n :] = self._still_vector
-        if direction is not None and not isinstance(direction, str):
-            row[5 + n : 5 + 2 * n] = np.sign(direction)
-        kernel.trigger()
-        first = kernel.out[0].copy()
-        *_, branch, wrist, shoulder, elbow, moved = said = first.tolist()
-        if branch < 0:
-            return None
-        error = said[16 + 2 * n : 22 + 2 * n]
-        q, approach = first[16 : 16 + n], said[22 + 2 * n : 22 + 3 * n]
-        half = kernel.out[2].reshape(n, 6) if 0.0 in approach else None
-        status, turn = status_and_turn(self.solver.ortho, self._chain(q), int(branch))
-        return first[:16].reshape(4, 4), Solution(
-            q,
-            first[16 + n : 16 + 2 * n],
-            math.hypot(*error[:3]),
-            math.hypot(*error[3:]),
-            self.propagation.combined(kernel.out[1].reshape(6, -1), half, covariance),
-            asked[3],
-            self.search.names(wrist, elbow, -shoulder),
-            status,
-            turn,
-            moved,
-            first[22 + 2 * n : 22 + 3 * n],
-        )
-
-    def _chain(self, q: Array) -> Array:
-        """Joint values of the chain ``(n,)`` by those of the controller, which are the same but with a linkage."""
-        return q if self._unlinked else np.asarray(self.solver.linkage @ q)
-
-    @cached_property
-    def _unlinked(self) -> bool:
-        return bool((self.solver.linkage == np.eye(self.arm.n)).all())
+        return None if ortho is None else Nearest(ortho, self.search, self.propagation, self.cell)
 
     @cached_property
     def _still_vector(self) -> Array:

@@ -147,8 +147,8 @@ def locate_kernel(
     Returns
     -------
     Kernel
-        Outputs: the target ``(16,)`` by rows in the convention's frame, q, motor angles, the remaining error ``(6,)``,
-        directions, (branch or -1 where it is not solved or not within the limits, |sin| of the wrist, lack of the
+        Outputs: the target ``(16,)`` by rows in the convention's frame, q, motor angles, directions, (remaining error,
+        m, and rad, branch or -1 where it is not solved or not within the limits, |sin| of the wrist, lack of the
         shoulder's triangle, joint 3 of the chain, largest move), one after the other; d (position, rotation vector) / d
         counting parameters by rows ``(6 C,)``; half the spread of those approaches that are not known by rows
         ``(n 6,)``. The latter two along across, up and outward.
@@ -189,9 +189,10 @@ def locate_kernel(
         ok = ca.logic_and(ok, ca.logic_and(q[i] >= float(lower[i]), q[i] <= float(upper[i])))
     branch = ca.if_else(ok, told[0], -1)
     chain3 = (ca.DM(np.asarray(arm.robot.linkage)) @ q)[2]
-    told = ca.vertcat(branch, told[1], told[2], chain3, ca.mmax(ca.fabs(q - near)))
+    left = ca.vertcat(ca.norm_2(error[:3]), ca.norm_2(error[3:]))
+    told = ca.vertcat(left, branch, told[1], told[2], chain3, ca.mmax(ca.fabs(q - near)))
     target = ca.vertcat(ca.horzcat(target_R, target_p), ca.DM([[0, 0, 0, 1]]))
-    first = ca.vertcat(ca.vec(target.T), q, motor, error, direction, told)
+    first = ca.vertcat(ca.vec(target.T), q, motor, direction, told)
     outputs = [ca.densify(o) for o in (first, ca.vec(J.T), ca.vec(half))]
     return Kernel(ca.Function("locate", [row], ca.cse(outputs))), counting
 

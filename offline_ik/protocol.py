@@ -6,7 +6,6 @@ answer with ``"ok": false`` and changes nothing. docs/server.md has the list.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
+import orjson
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
@@ -43,14 +43,11 @@ class Told(NamedTuple):
     ----------
     data
         Members of the answer.
-    text
-        Further members as text to be spliced in.
     missed
         The position that cannot be reached, whose nearest one is still to be found.
     """
 
     data: dict[str, Any]
-    text: str = ""
     missed: Answer | None = None
 
 
@@ -99,10 +96,10 @@ class Speaker:
     link: RobotLink | None = None
     answered: int = 0
     refused: int = 0
-    _convention: str = field(init=False, default="")
+    _convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._convention = f', "convention": {json.dumps(self.detector.cell.convention.to_json())}'
+        self._convention = self.detector.cell.convention.to_json()
 
     def answer(self, line: bytes, session: Session) -> bytes:
         """The answer to one line, newline included; never raises for what a client may send."""
@@ -126,11 +123,11 @@ class Speaker:
         self.answered += 1
         if told.missed is not None:
             return self._with_nearest(word, given, told, told.missed)
-        return _spliced(word, given, told.data, told.text)
+        return _line({"ok": True, "do": word, **_id(given), **told.data})
 
     def _with_nearest(self, word: str, given: Mapping[str, str], told: Told, missed: Answer) -> Steps:
         nearest = yield from nearest_steps(self.detector, missed.target, missed.asked["roll_rad"] or 0.0)
-        return _spliced(word, given, {**told.data, "nearest": nearest}, told.text)
+        return _line({"ok": True, "do": word, **_id(given), **told.data, "nearest": nearest})
 
     def refuse(self, reason: str) -> bytes:
         """An answer to what is not even a line."""
@@ -163,7 +160,7 @@ class Speaker:
         to = numbers(given, "to")
         if to is not None:
             path = check_path(self.detector, [start, self.detector.check_posture(to, "to")])
-            return Told({"path": finite(path.to_json())}, self._convention)
+            return Told({"path": finite(path.to_json()), "convention": self._convention})
         answer = self._located(given, start)
         data: dict[str, Any] = {}
         if answer.reachable:
@@ -171,9 +168,8 @@ class Speaker:
         return self._told(data, answer)
 
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
-        if answer.reachable:
-            return Told(data, f', "nearest": null{self._convention}{members_of(answer)}')
-        return Told(data, self._convention + members_of(answer), answer)
+        told = {**data, "convention": self._convention, **members_of(answer)}
+        return Told({**told, "nearest": None}) if answer.reachable else Told(told, answer)
 
     def _posture(self, session: Session) -> Array:
         if self.link is not None:
@@ -253,8 +249,9 @@ class Speaker:
             "refused": self.refused,
             "at_q_rad": None if session.here is None else session.here.tolist(),
             "link": None if self.link is None else finite(dict(self.link.state())),
+            "convention": self._convention,
         }
-        return Told(state, self._convention)
+        return Told(state)
 
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
         return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": ["id"]})
@@ -284,12 +281,6 @@ def _id(given: Mapping[str, str]) -> dict[str, str]:
     return {"id": given["id"][:64]} if "id" in given else {}
 
 
-def _spliced(word: str, given: Mapping[str, str], data: Mapping[str, Any], text: str) -> bytes:
-    """The line of an answer; the encoder is only called where there is something to encode."""
-    more = {**_id(given), **data}
-    members = f", {json.dumps(more)[1:-1]}" if more else ""
-    return f'{{"ok": true, "do": "{word}"{members}{text}}}\n'.encode()
-
-
-def _line(data: Mapping[str, Any]) -> bytes:
-    return json.dumps(data).encode() + b"\n"
+def _line(data: dict[str, Any]) -> bytes:
+    """By orjson: what the standard library takes to write an answer is more than the solver takes to find it."""
+    return orjson.dumps(data, option=orjson.OPT_APPEND_NEWLINE | orjson.OPT_SERIALIZE_NUMPY)

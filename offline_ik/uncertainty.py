@@ -8,8 +8,7 @@ either side of its gap and friction: that adds (d/2)(d/2)' with d from one side 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,88 +25,79 @@ Array = npt.NDArray[np.float64]
 NORMAL_95 = 1.6448536269514722  # one-sided 95 % quantile of the normal distribution
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Of one detector pose; standard deviations.
+class Uncertainty(NamedTuple):
+    """Of one detector pose; standard deviations. A named tuple, for the same reason as :mod:`offline_ik.answer`'s.
 
     Attributes
     ----------
     covariance
         ``(6, 6)``: along (across, up of the detector as the circles carry it, outward), m, and about the same, rad.
-    std_m, std_rad
-        Of the norm of the position's and of the rotation's error: roots of the traces.
-    tangential_m, radial_m
-        Along the sphere (two directions together), and along the line of sight.
-    model_m, approach_m
-        Shares of ``std_m``: the parameters', and that of unknown directions of approach.
+    approach_m
+        Share of ``std_m`` that unknown directions of approach have; the rest, ``model_std_m``, is the parameters'.
     pixel
         Size of a pixel, m.
     """
 
     covariance: Array
-    model_m: float
     approach_m: float
     pixel: float
-    _variance: list[float] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_variance", _variances(self.covariance))
+    def stated(self) -> dict[str, float]:
+        """All that is said of it, m, rad and pixels, by the names that answers have.
+
+        ``std_m`` and ``std_rad`` are of the norm of the position's and of the rotation's error: roots of the traces.
+        ``tangential`` is along the sphere (two directions together), ``radial`` along the line of sight. Within
+        ``radius95_m`` the position lies with a probability of 95 %: the square of the distance is a sum of squares
+        with unequal variances; Satterthwaite (1946), An approximate distribution of estimates of variance components,
+        its quantile by Wilson and Hilferty (1931), The distribution of chi-square.
+        """
+        (a, ab, ac, *_), (_, b, bc, *_), (_, _, c, *_), *_ = self.covariance.tolist()
+        a, b, c, *about = _variances(self.covariance)
+        trace, squares = a + b + c, a * a + b * b + c * c + 2 * (ab * ab + ac * ac + bc * bc)
+        part = 2.0 / 9.0 * squares / (trace * trace) if squares > 0 else 0.0  # 2 / (9 degrees of freedom)
+        tangential = math.sqrt(a + b)
+        return {
+            "std_m": math.sqrt(trace),
+            "std_rad": math.sqrt(sum(about)),
+            "radius95_m": math.sqrt(trace * (1 - part + NORMAL_95 * math.sqrt(part)) ** 3),
+            "tangential_std_m": tangential,
+            "radial_std_m": math.sqrt(c),
+            "tangential_std_pixels": tangential / self.pixel,
+            "model_std_m": math.sqrt(max(trace - self.approach_m**2, 0.0)),  # traces add up
+            "approach_std_m": self.approach_m,
+        }
 
     @property
     def std_m(self) -> float:
         """Root of the position's trace, m."""
-        a, b, c = self._variance[:3]
-        return math.sqrt(a + b + c)
+        return self.stated()["std_m"]
 
     @property
     def std_rad(self) -> float:
         """Root of the rotation's trace, rad."""
-        a, b, c = self._variance[3:]
-        return math.sqrt(a + b + c)
+        return self.stated()["std_rad"]
 
     @property
     def tangential_m(self) -> float:
         """Along the sphere, m."""
-        return math.sqrt(self._variance[0] + self._variance[1])
-
-    @property
-    def radial_m(self) -> float:
-        """Along the line of sight, m."""
-        return math.sqrt(self._variance[2])
+        return self.stated()["tangential_std_m"]
 
     @property
     def radius95_m(self) -> float:
-        """Within which the position lies with a probability of 95 %, m.
-
-        The square of the distance is a sum of squares with unequal variances: Satterthwaite (1946), An approximate
-        distribution of estimates of variance components, its quantile by Wilson and Hilferty (1931), The distribution
-        of chi-square.
-        """
-        (a, ab, ac), (_, b, bc), (_, _, c) = self.covariance[:3, :3].tolist()
-        trace, squares = sum(self._variance[:3]), a * a + b * b + c * c + 2 * (ab * ab + ac * ac + bc * bc)
-        if not squares > 0:
-            return 0.0
-        part = 2.0 / 9.0 * squares / (trace * trace)  # 2 / (9 degrees of freedom)
-        return math.sqrt(trace * (1 - part + NORMAL_95 * math.sqrt(part)) ** 3)
+        """Within which the position lies with a probability of 95 %, m."""
+        return self.stated()["radius95_m"]
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
-        each = [math.sqrt(v) for v in self._variance]
+        each, stated = [math.sqrt(v) for v in _variances(self.covariance)], self.stated()
         return {
-            "std_m": self.std_m,
-            "std_rad": self.std_rad,
-            "tangential_std_m": self.tangential_m,
-            "radial_std_m": self.radial_m,
-            "radius95_m": self.radius95_m,
-            "std_um": 1e6 * self.std_m,
-            "std_urad": 1e6 * self.std_rad,
-            "tangential_std_pixels": self.tangential_m / self.pixel,
+            **stated,
+            "std_um": 1e6 * stated["std_m"],
+            "std_urad": 1e6 * stated["std_rad"],
             "pixel_m": self.pixel,
             "axes": "across and up as the circles carry the detector, outward",
             "std_axes_m": each[:3],
             "std_axes_rad": each[3:],
-            "model_std_m": self.model_m,
-            "approach_std_m": self.approach_m,
         }
 
 
@@ -154,19 +144,18 @@ class Propagation:
         J, spread = self.jacobian(q, conditions)
         unknown = 0.5 * (conditions.direction == 0)
         J = (towards.T @ J.reshape(2, 3, -1)).reshape(6, -1)
-        return self.combined(J, unknown[:, None] * (spread.reshape(-1, 2, 3) @ towards).reshape(-1, 6), self.covariance)
+        half = unknown[:, None] * (spread.reshape(-1, 2, 3) @ towards).reshape(-1, 6)
+        return self.combined(J @ self.covariance @ J.T, half)
 
-    def combined(self, J: Array, half: Array | None, covariance: Array) -> Uncertainty:
-        """From the derivative ``(6, C)`` by parameters of a covariance ``(C, C)``, and half the spread ``(n, 6)``.
+    def combined(self, model: Array, half: Array | None) -> Uncertainty:
+        """From the share of the parameters ``(6, 6)``, and half the spread ``(n, 6)`` of approaches that are not known.
 
-        The spread is that of unknown approaches; None where all are known.
+        None for the latter where all are known.
         """
-        model = J @ covariance @ J.T
-        model_m, approach_m, both = math.sqrt(sum(_variances(model)[:3])), 0.0, model
-        if half is not None and half.any():
-            approach = half.T @ half
-            approach_m, both = math.sqrt(sum(_variances(approach)[:3])), model + approach
-        return Uncertainty(both, model_m, approach_m, self.cell.pixel)
+        if half is None:
+            return Uncertainty(model, 0.0, self.cell.pixel)
+        approach = half.T @ half
+        return Uncertainty(model + approach, math.sqrt(sum(_variances(approach)[:3])), self.cell.pixel)
 
 
 def _variances(covariance: Array) -> list[float]:

@@ -156,9 +156,9 @@ def test_the_radius_of_95_percent_holds_95_percent() -> None:
         C = np.zeros((6, 6))
         C[:3, :3] = 1e-10 * turn @ shape @ turn.T
         drawn = rng.multivariate_normal(np.zeros(3), C[:3, :3], 200_000, method="eigh")
-        inside = np.mean(np.linalg.norm(drawn, axis=1) <= Uncertainty(C, 0, 0, 55e-6).radius95_m)
+        inside = np.mean(np.linalg.norm(drawn, axis=1) <= Uncertainty(C, 0, 55e-6).radius95_m)
         assert inside == pytest.approx(0.95, abs=0.012)
-    assert Uncertainty(np.zeros((6, 6)), 0, 0, 55e-6).radius95_m == 0
+    assert Uncertainty(np.zeros((6, 6)), 0, 55e-6).radius95_m == 0
 
 
 def test_an_unknown_direction_costs_and_an_approach_gains(detector: Detector) -> None:
