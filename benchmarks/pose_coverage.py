@@ -29,6 +29,7 @@ from virtual_arms import ARMS, arm
 
 from clampid.catalogue import catalogue
 from clampid.identify import identify, stage_rows
+from clampid.model import StageModel
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows
@@ -96,13 +97,13 @@ def trial(name: str, seed: int) -> Trial:
     rows = {t: stage_rows([campaign], model.layout, "poses", base, t) for t in ("poses", "verification")}
     rows = {t: replace(r, measured=measured.truth.noise_free[t]) for t, r in rows.items()}
     stage = model.stages["poses"]
-    truth, left = true_parameters(rows["poses"], stage.slots, measured, robot)
+    truth, left = true_parameters(rows["poses"], stage, measured, robot)
     told = [k for k, (ok, slot) in enumerate(zip(stage.identified, stage.slots, strict=True)) if ok and compared(slot)]
     return Trial(
         seed,
         {stage.slots[k].label: float((stage.theta[k] - truth[k]) / stage.std[k]) for k in told},
         left,
-        rms(experiment(rows["verification"], catalogue(), stage.slots).residual(stage.theta)[0]),
+        rms(experiment(rows["verification"], catalogue(), stage.slots, stage.lean).residual(stage.theta)[0]),
         measured.truth.plant.instrument.sigma,
         process_time() - start,
     )
@@ -113,22 +114,20 @@ def compared(slot: Slot) -> bool:
     return slot.effect != "gravity"
 
 
-def true_parameters(
-    rows: Rows, slots: Sequence[Slot], measured: Measured, robot: RobotDescription
-) -> tuple[Array, float]:
+def true_parameters(rows: Rows, stage: StageModel, measured: Measured, robot: RobotDescription) -> tuple[Array, float]:
     """The truth in the parameters that a fit has, SI, and the rms of what geometry cannot reproduce, m.
 
     Parameters
     ----------
     rows
         Poses with the noise-free points as measured.
-    slots
-        The fit's parameters ``(P,)``.
+    stage
+        The fit: its parameters ``(P,)`` and its lean.
     """
-    known = plant_values(measured.truth.plant, robot)
+    known, slots = plant_values(measured.truth.plant, robot), stage.slots
     theta = np.array([known.get(slot, 0.0) for slot in slots])
     geometry = np.array([slot.effect == "geometry" for slot in slots])
-    trial = experiment(rows, catalogue(), slots)
+    trial = experiment(rows, catalogue(), slots, stage.lean)
     for _ in range(GAUGE_STEPS):
         residual, jacobian = trial.residual(theta)
         columns = jacobian[:, :, geometry].reshape(-1, int(geometry.sum()))

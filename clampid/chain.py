@@ -87,6 +87,9 @@ class Chain:
         What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
     flank_function
         In ``poses``, where an effect reads flanks: what decides on them. Else None.
+    lean
+        ``(n, 3)``, rad: by what the weight's torque at each joint decides on its flank beside its friction, though it
+        is no load; see :mod:`clampid.open_flanks`. None: the robot is level.
     """
 
     stage: Stage
@@ -98,6 +101,7 @@ class Chain:
     parameter: npt.NDArray[np.int64]
     least: Array
     flank_function: Blocks | None = None
+    lean: Array | None = None
 
     def evaluate(self, theta: Array, signals: Mapping[str, Array], torque: Array | None = None) -> Deviations:
         """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""
@@ -111,7 +115,8 @@ class Chain:
         """Torques ``(N, n)``, Nm, whose signs are the flanks, at ``theta`` ``(P,)``; None where no effect reads any."""
         if self.flank_function is None:
             return None
-        return self.flank_function(np.maximum(theta, self.least), *self._columns(signals, None))[0]
+        level = self.flank_function(np.maximum(theta, self.least), *self._columns(signals, None))[0]
+        return level if self.lean is None else level + np.einsum("njx,jx->nj", signals["lean_torque"], self.lean)
 
     def _columns(self, signals: Mapping[str, Array], torque: Array | None) -> list[Array]:
         columns = []

@@ -147,7 +147,7 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     for _, table, row in model.outliers:
         bad |= (rows.table == table) & (rows.row == row)
     rows = rows.without(bad)
-    residual = predicted(experiment(rows, opened.effects, model.slots), model.theta)
+    residual = predicted(experiment(rows, opened.effects, model.slots, model.lean), model.theta)
     floor = noise_floor(rows, residual)
     held = opened.held(stage)
     fitted = ~rows.in_folds(held) if opened.session is not None else np.zeros(len(rows), dtype=bool)
@@ -156,7 +156,7 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     if verification is not None:
         test, test_residual = (
             verification,
-            predicted(experiment(verification, opened.effects, model.slots), model.theta),
+            predicted(experiment(verification, opened.effects, model.slots, model.lean), model.theta),
         )
         tested = np.ones(len(test), dtype=bool)
     elif opened.session is None or any(held):
@@ -251,11 +251,11 @@ def _refitted(
     values = np.array([known.get(s, 0.0) for s in slots])
     fixed = tuple(s for s in slots if s not in moved)
     # What is not fitted anew is held where the model has it, as tightly as numbers allow.
-    trial = experiment(rows.take(~out), opened.effects, slots)
+    trial = experiment(rows.take(~out), opened.effects, slots, model.lean)
     size = trial.sizes()[: len(fixed)]
     prior = Prior(fixed, values[: len(fixed)], np.diag((1e-7 * size) ** 2))
     estimate = fit(trial, (prior,), dict(zip(slots, values.tolist(), strict=True)))
-    test = experiment(rows, opened.effects, slots)
+    test = experiment(rows, opened.effects, slots, model.lean)
     residual = predicted(test, estimate.theta)
     floor = noise_floor(rows, residual)
     far = _extrapolated(opened, rows, out)

@@ -101,7 +101,7 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     model = opened.stages.get("poses")
     if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
         return None
-    trial = experiment(opened.rows("poses"), opened.effects, model.slots)
+    trial = experiment(opened.rows("poses"), opened.effects, model.slots, model.lean)
     bent = _bending(opened, trial)
     if not np.any(bent.parts):
         return None

@@ -201,6 +201,15 @@ def _unlikely(estimate: Estimate) -> float:
     return float(white.residual @ white.residual + off @ estimate.prior_precision @ off + np.linalg.slogdet(A)[1])
 
 
+def again(estimate: Estimate, experiment: Experiment, none: Sequence[int]) -> Estimate:
+    """The same pose fit of another experiment with the same parameters and rows: noise, prior and outliers stay.
+
+    Frictions ``none`` stay at zero, for the reason that :func:`_without_unknown_friction` gives.
+    """
+    found = _without_unknown_friction(_at_no_friction(replace(estimate, experiment=experiment), none))
+    return replace(_with_repeatability(found), outliers=estimate.outliers)
+
+
 def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
     """Covariance ``(P + K, P + K)`` of the gradient of a pose fit whose visits share where the robot has stopped.
 
@@ -225,6 +234,12 @@ def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array,
     return by_joint / estimate.noise.sigma[white.entry, white.channel, None], rows.unit[white.entry]
 
 
+def unknown_frictions(estimate: Estimate) -> list[int]:
+    """Numbers of the arm-side frictions that a fit's rows do not tell."""
+    slots = zip(estimate.slots, estimate.identified, strict=False)
+    return [k for k, (slot, known) in enumerate(slots) if slot.effect == "wrist_coupling_friction" and not known]
+
+
 def _without_unknown_friction(estimate: Estimate) -> Estimate:
     """The same pose fit with frictions of zero where the rows do not tell them, and its covariance there.
 
@@ -233,27 +248,35 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
     unknown c at that F would take the product for unknown, which is known. At F = 0 both are right, where the rest of
     the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0.
     """
-    experiment, identified = estimate.experiment, estimate.identified
-    unknown = [k for k, s in enumerate(experiment.slots) if s.effect == "wrist_coupling_friction" and not identified[k]]
+    experiment, unknown = estimate.experiment, unknown_frictions(estimate)
     if not unknown:
         return estimate
-    theta, precision, mean = estimate.theta.copy(), estimate.prior_precision, estimate.prior_mean
-    theta[unknown] = 0.0
-    held, at_zero = precision.copy(), np.where(np.isin(np.arange(len(mean)), unknown), 0.0, mean)
-    held[unknown, unknown] += 1.0 / (HELD * experiment.sizes()[unknown]) ** 2
-    found = solve(experiment, theta, estimate.noise, held, at_zero)
+    precision, mean, found = estimate.prior_precision, estimate.prior_mean, _at_no_friction(estimate, unknown)
     before, after = (
         _cost(experiment.with_flanks(e.theta), e.theta, estimate.noise, precision, mean) for e in (estimate, found)
     )
     if after - before < WORSE:
-        white = found.whitened
-        covariance = _covariance(white, precision, white.jacobian.T @ white.jacobian)
-        return replace(found, covariance=covariance, prior_precision=precision, prior_mean=mean)
+        return found
+    theta = estimate.theta.copy()
+    theta[unknown] = 0.0
     # The flanks stay those of the fit.
     there = stage_point(experiment.with_flanks(estimate.theta), estimate.noise, theta)
     white = replace(estimate.whitened, jacobian=there.white.jacobian)
     normal = white.jacobian.T @ white.jacobian
     return replace(estimate, whitened=white, covariance=_covariance(white, precision, normal))
+
+
+def _at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
+    """The fit with some frictions held at none, its covariance as if they were free there."""
+    experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
+    theta, held = estimate.theta.copy(), precision.copy()
+    theta[unknown] = 0.0
+    at_zero = np.where(np.isin(np.arange(len(mean)), unknown), 0.0, mean)
+    held[unknown, unknown] += 1.0 / (HELD * experiment.sizes()[unknown]) ** 2
+    found = solve(experiment, theta, estimate.noise, held, at_zero)
+    white = found.whitened
+    covariance = _covariance(white, precision, white.jacobian.T @ white.jacobian)
+    return replace(found, covariance=covariance, prior_precision=precision, prior_mean=mean)
 
 
 def _cost(held: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> float:

@@ -21,6 +21,7 @@ from clampid.mean_norm import compared, mean_norm
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
+from clampid.open_flanks import with_open_flanks
 from clampid.rest_friction import with_rest_friction
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
@@ -121,6 +122,8 @@ def fit_stage(
         if drives.prior is not None:
             estimate = fit(trial, (*priors, drives.prior), estimate.values())
     estimate = with_kept_friction(estimate)
+    if rows.stage == "poses":
+        estimate = with_open_flanks(estimate)
     universal = None
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)
@@ -156,6 +159,7 @@ def _model_of(
         null_directions=null_directions(estimate),
         base=base_parameters(estimate),
         told=told,
+        lean=estimate.experiment.chain.lean,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
 

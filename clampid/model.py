@@ -74,6 +74,8 @@ class StageModel:
     told
         Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
         counting any row twice; else None.
+    lean
+        ``(n, 3)``, rad, of poses: how the robot leans as far as flanks tell, see `clampid.open_flanks`; else None.
     """
 
     stage: Stage
@@ -89,6 +91,7 @@ class StageModel:
     observability: Mapping[str, float] = field(default_factory=dict)
     bootstrap: Bootstrap | None = None
     told: Prior | None = None
+    lean: Array | None = None
 
     @property
     def std(self) -> Array:
@@ -251,6 +254,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "observability": dict(stage.observability),
         "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
         "told": None if stage.told is None else _told_json(stage.told),
+        "lean_rad": None if stage.lean is None else stage.lean.tolist(),
     }
 
 
@@ -304,6 +308,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             observability={name: float(v) for name, v in part.get("observability", {}).items()},
             bootstrap=_read_bootstrap(part.get("bootstrap")),
             told=_read_told(part.get("told")),
+            lean=None if part.get("lean_rad") is None else np.array(part["lean_rad"], dtype=float),
         )
     sessions = tuple(
         Session(

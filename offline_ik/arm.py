@@ -85,6 +85,8 @@ class IdentifiedArm:
         Whose base and flange, from 0.
     reference
         ``(4, 4)``: the session's guess of the base in the instrument's frame, without the fitted motion.
+    lean
+        ``(n, 3)``, rad: what decides on flanks beside friction, see :mod:`clampid.open_flanks`; None: nothing.
     """
 
     robot: RobotDescription
@@ -97,6 +99,7 @@ class IdentifiedArm:
     tool: Array
     session: int = 0
     reference: Array | None = None
+    lean: Array | None = None
 
     @property
     def n(self) -> int:
@@ -186,6 +189,10 @@ class IdentifiedArm:
             return function.call([at, *(signals[name] for name in row.flats)])[0], None
         signals["flank"] = ca.SX.zeros(self.n)
         pressing = function.call([at, *(signals[name] for name in row.flats)])[1]  # does not depend on the flank
+        lean = np.zeros((self.n, 3)) if self.lean is None else self.lean
+        for i in np.flatnonzero(lean.any(axis=1)).tolist():
+            turned = Loads(self.robot, np.cross(lean[i], self.gravity), self.tool, q)
+            pressing[i] += turned.signal("gravity_torque")[i]
         pressing = pressing * (ca.fabs(pressing) > ca.DM(UNPRESSED * self._rated))
         signals["flank"] = ca.sign(pressing)
         return function.call([at, *(signals[name] for name in row.flats)])[0], pressing
@@ -287,6 +294,7 @@ def arm_of(
         mass * np.r_[1.0, np.asarray(tool_com, dtype=float)],
         session,
         model.sessions[session].base_reference,
+        stage.lean,
     )
 
 

@@ -19,7 +19,6 @@ from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage
 from clampid.noise import Noise
 from clampid.slots import Slot, Term
-from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
 
 __all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "held_out", "pruned"]
@@ -85,7 +84,7 @@ def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: 
     """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds."""
     count = len(estimate.slots)
     if verification is not None:
-        trial = experiment(verification, estimate.experiment.effects, estimate.slots)
+        trial = estimate.experiment.with_rows(verification)
         rows, residual = verification, predicted(trial, estimate.theta[:count])
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)

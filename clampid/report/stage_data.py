@@ -129,14 +129,14 @@ def stage_data(opened: Reopened) -> dict[Stage, StageData]:
 def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
     """Where the instrument sees the base, from the points that the model predicts."""
     model = opened.stages["poses"]
-    residual = predicted(experiment(rows, opened.effects, model.slots), model.theta)
+    residual = predicted(experiment(rows, opened.effects, model.slots, model.lean), model.theta)
     motion = align(rows.measured[:, :3] - residual[:, :3], rows.measured[:, :3])
     return {0: motion @ rows.constants["base_reference"][0]}
 
 
 def _piece(opened: Reopened, stage: Stage, rows: Rows, verification: bool) -> Piece:
     model = opened.stages[stage]
-    found = experiment(rows, opened.effects, model.slots)
+    found = experiment(rows, opened.effects, model.slots, model.lean)
     rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()
     bad = np.array([key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)], dtype=bool)
     held = rows.in_folds(opened.held(stage))

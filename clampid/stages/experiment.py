@@ -74,6 +74,10 @@ class Experiment:
         """The same effects on other rows of the same layout."""
         return replace(self, rows=rows)
 
+    def leaning(self, lean: Array | None) -> Experiment:
+        """The same on a robot that leans: see :attr:`clampid.chain.Chain.lean`."""
+        return replace(self, chain=replace(self.chain, lean=lean))
+
     def with_flanks(self, theta: Array) -> Experiment:
         """The same with the flanks held where these parameters put them; only poses have any."""
         if self.stage != "poses":
@@ -85,7 +89,7 @@ class Experiment:
 
     def with_slots(self, slots: Sequence[Slot]) -> Experiment:
         """The same rows with other slots active."""
-        return experiment(self.rows, self.effects, slots)
+        return experiment(self.rows, self.effects, slots, self.chain.lean)
 
     def start(self) -> Array:
         """A start, and what is assumed before any row is seen: amplitudes zero, shapes and shares as they say.
@@ -200,8 +204,10 @@ def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescript
     return parameter.geared(1.0 / own if own > 0 else 1.0)
 
 
-def experiment(rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot]) -> Experiment:
-    """An experiment with the given slots active.
+def experiment(
+    rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot], lean: Array | None = None
+) -> Experiment:
+    """An experiment with the given slots active, on a robot that leans: see :attr:`clampid.chain.Chain.lean`.
 
     Raises
     ------
@@ -212,4 +218,4 @@ def experiment(rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot])
     chain = build_chain(
         rows.stage, slots, effects, rows.layout, np.asarray(robot.transmission), poses.link_vectors(robot)
     )
-    return Experiment(rows, effects, tuple(slots), chain)
+    return Experiment(rows, effects, tuple(slots), replace(chain, lean=lean))

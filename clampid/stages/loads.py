@@ -18,6 +18,7 @@ __all__ = [
     "gravity_signals",
     "inertia_torque",
     "inertial_signals",
+    "lean_torque",
     "weight_rate",
 ]
 
@@ -37,6 +38,22 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     if robot.has_masses:
         torque = torque + found["regressor"] @ gravity_parameters(robot.links)
     return {**found, "gravity_torque": torque}
+
+
+def lean_torque(campaign: Campaign, q: Array) -> Array:
+    """How the weight's torques follow a lean of the robot ``(N, n, 3)``, Nm/rad, at ``q`` ``(N, n)``, rad.
+
+    Last index: about the base's axes, by which gravity turns as the base sees it, g + w x g.
+    """
+    robot, declared = campaign.robot, campaign.tool.mass * np.r_[1.0, campaign.tool.com]
+    columns = []
+    for axis in np.eye(3):
+        found = gravity_regressors(robot, np.cross(axis, np.asarray(campaign.gravity, dtype=float)), q)
+        torque = found["tool_regressor"] @ declared
+        if robot.has_masses:
+            torque = torque + found["regressor"] @ gravity_parameters(robot.links)
+        columns.append(torque)
+    return np.stack(columns, axis=-1)
 
 
 def weight_rate(campaign: Campaign, q: Array, qd: Array) -> Array:

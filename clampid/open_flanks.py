@@ -1,0 +1,158 @@
+"""On which flanks unloaded joints stand, given that nobody knows how level the robot is.
+
+A joint whose axis is upright bears no weight, so that its dry friction holds it on the flank that it came from. If the
+axis leans by a milliradian, the arm's own weight presses on it with a thousandth of its moment, here on one side and
+there on the other, and where that is more than the friction it decides instead. Neither the lean nor the little
+friction of an unloaded bearing is known: poses tell them by clearances alone, and a fit that takes the direction's
+flanks for right spreads what is wrong over its other parameters.
+
+So leans and frictions are drawn from what installers and bearings leave open, each with the flanks that it gives and
+with clearances and all other parameters as they fit best with those, to first order. Weighed by how well they fit, they
+are a posterior: the fit goes on with the mean lean, and the second moment of the parameters over the posterior is added
+to its covariance. Flanks tell only the ratio of lean to friction, so that the lean decides on them and is no load.
+Source: Hoeting, Madigan, Raftery, Volinsky (1999), Bayesian model averaging: a tutorial, Statistical Science 14.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg, sparse, special
+
+from clampid.fit import Estimate, StagePoint, again, gradient_covariance, unknown_frictions
+from clampid.slots import Slot
+from clampid.stages import poses
+from clampid.stages.rows import Array, Bools, Integers
+
+__all__ = ["with_open_flanks"]
+
+LEAN = 5e-4  # rad: half a millimetre in a metre, of a spirit level and of axis 1 against the robot's foot
+DRAWS, SEED = 4000, 0
+
+
+def with_open_flanks(estimate: Estimate) -> Estimate:
+    """The same pose fit with the lean that its unloaded joints tell, what their flanks leave open in its covariance.
+
+    Unchanged where no lean turns any flank, or where the fit leaves more than noise: flanks would explain that too.
+    """
+    rows, level = estimate.experiment.rows, estimate.experiment.leaning(None)
+    pressing = poses.pressing(rows, level.chain, estimate.theta) if rows.stage == "poses" else None
+    gaps = {} if pressing is None else _unloaded(estimate, pressing)
+    if not gaps or pressing is None:
+        return estimate
+    first, visit = np.unique(rows.unit, return_index=True, return_inverse=True)[1:]
+    lean, turned = _turned(estimate, list(gaps), pressing, first)
+    own, some = turned.any(axis=(0, 1)), turned.any(axis=(1, 2))
+    if not own.any():
+        return estimate
+    side = np.where(turned[some][:, :, own], -1.0, 1.0)
+    side = np.concatenate([np.ones((1, *side.shape[1:])), side])
+    share = np.r_[np.mean(~some), np.full(some.sum(), 1.0 / DRAWS)]
+    theta, weight = _fitted(estimate, np.array(list(gaps.values()))[own], visit, side, share)
+    found = estimate
+    if weight[0] < 0.5:
+        mean = np.zeros((rows.robot.n, 3))
+        mean[np.array(list(gaps))[own]] = np.einsum("k,kmx->mx", weight[1:], lean[some][:, own]) / weight[1:].sum()
+        leaning = {f"joint{j + 1}" for j in np.flatnonzero(mean.any(axis=1))}
+        none = [k for k in unknown_frictions(estimate) if estimate.slots[k].place in leaning]
+        found = again(estimate, level.leaning(mean), none)
+    off = theta - weight @ theta
+    open_ = (weight * off.T) @ off
+    return estimate if _more_than_noise(found) else replace(found, covariance=found.covariance + open_)
+
+
+def _more_than_noise(estimate: Estimate) -> bool:
+    """Whether more than half of the squares that a fit leaves is not the instrument's noise, as its maker states it."""
+    rows = estimate.experiment.rows
+    white = (rows.in_noise_axes(estimate.residual) / rows.sigma)[rows.used]
+    return float(np.mean(white**2)) > 2.0
+
+
+def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
+    """Joint -> slot of its clearance, of joints that stand in every pose on the flank that they came from."""
+    direction = estimate.experiment.rows.signals["direction"]
+    decided = ((pressing * direction > 0) | (direction == 0)).all(axis=0) & direction.any(axis=0)
+    slots = {int(s.place.removeprefix("joint")) - 1: k for k, s in enumerate(estimate.slots) if s.effect == "backlash"}
+    return {joint: k for joint, k in slots.items() if decided[joint]}
+
+
+def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: Integers) -> tuple[Array, Bools]:
+    """Leans ``(K, m, 3)``, rad, and which joints stand on the other flank with them ``(K, V, m)``, in each visit.
+
+    Leans are those that do the same beside the friction that the fit has: dry friction that was fitted, on top of what
+    any bearing has.
+    """
+    signals, rng = estimate.experiment.rows.signals, np.random.default_rng(SEED)
+    least = np.abs(signals["rest_direction"]).max(axis=0)[joints]
+    values = estimate.values()
+    own = [values.get(Slot("wrist_coupling_friction", "F", f"joint{j + 1}"), 0.0) for j in joints]
+    fitted = np.maximum(own, 0.0)
+    by_lean, now = (v[first][:, joints] for v in (signals["lean_torque"], pressing))
+    friction = fitted + least * rng.uniform(0.0, 2.0, (DRAWS, 1))
+    lean = LEAN * rng.standard_normal((DRAWS, 1, 3)) * ((fitted + least) / friction)[:, :, None]
+    pressed = now + np.einsum("vmx,kmx->kvm", by_lean, lean)
+    return lean, np.asarray(pressed * now < 0)
+
+
+def _fitted(estimate: Estimate, gaps: Integers, visit: Integers, side: Array, share: Array) -> tuple[Array, Array]:
+    """Parameters ``(K, P)`` that fit best with each pattern of flanks, and the pattern's weight ``(K,)``.
+
+    Clearances enter with the flanks, so that they are taken out of the residual and fitted anew, together with all
+    @@
+
+    Parameters
+    ----------
+    gaps
+        ``(m,)``: which parameters are the clearances.
+    visit
+        ``(N,)``, of each row.
+    side
+        ``(K, V, m)``, -1 where a visit's flank is the other one.
+    share
+        ``(K,)``: of the patterns before any row was seen.
+    """
+    white, theta, precision = estimate.whitened, estimate.theta, estimate.prior_precision
+    rest = np.setdiff1d(np.arange(len(theta)), [*gaps, *unknown_frictions(estimate)])
+    X, C = white.jacobian[:, rest], white.jacobian[:, gaps]
+    residual = white.residual + C @ theta[gaps]
+    size = 1.0 / np.sqrt(np.diag(X.T @ X) + np.diag(precision)[rest])
+    X = X * size
+    root = linalg.cholesky(X.T @ X + precision[np.ix_(rest, rest)] * np.outer(size, size), lower=True)
+    pull = size * (precision[rest] @ (estimate.prior_mean - theta) + precision[np.ix_(rest, gaps)] @ theta[gaps])
+    known = linalg.solve_triangular(root, X.T @ residual + pull, lower=True)
+    by_visit, turn = _sums(visit[white.entry], side.shape[1]), np.moveaxis(side, 2, 0)  # (m, K, V)
+    cross, slope = by_visit(C[:, :, None] * X[:, None, :]), by_visit(C * residual[:, None])
+    square = by_visit(C[:, :, None] * C[:, None, :])
+    inside = turn @ np.moveaxis(cross, 1, 0) + (precision[np.ix_(gaps, rest)] * size)[:, None, :]  # (m, K, R)
+    inside = linalg.solve_triangular(root, inside.reshape(-1, len(rest)).T, lower=True).T.reshape(inside.shape)
+    normal = np.einsum("ikv,jkv,vij->kij", turn, turn, square, optimize=True) + precision[np.ix_(gaps, gaps)]
+    normal -= np.einsum("iko,jko->kij", inside, inside, optimize=True)
+    own = precision[gaps] @ estimate.prior_mean - precision[np.ix_(gaps, rest)] @ theta[rest]
+    slopes = np.einsum("ikv,vi->ki", turn, slope) + own - (inside @ known).T
+    gap = np.linalg.solve(normal, slopes[:, :, None])[:, :, 0]
+    out = np.tile(theta, (len(side), 1))
+    step = linalg.solve_triangular(root.T, known[:, None] - np.einsum("iko,ki->ok", inside, gap), lower=False)
+    out[:, rest], out[:, gaps] = theta[rest] + (size[:, None] * step).T, gap
+    variance = _variance(estimate, gaps)
+    positive = special.log_ndtr(gap * np.sqrt(np.diagonal(normal, axis1=1, axis2=2) / variance)).sum(axis=1)
+    weight = np.log(np.maximum(share, 1e-300)) + 0.5 * np.sum(slopes * gap, axis=1) / variance + positive
+    weight = np.exp(weight - weight.max())
+    return out, weight / weight.sum()
+
+
+def _sums(group: Integers, count: int) -> Callable[[Array], Array]:
+    """What sums rows ``(M, ...)`` over groups: ``(count, ...)``."""
+    member = sparse.csr_matrix((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
+    return lambda values: np.asarray(member @ values.reshape(len(group), -1)).reshape(count, *values.shape[1:])
+
+
+def _variance(estimate: Estimate, gaps: Integers) -> float:
+    """Variance of the whitened numbers along clearances, what the numbers of a visit share included."""
+    white = estimate.whitened
+    if estimate.scatter is None:
+        return float(white.residual @ white.residual / max(len(white.residual) - white.jacobian.shape[1], 1))
+    moments = gradient_covariance(estimate, StagePoint(estimate.theta, estimate.residual, white))
+    squares = np.sum(white.jacobian[:, gaps] ** 2)
+    return float(np.trace(moments[np.ix_(gaps, gaps)]) / squares)
