@@ -100,7 +100,7 @@ def _fitted(estimate: Estimate, gaps: Integers, visit: Integers, side: Array, sh
     """Parameters ``(K, P)`` that fit best with each pattern of flanks, and the pattern's weight ``(K,)``.
 
     Clearances enter with the flanks, so that they are taken out of the residual and fitted anew, together with all
-    @@
+    other parameters but frictions that nothing tells. Only sums over visits are formed.
 
     Parameters
     ----------
