@@ -122,7 +122,7 @@ def fit_stage(
         if drives.prior is not None:
             estimate = fit(trial, (*priors, drives.prior), estimate.values())
     estimate = with_kept_friction(estimate)
-    if rows.stage == "poses":
+    if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_flanks(estimate)
     universal = None
     if cost == "mean-norm":
