@@ -147,17 +147,15 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     for _, table, row in model.outliers:
         bad |= (rows.table == table) & (rows.row == row)
     rows = rows.without(bad)
-    residual = predicted(experiment(rows, opened.effects, model.slots, model.lean), model.theta)
+    trial = opened.experiment(stage, rows)
+    residual = predicted(trial, model.theta)
     floor = noise_floor(rows, residual)
     held = opened.held(stage)
     fitted = ~rows.in_folds(held) if opened.session is not None else np.zeros(len(rows), dtype=bool)
     test, test_residual = rows, residual
     verification = opened.verification() if stage == "poses" else None
     if verification is not None:
-        test, test_residual = (
-            verification,
-            predicted(experiment(verification, opened.effects, model.slots, model.lean), model.theta),
-        )
+        test, test_residual = verification, predicted(trial.with_rows(verification), model.theta)
         tested = np.ones(len(test), dtype=bool)
     elif opened.session is None or any(held):
         tested = ~fitted
@@ -255,8 +253,7 @@ def _refitted(
     size = trial.sizes()[: len(fixed)]
     prior = Prior(fixed, values[: len(fixed)], np.diag((1e-7 * size) ** 2))
     estimate = fit(trial, (prior,), dict(zip(slots, values.tolist(), strict=True)))
-    test = experiment(rows, opened.effects, slots, model.lean)
-    residual = predicted(test, estimate.theta)
+    residual = predicted(trial.with_rows(rows), estimate.theta)
     floor = noise_floor(rows, residual)
     far = _extrapolated(opened, rows, out)
     return _table(rows, residual, ~out, rows, residual, out, floor, far) | placing(

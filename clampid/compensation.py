@@ -24,7 +24,7 @@ from clampid.chain import Deviations
 from clampid.noise import NORMAL
 from clampid.reopen import Reopened
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Rows
 
 __all__ = ["Compensation", "compensation_of"]
@@ -101,7 +101,7 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     model = opened.stages.get("poses")
     if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
         return None
-    trial = experiment(opened.rows("poses"), opened.effects, model.slots, model.lean)
+    trial = opened.experiment("poses", opened.rows("poses"))
     bent = _bending(opened, trial)
     if not np.any(bent.parts):
         return None

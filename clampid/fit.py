@@ -172,9 +172,15 @@ def _kept_first(experiment: Experiment, theta: Array, noise: Noise, precision: A
         return theta
     motors = experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
     kept = len(experiment.slots) + np.flatnonzero(motors)
-    held = precision.copy()
-    held[kept, kept] += 1.0 / (FIRST * experiment.sizes()[kept]) ** 2
+    held = _holding(experiment, precision, kept, FIRST)
     return solve(experiment, theta, noise, held, mean).theta if len(kept) else theta
+
+
+def _holding(experiment: Experiment, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
+    """A prior's precision ``(P + K, P + K)`` with some parameters held at its mean to ``within`` of their sizes."""
+    held = precision.copy()
+    held[chosen, chosen] += 1.0 / (within * experiment.sizes()[chosen]) ** 2
+    return held
 
 
 def _past_clearances(estimate: Estimate) -> Estimate:
@@ -269,10 +275,9 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
 def _at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     """The fit with some frictions held at none, its covariance as if they were free there."""
     experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
-    theta, held = estimate.theta.copy(), precision.copy()
+    theta, held = estimate.theta.copy(), _holding(experiment, precision, unknown, HELD)
     theta[unknown] = 0.0
     at_zero = np.where(np.isin(np.arange(len(mean)), unknown), 0.0, mean)
-    held[unknown, unknown] += 1.0 / (HELD * experiment.sizes()[unknown]) ** 2
     found = solve(experiment, theta, estimate.noise, held, at_zero)
     white = found.whitened
     covariance = _covariance(white, precision, white.jacobian.T @ white.jacobian)

@@ -288,7 +288,7 @@ class _Table:
         torque = self.torque - change[rows.constants["run"], None] * self.lever
         angle, _ = standing_angles(rows, self.sweeps.experiment.chain, theta, torque)
         side = torque / np.sqrt(torque**2 + rows.signals["rest_direction"] ** 2)
-        gap = np.where(np.abs(torque) < NEAR * self.spread, _gaps(self.sweeps.experiment, theta), 0.0)
+        gap = np.where(np.abs(torque) < NEAR * self.spread, self.sweeps.experiment.clearances(theta), 0.0)
         low, high = angle - 0.5 * gap * (1.0 - side), angle + 0.5 * gap * (1.0 + side)
         n, count = torque.shape[1], len(change)
         left, crossed, angles = np.full(count, np.inf), np.zeros(count, dtype=bool), np.zeros((count, n))
@@ -301,15 +301,6 @@ class _Table:
                 below = float((torque[mine, self.motor] < 0.0).mean())
                 crossed[s] = min(SHARES) / 2 < below < 1 - min(SHARES) / 2
         return left, crossed, angles
-
-
-def _gaps(experiment: Experiment, theta: Array) -> Array:
-    """Clearances ``(n,)``, rad."""
-    out = np.zeros(experiment.rows.robot.n)
-    for slot, value in zip(experiment.slots, theta, strict=True):
-        if slot.effect == "backlash":
-            out[int(slot.place.removeprefix("joint")) - 1] = abs(value)
-    return out
 
 
 def _middle(low: Array, high: Array) -> Array:

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.fit import Estimate
-from clampid.slots import Slot
 from clampid.stages.clamped import joint_torques
 from clampid.stages.rows import Array
 
@@ -52,8 +51,7 @@ def _open(estimate: Estimate, at: float) -> Array:
     theta, offsets = estimate.theta[:count], estimate.theta[count:]
     torque = joint_torques(rows, experiment.chain, theta, offsets)[beside]
     kept = rows.offset_table(offsets, 2)[beside[0], n:]
-    values = estimate.values()
-    gap = np.array([abs(values.get(Slot("backlash", "gap", f"joint{j + 1}"), 0.0)) for j in range(n)])
+    gap = experiment.clearances(theta)
     held = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
     limit = np.where(held, rows.constants["held_friction"], 0.0)
     drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (DRAWS, n)) * limit, kept)

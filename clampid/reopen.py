@@ -16,6 +16,7 @@ from clampid.identify import has_friction_state, has_inertia, stage_rows, stages
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
+from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
@@ -72,6 +73,11 @@ class Reopened:
         if not self.has(("verification",)) or "poses" not in self.stages:
             return None
         return pose_rows(self.campaigns, self.layout, "verification", base or self.base)
+
+    def experiment(self, stage: Stage, rows: Rows) -> Experiment:
+        """Rows of a stage with the model's slots of it active."""
+        model = self.stages[stage]
+        return experiment(rows, self.effects, model.slots, model.lean)
 
     def held(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
         """The folds ``(campaigns, folds)`` that no fit has seen."""

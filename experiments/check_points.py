@@ -122,7 +122,7 @@ def _flat(measured: FloatArray) -> Iterator[Finding]:
     if len(kept) < 4 or not extent[0] > SMALLEST_SPREAD_M or extent[2] >= FLAT * extent[0]:
         return
     line = extent[1] < FLAT * extent[0]
-    thick, wide = (float(extent[1]), float(extent[0])) if line else (float(extent[2]), float(extent[0]))
+    wide, thick = extent[0], extent[1 if line else 2]
     missing = "how the base is turned about it is hardly told, and " if line else ""
     yield Finding(
         "warning", "poses", "x_m", None,

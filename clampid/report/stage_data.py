@@ -13,7 +13,7 @@ from clampid.effect import Stage
 from clampid.identify import TABLES_OF, stage_rows
 from clampid.model import StageModel
 from clampid.reopen import Reopened
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.experiment import Experiment
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Array, Bools, Rows
 
@@ -129,14 +129,14 @@ def stage_data(opened: Reopened) -> dict[Stage, StageData]:
 def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
     """Where the instrument sees the base, from the points that the model predicts."""
     model = opened.stages["poses"]
-    residual = predicted(experiment(rows, opened.effects, model.slots, model.lean), model.theta)
+    residual = predicted(opened.experiment("poses", rows), model.theta)
     motion = align(rows.measured[:, :3] - residual[:, :3], rows.measured[:, :3])
     return {0: motion @ rows.constants["base_reference"][0]}
 
 
 def _piece(opened: Reopened, stage: Stage, rows: Rows, verification: bool) -> Piece:
     model = opened.stages[stage]
-    found = experiment(rows, opened.effects, model.slots, model.lean)
+    found = opened.experiment(stage, rows)
     rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()
     bad = np.array([key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)], dtype=bool)
     held = rows.in_folds(opened.held(stage))

@@ -173,6 +173,14 @@ class Experiment:
         """Standard errors ``(P + K,)`` below which the rows, and not what was assumed, tell a parameter."""
         return np.array([*(p.clear for p in self.parameters), *self._offset_sizes[0]])
 
+    def clearances(self, theta: Array) -> Array:
+        """How far the joints play ``(n,)``, rad, at the slots' values ``theta`` ``(P,)``."""
+        out = np.zeros(self.rows.robot.n)
+        for slot, value in zip(self.slots, theta, strict=True):
+            if slot.effect == "backlash":
+                out[int(slot.place.removeprefix("joint")) - 1] = abs(value)
+        return out
+
     def bounds(self) -> tuple[Array, Array]:
         """Physical limits ``(P + K,)`` each."""
         pairs = [p.bounds for p in self.parameters]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from clampid.stages.rows import Array
@@ -45,15 +47,8 @@ def lean_torque(campaign: Campaign, q: Array) -> Array:
 
     Last index: about the base's axes, by which gravity turns as the base sees it, g + w x g.
     """
-    robot, declared = campaign.robot, campaign.tool.mass * np.r_[1.0, campaign.tool.com]
-    columns = []
-    for axis in np.eye(3):
-        found = gravity_regressors(robot, np.cross(axis, np.asarray(campaign.gravity, dtype=float)), q)
-        torque = found["tool_regressor"] @ declared
-        if robot.has_masses:
-            torque = torque + found["regressor"] @ gravity_parameters(robot.links)
-        columns.append(torque)
-    return np.stack(columns, axis=-1)
+    turned = [replace(campaign, gravity=np.cross(axis, campaign.gravity)) for axis in np.eye(3)]
+    return np.stack([gravity_signals(c, q)["gravity_torque"] for c in turned], axis=-1)
 
 
 def weight_rate(campaign: Campaign, q: Array, qd: Array) -> Array:
