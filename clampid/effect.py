@@ -144,8 +144,9 @@ class Parameter:
         which rows can hardly tell one by one, 1 says what they amount to: what the rows leave open stays near zero, by
         as much as the family's size allows.
     gearing
-        Of a number at the motor whose size and bounds are stated at the joint: the power of the gear ratio by which
-        they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it).
+        Of a number at the motor whose size, bounds and grid are stated at the joint: the power of the gear ratio by
+        which they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it), 1 for
+        a speed and -2 for viscous friction. A description without gears has its motors at the joints.
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``session``: one for each.
     bounds
@@ -205,12 +206,13 @@ class Parameter:
         return self.size if self.shape else min(self.size, 0.5 * self.prior_std)
 
     def geared(self, ratio: float) -> Parameter:
-        """The same with size and bounds for a joint whose motor turns ``ratio`` times as fast."""
+        """The same with size, bounds and grid for a joint whose motor turns ``ratio`` times as fast."""
         if not self.gearing:
             return self
         factor = abs(ratio) ** self.gearing
         lower, upper = self.bounds
-        return replace(self, size=self.size * factor, bounds=(lower * factor, upper * factor), gearing=0)
+        grid = tuple(value * factor for value in self.grid)
+        return replace(self, size=self.size * factor, bounds=(lower * factor, upper * factor), grid=grid, gearing=0)
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,19 @@ EFFECT = Effect(
     family="stribeck_friction",
     acts={"motor_torque": torque},
     parameters=(
-        Parameter("Fs", "Nm", 0.1, "joint", meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c"),
         Parameter(
-            "ws", "rad/s", 5.0, "joint", (0.05, 500.0), "Stribeck speed, at the motor", True, (5.0, 1.5, 15.0, 40.0)
+            "Fs", "Nm", 10.0, "joint", meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c", gearing=-1
+        ),
+        Parameter(
+            "ws",
+            "rad/s",
+            0.05,
+            "joint",
+            (5e-4, 5.0),
+            "Stribeck speed, at the motor",
+            True,
+            (0.05, 0.015, 0.15, 0.4),
+            gearing=1,
         ),
     ),
     needs=("motor_speed", "motor_motion"),

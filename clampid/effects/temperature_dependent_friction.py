@@ -17,8 +17,8 @@ EFFECT = Effect(
     family="temperature_dependent_friction",
     acts={"motor_torque": torque},
     parameters=(
-        Parameter("fv", "Nm s/rad", 1e-4, "joint", meaning="viscous friction per kelvin, at the motor"),
-        Parameter("fc", "Nm/K", 5e-3, "joint", meaning="dry friction per kelvin, at the motor"),
+        Parameter("fv", "Nm s/rad", 1.0, "joint", meaning="viscous friction per kelvin, at the motor", gearing=-2),
+        Parameter("fc", "Nm/K", 0.5, "joint", meaning="dry friction per kelvin, at the motor", gearing=-1),
     ),
     needs=("motor_speed", "motor_motion", "motor_temperature"),
     stages=("free_air",),

@@ -16,7 +16,7 @@ EFFECT = Effect(
     name="torque_offset",
     family="torque_offset",
     acts={"motor_torque": torque},
-    parameters=(Parameter("b", "Nm", 0.1, "joint", meaning="offset of the torque reading, at the motor"),),
+    parameters=(Parameter("b", "Nm", 10.0, "joint", meaning="offset of the torque reading, at the motor", gearing=-1),),
     needs=("motor_motion",),
     stages=("free_air", "clamped"),
     equation="tau_motor = b_0",

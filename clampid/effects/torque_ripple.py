@@ -19,7 +19,7 @@ EFFECT = Effect(
     family="torque_ripple",
     acts={"motor_torque": torque},
     parameters=tuple(
-        Parameter(f"{a}{k}", "Nm", 0.05, "joint", meaning=f"{f} part, {k} per revolution of the motor")
+        Parameter(f"{a}{k}", "Nm", 5.0, "joint", meaning=f"{f} part, {k} per revolution of the motor", gearing=-1)
         for k in (1, 2)
         for a, f in (("a", "sine"), ("b", "cosine"))
     ),

@@ -22,8 +22,12 @@ EFFECT = Effect(
     family="coupling_ratio_error",
     acts={"motor_torque": torque},
     parameters=(
-        Parameter("Fc", "Nm", 0.3, "joint", meaning="dry friction that follows the motor's own joint, not T"),
-        Parameter("Fv", "Nm s/rad", 3e-3, "joint", meaning="viscous friction that follows the motor's own joint"),
+        Parameter(
+            "Fc", "Nm", 30.0, "joint", meaning="dry friction that follows the motor's own joint, not T", gearing=-1
+        ),
+        Parameter(
+            "Fv", "Nm s/rad", 30.0, "joint", meaning="viscous friction that follows the motor's own joint", gearing=-2
+        ),
     ),
     needs=("own_speed", "own_motion", "motor_speed", "motor_motion"),
     stages=("free_air",),

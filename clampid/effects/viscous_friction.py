@@ -16,7 +16,7 @@ EFFECT = Effect(
     name="viscous_friction",
     family="viscous_friction",
     acts={"motor_torque": torque},
-    parameters=(Parameter("Fv", "Nm s/rad", 3e-3, "joint", (0.0, 1e2), "viscous friction at the motor"),),
+    parameters=(Parameter("Fv", "Nm s/rad", 30.0, "joint", (0.0, 1e6), "viscous friction at the motor", gearing=-2),),
     needs=("motor_speed",),
     stages=("free_air",),
     equation="tau_motor = F_v w_motor",

@@ -24,6 +24,7 @@ TOOL_MASS = 12.0
 TOOL_COM = np.array([0.0, 0.0, 0.08])
 TARGETS = {"T1": (0.10, 0.0, 0.12), "T2": (-0.05, 0.0866, 0.12), "T3": (-0.05, -0.0866, 0.12)}
 ARCSEC = np.pi / 180 / 3600
+GEARING = 100.0  # between motor and joint, where a description has none and logs the motors as if at the joints
 DISC_MARKS = 36  # of an encoder, round its disc: errors of spacing show at every ten degrees
 
 
@@ -80,6 +81,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
     masses = _draw_masses(nominal_masses(robot), rng)
     drive = _draw_drive(robot, rng)
     shaft = drive.rated * np.abs(np.diag(drive.nominal))  # rated torque at the motors
+    geared = np.abs(np.diag(drive.nominal)) < 0.5
     speed = np.array([float(j.max_speed or 3.0) for j in robot.joints]) / np.abs(np.diag(drive.nominal))
     zeros = np.zeros(n)
     coulomb = shaft * rng.uniform(0.05, 0.09, n)
@@ -87,7 +89,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
     friction = Friction(
         coulomb=coulomb,
         viscous=coulomb * rng.uniform(0.5, 1.2, n) / (0.5 * speed),
-        presliding=rng.uniform(2e-3, 5e-3, n),
+        presliding=rng.uniform(2e-3, 5e-3, n) / np.where(geared, 1.0, GEARING),
         creep=zeros,
         arm=np.where(wrist, drive.rated * rng.uniform(0.015, 0.035, n), 0.0),
         stribeck=zeros,
