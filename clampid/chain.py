@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -102,6 +103,17 @@ class Chain:
     least: Array
     flank_function: Blocks | None = None
     lean: Array | None = None
+
+    @cached_property
+    def moves_one(self) -> npt.NDArray[np.int64]:
+        """Which columns of the partials belong to a parameter that moves no other entry of S."""
+        _, which, count = np.unique(self.parameter, return_inverse=True, return_counts=True)
+        return np.flatnonzero(count[which] == 1)
+
+    @cached_property
+    def moves_several(self) -> npt.NDArray[np.int64]:
+        """The other columns."""
+        return np.setdiff1d(np.arange(len(self.parameter)), self.moves_one)
 
     def evaluate(self, theta: Array, signals: Mapping[str, Array], torque: Array | None = None) -> Deviations:
         """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""

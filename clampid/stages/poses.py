@@ -80,20 +80,20 @@ def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
     error[:, :3] = rows.measured[:, :3] - position
     if width == 6:
         error[:, 3:] = log_so3(rows.constants["rotation"] @ np.swapaxes(rotation, 1, 2))
-    return error, _by_parameter(sensitivity[:, :width], deviations, len(chain.slots))
+    return error, _by_parameter(sensitivity[:, :width], deviations, chain)
 
 
-def _by_parameter(sensitivity: Array, deviations: Deviations, count: int) -> Array:
+def _by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:
     """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves."""
-    order = np.argsort(deviations.parameter, kind="stable")
-    parameter = deviations.parameter[order]
-    # One product per (station, parameter); with parameters together, sums are over neighbours.
-    products = sensitivity[:, :, deviations.station[order]]
-    products *= deviations.partials[:, None, order]
-    present, first = np.unique(parameter, return_index=True)
-    if len(present) == count == len(parameter):
-        return np.asarray(products)
-    jacobian = np.zeros((*sensitivity.shape[:2], count))
-    if len(present):
-        jacobian[:, :, present] = np.add.reduceat(products, first, axis=2)
+    jacobian = np.zeros((*sensitivity.shape[:2], len(chain.slots)))
+    own, several = chain.moves_one, chain.moves_several
+    at, of = deviations.station[own], deviations.parameter[own]
+    jacobian[:, :, of] = sensitivity[:, :, at] * deviations.partials[:, None, own]
+    if several.size:
+        stations, row = np.unique(deviations.station[several], return_inverse=True)
+        parameters, column = np.unique(deviations.parameter[several], return_inverse=True)
+        # Loads move all joints and are moved by all masses, so that the block is nearly full.
+        block = np.zeros((len(sensitivity), len(stations), len(parameters)))
+        block[:, row, column] = deviations.partials[:, several]
+        jacobian[:, :, parameters] = sensitivity[:, :, stations] @ block
     return jacobian
