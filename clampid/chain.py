@@ -44,6 +44,7 @@ OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
 MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
 _INTERNAL: Mapping[str, tuple[str | int, ...]] = {
     "gravity_torque": ("n",),
+    "sag_torque": ("n",),
     "rest_direction": ("n",),
     "wrench_map": (6, "n"),
     "base_moment_regressor": (3, "4n"),
@@ -88,6 +89,8 @@ class Chain:
         What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
     flank_function
         In ``poses``, where an effect reads flanks: what decides on them. Else None.
+    yield_function
+        In ``poses``, where an effect reads loads: by how much the joints give way. Else None.
     lean
         ``(n, 3)``, rad: by what the weight's torque at each joint decides on its flank beside its friction, though it
         is no load; see :mod:`clampid.open_flanks`. None: the robot is level.
@@ -102,6 +105,7 @@ class Chain:
     parameter: npt.NDArray[np.int64]
     least: Array
     flank_function: Blocks | None = None
+    yield_function: Blocks | None = None
     lean: Array | None = None
 
     @cached_property
@@ -129,6 +133,10 @@ class Chain:
             return None
         level = self.flank_function(np.maximum(theta, self.least), *self._columns(signals, None))[0]
         return level if self.lean is None else level + np.einsum("njx,jx->nj", signals["lean_torque"], self.lean)
+
+    def yields(self, theta: Array, signals: Mapping[str, Array]) -> Array | None:
+        """By how much the joints are off what was commanded ``(N, n)``, rad; None where no effect reads loads."""
+        return None if self.yield_function is None else self.yield_function(theta, *self._columns(signals, None))[0]
 
     def _columns(self, signals: Mapping[str, Array], torque: Array | None) -> list[Array]:
         columns = []
@@ -215,6 +223,7 @@ def build_chain(
     if stage == "poses" and "flank" in row.flats:
         # A joint without load rests on the side it came from; any load beyond that decides the flank.
         pressing = ca.densify(row.offered["torque"] + row.recorded("rest_direction"))
+    yields = ca.densify(stacked[offsets["joint_angle"]]) if stage == "poses" and "torque" in row.offered else None
     inputs = [theta, ca.vertcat(*row.flats.values())]
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
     least = least_deciding(slots, effects)
@@ -228,6 +237,7 @@ def build_chain(
         parameter_of,
         least,
         None if pressing is None else Blocks(ca.Function("pressing", inputs, [pressing])),
+        None if yields is None else Blocks(ca.Function("yields", inputs, [yields])),
     )
 
 
@@ -306,7 +316,10 @@ def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> Non
         load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
         if stage == "free_air":  # friction acts on the load, not on itself
             load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
-        row.offered["torque"] = row.recorded("gravity_torque") + row.total("joint_torque", load)
+        weight = row.recorded("gravity_torque")
+        if stage == "poses":  # of the arm where it stands, not where it was commanded
+            weight = weight + row.recorded("sag_torque")
+        row.offered["torque"] = weight + row.total("joint_torque", load)
 
 
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:

@@ -33,7 +33,7 @@ SPRINGS = "joint_compliance"
 STEPS = 12
 SETTLED = 1e-7  # of a factor, m or rad
 ELSEWHERE = 1e-6  # rad: where a robot is sent closer than this, it gives way as it would here
-WEIGHT = ("gravity_torque", "regressor", "tool_regressor")
+WEIGHT = ("gravity_torque", "sag_torque", "regressor", "tool_regressor")
 _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 LEVEL = 1e-3  # chance that a true explanation is not accepted
 ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's

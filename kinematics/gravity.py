@@ -22,7 +22,14 @@ from kinematics.robot import DescriptionError, Link, RobotDescription
 from kinematics.screws import hat3
 from kinematics.typing_ import Array
 
-__all__ = ["STANDARD_GRAVITY", "add_tool", "gravity_parameters", "gravity_regressor", "gravity_torque"]
+__all__ = [
+    "STANDARD_GRAVITY",
+    "add_tool",
+    "gravity_parameters",
+    "gravity_regressor",
+    "gravity_stiffness",
+    "gravity_torque",
+]
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s², base frame of an upright robot; the value of the campaign format
 _BLOCK = 1000  # rows whose intermediate results fit the processor's cache: nearly twice as fast as all at once
@@ -87,6 +94,44 @@ def _left_factor(g: Array) -> Array:
     out[:3, :3] = hat3(g)  # as a row: ωᵀ·hat(g) = −(g × ω)ᵀ
     out[3:, 3] = -g
     return out
+
+
+def gravity_stiffness(
+    screws: npt.ArrayLike, q: npt.ArrayLike, phi: npt.ArrayLike, gravity: npt.ArrayLike = STANDARD_GRAVITY
+) -> Array:
+    """
+    Give how the torques that hold the arm follow its posture, ∂τ/∂q.
+
+    Parameters
+    ----------
+    screws
+        Screws (n, 6) in the base frame at the zero pose, (omega, v) [1, m].
+    q
+        Joint values of the chain (..., n) [rad, or m].
+    phi
+        Parameters φ (4n,) [kg, kg m], see `gravity_parameters`.
+    gravity
+        Acceleration of free fall (3,) in the base frame [m/s²].
+
+    Returns
+    -------
+    Array
+        Symmetric matrices (..., n, n) [Nm/rad]. Source: the module's τ_i, differentiated: with what hangs on joint k
+        as one body, (m, m·c)_k, it is −(g × ω_i)·(ω_k × (m c)_k + m_k·v_k) for i ≤ k.
+    """
+    S, g, q = (np.asarray(a, dtype=np.float64) for a in (screws, gravity, q))
+    n = len(S)
+    G = joint_transforms(S, q)
+    J = np.swapaxes(_space_jacobian(S, G), -1, -2)
+    body = np.asarray(phi, dtype=np.float64).reshape(n, 4)
+    moved = G[..., 1:, :3, :]
+    first = np.einsum("...kij,kj->...ki", moved[..., :3], body[:, 1:]) + moved[..., 3] * body[:, :1]
+    hanging = np.cumsum(first[..., ::-1, :], axis=-2)[..., ::-1, :]
+    mass = np.cumsum(body[::-1, 0])[::-1]
+    follows = np.cross(J[..., :3], hanging) + mass[:, None] * J[..., 3:]
+    half = -np.cross(g, J[..., :3]) @ np.swapaxes(follows, -1, -2)
+    upper = np.triu(half)
+    return np.asarray(upper + np.swapaxes(np.triu(half, 1), -1, -2))
 
 
 def gravity_parameters(links: Sequence[Link]) -> Array:

@@ -178,24 +178,34 @@ class IdentifiedArm:
         offer_torque(row, "poses", active)
         values = ca.vertcat(*(ca.vec(row.total(station, active).T) for station in OUTPUTS["poses"]))
         outputs = [values]
-        if "flank" in row.flats:
+        reads_flank, reads_load = "flank" in row.flats, "torque" in row.offered
+        if reads_flank:
             outputs.append(row.offered["torque"] + row.recorded("rest_direction"))
         free = list(ca.symvar(ca.veccat(theta)))
         function = ca.Function("deviations", [ca.vertcat(*free), *row.flats.values()], [ca.densify(v) for v in outputs])
         loads = Loads(self.robot, self.gravity, self.tool, q)
-        signals = {name: self._signal(name, q, conditions, loads) for name in row.flats if name != "flank"}
-        at = ca.vertcat(*free)
-        if "flank" not in row.flats:
-            return function.call([at, *(signals[name] for name in row.flats)])[0], None
-        signals["flank"] = ca.SX.zeros(self.n)
-        pressing = function.call([at, *(signals[name] for name in row.flats)])[1]  # does not depend on the flank
+        held = {"flank": ca.SX.zeros(self.n), "sag_torque": ca.SX.zeros(self.n)}  # of these what presses is independent
+        signals = held | {name: self._signal(name, q, conditions, loads) for name in row.flats if name not in held}
+
+        def evaluated() -> Any:
+            return function.call([ca.vertcat(*free), *(signals[name] for name in row.flats)])
+
+        pressing = None
+        if reads_flank:
+            pressing = self._pressing(evaluated()[1], q)
+            signals["flank"] = ca.sign(pressing)
+        if reads_load:
+            signals["sag_torque"] = loads.stiffness @ evaluated()[0][: self.n]
+        return evaluated()[0], pressing
+
+    def _pressing(self, level: Any, q: Any) -> Any:
+        """What presses on the flanks ``(n,)``, Nm, of the robot as it leans; ``level`` if it did not."""
+        pressing = ca.SX(level)
         lean = np.zeros((self.n, 3)) if self.lean is None else self.lean
         for i in np.flatnonzero(lean.any(axis=1)).tolist():
             turned = Loads(self.robot, np.cross(lean[i], self.gravity), self.tool, q)
             pressing[i] += turned.signal("gravity_torque")[i]
-        pressing = pressing * (ca.fabs(pressing) > ca.DM(UNPRESSED * self._rated))
-        signals["flank"] = ca.sign(pressing)
-        return function.call([at, *(signals[name] for name in row.flats)])[0], pressing
+        return pressing * (ca.fabs(pressing) > ca.DM(UNPRESSED * self._rated))
 
     def _signal(self, name: str, q: Any, conditions: Any, loads: Loads) -> Any:  # noqa: PLR0911 (a table)
         n = self.n

@@ -88,6 +88,28 @@ class Loads:
         torques = symbolic_torques(self.robot.screws, self.points[:-1], gravity, self.chain, at_rest, at_rest)
         return ca.densify(self.linkage.T @ torques.weight)
 
+    @cached_property
+    def stiffness(self) -> Any:
+        """``(n, n)``, Nm/rad, of all that weighs: see :func:`kinematics.gravity.gravity_stiffness`."""
+        phi, screws = self.masses.copy(), np.asarray(self.robot.screws, dtype=float)
+        phi[-4:] += self.tool
+        follows: list[Any] = []
+        presses: list[Any] = []
+        hanging, mass = ca.SX.zeros(3), 0.0
+        for k in reversed(range(self.n)):
+            (R, p), (moved, t) = self.frames[k], self.frames[k + 1]
+            mass += phi[4 * k]
+            hanging = hanging + moved @ ca.DM(phi[4 * k + 1 : 4 * k + 4]) + phi[4 * k] * t
+            axis = R @ ca.DM(screws[k, :3])
+            velocity = R @ ca.DM(screws[k, 3:]) + ca.cross(p, axis)
+            follows.insert(0, ca.cross(axis, hanging) + mass * velocity)
+            presses.insert(0, -ca.cross(self.g, axis))
+        out = ca.SX(self.n, self.n)
+        for i in range(self.n):
+            for k in range(i, self.n):
+                out[i, k] = out[k, i] = ca.dot(presses[i], follows[k])
+        return self.linkage.T @ out @ self.linkage
+
     def _about(self, point: Any, first: int) -> Any:
         """Moment regressor ``(3, 4n)`` about a point of links ``first`` and after."""
         out = ca.SX(3, 4 * self.n)

@@ -79,13 +79,12 @@ class Experiment:
         return replace(self, chain=replace(self.chain, lean=lean))
 
     def with_flanks(self, theta: Array) -> Experiment:
-        """The same with the flanks held where these parameters put them; only poses have any."""
+        """The same with flanks and loads held where these parameters put them; only poses have any."""
         if self.stage != "poses":
             return self
-        found = poses.flanks(self.rows, self.chain, theta[: len(self.slots)])
-        if found is None:
-            return self
-        return replace(self, rows=replace(self.rows, signals={**self.rows.signals, "flank": found}))
+        return replace(
+            self, rows=replace(self.rows, signals=poses.held(self.rows, self.chain, theta[: len(self.slots)]))
+        )
 
     def with_slots(self, slots: Sequence[Slot]) -> Experiment:
         """The same rows with other slots active."""

@@ -9,7 +9,7 @@ import numpy as np
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from kinematics.dynamics import inertial_parameters, inertial_regressor
-from kinematics.gravity import gravity_parameters, gravity_regressor
+from kinematics.gravity import add_tool, gravity_parameters, gravity_regressor, gravity_stiffness
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 
@@ -22,6 +22,7 @@ __all__ = [
     "inertial_signals",
     "lean_torque",
     "weight_rate",
+    "weight_stiffness",
 ]
 
 RATE_STEP = 1e-4  # s: of the difference; its error goes with the square of the angle turned in it
@@ -49,6 +50,16 @@ def lean_torque(campaign: Campaign, q: Array) -> Array:
     """
     turned = [replace(campaign, gravity=np.cross(axis, campaign.gravity)) for axis in np.eye(3)]
     return np.stack([gravity_signals(c, q)["gravity_torque"] for c in turned], axis=-1)
+
+
+def weight_stiffness(campaign: Campaign, q: Array) -> Array:
+    """How the weight's torques follow the posture ``(N, n, n)``, Nm/rad, at ``q`` ``(N, n)``, rad."""
+    robot, declared = campaign.robot, campaign.tool
+    phi = gravity_parameters(robot.links) if robot.has_masses else np.zeros(4 * robot.n)
+    phi = add_tool(phi, robot.flange, declared.mass, declared.com)
+    linkage = np.asarray(robot.linkage)
+    stiffness = gravity_stiffness(robot.screws, q @ linkage.T, phi, campaign.gravity)
+    return np.asarray(linkage.T @ stiffness @ linkage)
 
 
 def weight_rate(campaign: Campaign, q: Array, qd: Array) -> Array:

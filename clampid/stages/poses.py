@@ -9,6 +9,7 @@ X_0 is a constant guess of where the instrument sees the base; M_0 and M_i come 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
-__all__ = ["evaluate", "flanks", "link_vectors", "predict", "pressing", "residual"]
+__all__ = ["evaluate", "flanks", "held", "link_vectors", "predict", "pressing", "residual"]
 
 _NOTHING = np.zeros(0)
 
@@ -63,12 +64,26 @@ def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
     return None if found is None else np.sign(found)
 
 
+def held(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]:
+    """The rows' signals with flanks and loads where these parameters put them.
+
+    The arm stands a little lower than commanded, where its weight has another lever: a few thousandths of the load,
+    of which one step of the fixed point leaves a few millionths.
+    """
+    if not chain.reads_flanks and chain.yield_function is None:
+        return rows.signals
+    level = {**rows.signals, "sag_torque": np.zeros((len(rows), rows.robot.n))}
+    found = chain.pressing(theta, {**level, "flank": level["sag_torque"]})
+    level["flank"] = level["sag_torque"] if found is None else np.sign(found)
+    off = chain.yields(theta, level)
+    if off is None:
+        return level
+    return {**level, "sag_torque": np.einsum("nij,nj->ni", rows.signals["weight_stiffness"], off)}
+
+
 def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
-    """Deviations at the flanks that the rows come with, or else at those that these parameters give."""
-    if chain.reads_flanks and "flank" not in rows.signals:
-        found = flanks(rows, chain, theta)
-        return chain.evaluate(theta, {**rows.signals, "flank": found} if found is not None else rows.signals)
-    return chain.evaluate(theta, rows.signals)
+    """Deviations at the flanks and loads that are held, or else at those that these parameters give."""
+    return chain.evaluate(theta, rows.signals if "flank" in rows.signals else held(rows, chain, theta))
 
 
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
