@@ -233,6 +233,16 @@ def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
     return shared_moments(white.jacobian, by_joint, visit, estimate.scatter)
 
 
+def variance_along(estimate: Estimate, chosen: Integers) -> float:
+    """Variance of the whitened numbers of a pose fit along some parameters, what visits share included."""
+    white = estimate.whitened
+    if estimate.scatter is None:
+        return float(white.residual @ white.residual / max(len(white.residual) - white.jacobian.shape[1], 1))
+    moments = gradient_covariance(estimate, StagePoint(estimate.theta, estimate.residual, white))
+    squares = np.sum(white.jacobian[:, chosen] ** 2)
+    return float(np.trace(moments[np.ix_(chosen, chosen)]) / squares)
+
+
 def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array, Integers]:
     """What a joint's stop does to each whitened number ``(M, n)``, and the visit ``(M,)`` that each is of."""
     rows = estimate.experiment.rows
@@ -241,9 +251,19 @@ def _by_joint(estimate: Estimate, white: Whitened, theta: Array) -> tuple[Array,
 
 
 def unknown_frictions(estimate: Estimate) -> list[int]:
-    """Numbers of the arm-side frictions that a fit's rows do not tell."""
-    slots = zip(estimate.slots, estimate.identified, strict=False)
-    return [k for k, (slot, known) in enumerate(slots) if slot.effect == "wrist_coupling_friction" and not known]
+    """Numbers of the arm-side frictions that a fit's rows do not tell.
+
+    Where only the product with the spring's compliance shows, a friction that nothing else says anything of is as
+    unknown as the spring.
+    """
+    told = dict(zip(estimate.slots, estimate.identified.tolist(), strict=False))
+    weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.experiment.prior_std() < 1.0 + 1e-9
+    return [
+        k
+        for k, slot in enumerate(estimate.slots)
+        if slot.effect == "wrist_coupling_friction"
+        and not (told[slot] and (not weak[k] or told.get(Slot("joint_compliance", "c", slot.place), True)))
+    ]
 
 
 def _without_unknown_friction(estimate: Estimate) -> Estimate:
@@ -252,7 +272,8 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
     What a joint yields to its dry friction is a product c F. Where neither is known by itself and the product is small,
     F has some value by chance, and the linearised fit would take c for known through it; and whoever propagates an
     unknown c at that F would take the product for unknown, which is known. At F = 0 both are right, where the rest of
-    the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0.
+    the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0. A spring that no row
+    tells is there as stiff as springs are: through one that is soft by chance F would seem known.
     """
     experiment, unknown = estimate.experiment, unknown_frictions(estimate)
     if not unknown:
@@ -261,10 +282,11 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
     before, after = (
         _cost(experiment.with_flanks(e.theta), e.theta, estimate.noise, precision, mean) for e in (estimate, found)
     )
-    if after - before < WORSE:
+    moot, value = _moot(estimate, unknown)
+    if after - before < WORSE * len(moot):
         return found
     theta = estimate.theta.copy()
-    theta[unknown] = 0.0
+    theta[moot] = value
     # The flanks stay those of the fit.
     there = stage_point(experiment.with_flanks(estimate.theta), estimate.noise, theta)
     white = replace(estimate.whitened, jacobian=there.white.jacobian)
@@ -275,13 +297,25 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
 def _at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     """The fit with some frictions held at none, its covariance as if they were free there."""
     experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
-    theta, held = estimate.theta.copy(), _holding(experiment, precision, unknown, HELD)
-    theta[unknown] = 0.0
-    at_zero = np.where(np.isin(np.arange(len(mean)), unknown), 0.0, mean)
+    moot, value = _moot(estimate, unknown)
+    theta, at_zero, held = estimate.theta.copy(), mean.copy(), _holding(experiment, precision, moot, HELD)
+    theta[moot] = at_zero[moot] = value
     found = solve(experiment, theta, estimate.noise, held, at_zero)
     white = found.whitened
     covariance = _covariance(white, precision, white.jacobian.T @ white.jacobian)
     return replace(found, covariance=covariance, prior_precision=precision, prior_mean=mean)
+
+
+def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:
+    """Numbers of frictions and of untold springs that they wind up, and the values where they do nothing."""
+    places = {estimate.slots[k].place for k in unknown}
+    told = estimate.identified
+    springs = [
+        k
+        for k, slot in enumerate(estimate.slots)
+        if slot.effect == "joint_compliance" and slot.place in places and not told[k]
+    ]
+    return [*unknown, *springs], np.r_[np.zeros(len(unknown)), estimate.prior_mean[springs]]
 
 
 def _cost(held: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> float:

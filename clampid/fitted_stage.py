@@ -22,7 +22,7 @@ from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
 from clampid.open_flanks import with_open_flanks
-from clampid.rest_friction import with_rest_friction
+from clampid.rest_friction import RestFriction, with_open_friction, with_rest_friction
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
@@ -112,18 +112,22 @@ def fit_stage(
     terms, start = begun(terms, effects, rows.layout, start or {}, begin)
     trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
+    friction = RestFriction(start, None)
     if told is not None:
         estimate = fit(trial, (told,), start)
     else:
         priors, carried = carried_over(rows, before)
-        estimate = fit(trial, priors, with_rest_friction(trial, priors, {**carried, **start}))
-        drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, estimate)
+        friction = with_rest_friction(trial, priors, {**carried, **start})
+        priors = (*priors, *friction.priors)
+        estimate = fit(trial, priors, friction.start)
+        alone = with_open_friction(estimate, friction.held)
+        drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
         contradicted = drives.contradicted
         if drives.prior is not None:
             estimate = fit(trial, (*priors, drives.prior), estimate.values())
     estimate = with_kept_friction(estimate)
     if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
-        estimate = with_open_flanks(estimate)
+        estimate = with_open_friction(with_open_flanks(estimate), friction.held)
     universal = None
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)

@@ -15,13 +15,14 @@ Source: Hoeting, Madigan, Raftery, Volinsky (1999), Bayesian model averaging: a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg, sparse, special
+from scipy import linalg, special
 
-from clampid.fit import Estimate, StagePoint, again, gradient_covariance, unknown_frictions
+from clampid.fit import Estimate, again, unknown_frictions, variance_along
+from clampid.repeatability import sums_over
 from clampid.slots import Slot
 from clampid.stages import poses
 from clampid.stages.rows import Array, Bools, Integers
@@ -122,7 +123,7 @@ def _fitted(estimate: Estimate, gaps: Integers, visit: Integers, side: Array, sh
     root = linalg.cholesky(X.T @ X + precision[np.ix_(rest, rest)] * np.outer(size, size), lower=True)
     pull = size * (precision[rest] @ (estimate.prior_mean - theta) + precision[np.ix_(rest, gaps)] @ theta[gaps])
     known = linalg.solve_triangular(root, X.T @ residual + pull, lower=True)
-    by_visit, turn = _sums(visit[white.entry], side.shape[1]), np.moveaxis(side, 2, 0)  # (m, K, V)
+    by_visit, turn = sums_over(visit[white.entry], side.shape[1]), np.moveaxis(side, 2, 0)  # (m, K, V)
     cross, slope = by_visit(C[:, :, None] * X[:, None, :]), by_visit(C * residual[:, None])
     square = by_visit(C[:, :, None] * C[:, None, :])
     inside = turn @ np.moveaxis(cross, 1, 0) + (precision[np.ix_(gaps, rest)] * size)[:, None, :]  # (m, K, R)
@@ -135,24 +136,8 @@ def _fitted(estimate: Estimate, gaps: Integers, visit: Integers, side: Array, sh
     out = np.tile(theta, (len(side), 1))
     step = linalg.solve_triangular(root.T, known[:, None] - np.einsum("iko,ki->ok", inside, gap), lower=False)
     out[:, rest], out[:, gaps] = theta[rest] + (size[:, None] * step).T, gap
-    variance = _variance(estimate, gaps)
+    variance = variance_along(estimate, gaps)
     positive = special.log_ndtr(gap * np.sqrt(np.diagonal(normal, axis1=1, axis2=2) / variance)).sum(axis=1)
     weight = np.log(np.maximum(share, 1e-300)) + 0.5 * np.sum(slopes * gap, axis=1) / variance + positive
     weight = np.exp(weight - weight.max())
     return out, weight / weight.sum()
-
-
-def _sums(group: Integers, count: int) -> Callable[[Array], Array]:
-    """What sums rows ``(M, ...)`` over groups: ``(count, ...)``."""
-    member = sparse.csr_matrix((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
-    return lambda values: np.asarray(member @ values.reshape(len(group), -1)).reshape(count, *values.shape[1:])
-
-
-def _variance(estimate: Estimate, gaps: Integers) -> float:
-    """Variance of the whitened numbers along clearances, what the numbers of a visit share included."""
-    white = estimate.whitened
-    if estimate.scatter is None:
-        return float(white.residual @ white.residual / max(len(white.residual) - white.jacobian.shape[1], 1))
-    moments = gradient_covariance(estimate, StagePoint(estimate.theta, estimate.residual, white))
-    squares = np.sum(white.jacobian[:, gaps] ** 2)
-    return float(np.trace(moments[np.ix_(gaps, gaps)]) / squares)

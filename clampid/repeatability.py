@@ -15,15 +15,16 @@ A^-1 (sum_v X_v' cov(r_v) X_v + prior precision) A^-1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg, optimize, sparse
 
 from clampid.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Scatter", "clustered_covariance", "shared_moments", "visit_scatter"]
+__all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]
 
 FEWEST = 20  # visits with more than one point; of fewer no seven variances can be told
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
@@ -118,3 +119,9 @@ def shared_moments(X: Array, by_joint: Array, visit: Integers, scatter: Scatter)
 def _groups(visit: Integers) -> list[Integers]:
     order = np.argsort(visit, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(visit[order])) + 1)
+
+
+def sums_over(group: Integers, count: int) -> Callable[[Array], Array]:
+    """What sums rows ``(M, ...)`` over groups ``(M,)``: ``(count, ...)``."""
+    member = sparse.csr_matrix((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
+    return lambda values: np.asarray(member @ values.reshape(len(group), -1)).reshape(count, *values.shape[1:])

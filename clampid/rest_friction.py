@@ -1,104 +1,315 @@
-"""Where a pose fit begins with the joints' dry friction: past the flips of flanks that a search cannot cross.
+"""Joints' dry friction where poses alone have to tell it: by the flanks on which joints rest after a stop.
 
-Friction F and load decide together on which flank a joint rests after a stop, s = sign(load + F dir), and a fit holds
-the flanks while it searches. Rows whose flank is wrong at the start pull F to where it is wrong still: every such fixed
-point is a local minimum. So a few frictions between none and the joint's heaviest load are tried at each joint that
-nothing is known of, each with the flanks that it gives, and the best is where the fit begins.
+Friction F and load decide together, s = sign(load + F dir); and F winds up the joint's spring. A search that holds the
+flanks sees the second only, moves F by it, and then finds other flanks than it held: it ends anywhere. So such a
+friction is held while all else is searched, and sought apart: every value that turns another visit's flank is tried,
+each with the clearance and all other parameters as they then fit best, to first order.
+
+What these fits cost is what the poses say of the friction. It has steps and may have several minima, so that no normal
+equations tell its error: its distribution does, and what else of the parameters moves along with it. Their second
+moment is added to the covariance. Source: profile likelihood, as in Venzon, Moolgavkar, Applied Statistics 37, 1988,
+taken for a posterior with the prior that the friction has.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
-from clampid.fit import Estimate, Limits, limits_of, newton_step, prior_of, solve, stage_point, start_of
+from clampid.fit import Estimate, prior_of, solve, start_of, variance_along
 from clampid.noise import initial_noise
+from clampid.repeatability import sums_over
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment
-from clampid.stages.rows import Array
+from clampid.stages.experiment import HELD, Experiment
+from clampid.stages.rows import Array, Integers
 
-__all__ = ["with_rest_friction"]
+__all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
 FRICTION = "wrist_coupling_friction"
-SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
-PASSES = 2
+ROUNDS = 6  # of all joints, at most
+CELLS = 2000  # values tried, at most
+BEYOND = (1.0, 1.3, 1.7, 2.5, 4.0, 7.0)  # of the heaviest load: frictions that no load exceeds
+BETTER = 0.1  # of chi-square
 
 
-def with_rest_friction(
-    experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float]
-) -> Mapping[Slot, float]:
-    """The start of a fit with values of all slots, where poses have to tell a friction that nothing is known of.
+@dataclass(frozen=True)
+class RestFriction:
+    """Where a pose fit begins, and the frictions that it holds there.
+
+    Attributes
+    ----------
+    start
+        Slot -> value.
+    held
+        None where no friction has to be sought apart.
+    """
+
+    start: Mapping[Slot, float]
+    held: Prior | None
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:
+        """For a fit."""
+        return () if self.held is None else (self.held,)
+
+
+def with_rest_friction(experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float]) -> RestFriction:
+    """Seek the frictions that decide on flanks and of which nothing but the poses tells.
+
+    Those that ``start`` has are held there.
 
     Raises
     ------
     clampid.fit.FitError
         The model gives no finite prediction.
     """
-    known = {*start, *(slot for prior in priors for slot in prior.slots)}
-    open_ = [k for k, s in enumerate(experiment.slots) if s.effect == FRICTION and s not in known]
-    reads = experiment.stage == "poses" and experiment.chain.reads_flanks
-    if not open_ or not reads or not experiment.rows.used.any():
-        return start
-    precision, mean = prior_of(experiment, priors)
+    open_ = _open(experiment, priors)
+    if not open_:
+        return RestFriction(start, None)
     theta = start_of(experiment, start, priors)
-    mean = np.where(experiment.held(), theta, mean)
-    best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
-    for _ in range(PASSES):
-        before = _cost(best)
+    if all(experiment.slots[k] in start for k in open_):
+        return RestFriction(start, _held(experiment, open_, theta))
+    at = theta
+    estimate = _solved(experiment, priors, open_, at)
+    for _ in range(ROUNDS):
+        before = estimate
         for k in open_:
-            best = _past_flips(best, k)
-        if _cost(best) >= before:
+            value = _Profile.of(estimate, k).likeliest
+            if value == estimate.theta[k]:
+                continue
+            at = estimate.theta.copy()
+            at[k] = value
+            found = _solved(experiment, priors, open_, at)
+            if _cost(found) < _cost(estimate) - BETTER:
+                estimate = found
+        if estimate is before:
             break
-    return best.values()
+    return RestFriction(estimate.values(), _held(experiment, open_, estimate.theta))
 
 
-def _past_flips(estimate: Estimate, friction: int) -> Estimate:
-    """The estimate, or a better one that begins with another value of one joint's friction."""
-    experiment, limits = estimate.experiment, limits_of(estimate.experiment)
-    joint = int(experiment.slots[friction].place.removeprefix("joint")) - 1
-    none = estimate.theta.copy()
-    none[friction] = 0.0
-    pressing = poses.pressing(experiment.rows, experiment.chain, none)
-    if pressing is None:
+def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
+    """The same fit, with what the flanks leave open of the frictions that it held in its covariance."""
+    if held is None:
         return estimate
-    seen = [_flanks(experiment, estimate.theta)]
-    best, reached = None, _cost(estimate)
-    for value in np.quantile(np.abs(pressing[:, joint]), SHARES):
-        theta = none.copy()
-        theta[friction] = value
-        flanks = _flanks(experiment, theta)
-        if any(np.array_equal(flanks, other) for other in seen):
+    covariance = estimate.covariance.copy()
+    for slot in held.slots:
+        k = estimate.slots.index(slot)
+        profile = _Profile.of(estimate, k)
+        off = profile.theta - estimate.theta
+        moments = (profile.weight * off.T) @ off
+        moments[k, k] += _load_variance(estimate, profile.joint)
+        covariance += moments
+    return replace(estimate, covariance=covariance)
+
+
+def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
+    """Numbers of the frictions that decide on flanks, with no prior of their own."""
+    if experiment.stage != "poses" or not experiment.chain.reads_flanks or not experiment.rows.used.any():
+        return []
+    known = {slot for prior in priors for slot in prior.slots}
+    loads = np.abs(experiment.rows.signals["gravity_torque"]) > np.abs(experiment.rows.signals["rest_direction"])
+    came = experiment.rows.signals["direction"] != 0.0
+    out = []
+    for k, slot in enumerate(experiment.slots):
+        if slot.effect != FRICTION or slot in known or Slot("backlash", "gap", slot.place) not in experiment.slots:
             continue
-        seen.append(flanks)
-        there, cost = _step(estimate, theta, limits)
-        if cost < reached:
-            best, reached = there, cost
-    if best is None:
-        return estimate
-    found = solve(experiment, best, estimate.noise, estimate.prior_precision, estimate.prior_mean)
-    return found if _cost(found) < _cost(estimate) else estimate
+        joint = int(slot.place.removeprefix("joint")) - 1
+        if (loads & came)[:, joint].any():
+            out.append(k)
+    return out
 
 
-def _flanks(experiment: Experiment, theta: Array) -> Array:
-    found = poses.flanks(experiment.rows, experiment.chain, theta)
-    return np.zeros(0) if found is None else found
+def _held(experiment: Experiment, open_: Sequence[int], theta: Array) -> Prior:
+    tight = HELD * experiment.sizes()[list(open_)]
+    return Prior(tuple(experiment.slots[k] for k in open_), theta[list(open_)], np.diag(tight**2))
 
 
-def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, float]:
-    """One Newton step from ``theta`` with the flanks held there, and the cost that it promises."""
-    point = stage_point(estimate.experiment.with_flanks(theta), estimate.noise, theta)
-    A, g = point.normal()
-    off = theta - estimate.prior_mean
-    A, g = A + estimate.prior_precision, g - estimate.prior_precision @ off
-    step = newton_step(A, g, limits.size, 0.0, np.ones(len(theta), dtype=bool))
-    cost = point.cost + float(off @ estimate.prior_precision @ off)
-    return theta + step, cost - float(g @ step)
+def _solved(experiment: Experiment, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
+    precision, mean = prior_of(experiment, (*priors, _held(experiment, open_, theta)))
+    mean = np.where(experiment.held(), theta, mean)
+    return solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
 
 
 def _cost(estimate: Estimate) -> float:
-    """Whitened squares of rows and prior, at the flanks that the parameters give."""
-    point = stage_point(estimate.experiment.with_flanks(estimate.theta), estimate.noise, estimate.theta)
-    off = estimate.theta - estimate.prior_mean
-    return point.cost + float(off @ estimate.prior_precision @ off)
+    """Whitened squares of rows and priors, of held frictions as if they were not."""
+    white, off = estimate.whitened, estimate.theta - estimate.prior_mean
+    assumed, mean = estimate.experiment.prior()
+    frictions = [k for k, slot in enumerate(estimate.slots) if slot.effect == FRICTION]
+    weak = sum(assumed[k, k] * (estimate.theta[k] - mean[k]) ** 2 for k in frictions)
+    return float(white.residual @ white.residual + off @ estimate.prior_precision @ off + weak)
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """Fits with one friction held at each of some values.
+
+    Attributes
+    ----------
+    value, cost
+        ``(K,)``: Nm, and whitened squares of rows and prior.
+    theta
+        ``(K, P)``: all parameters.
+    weight
+        ``(K,)``: of the values between which no further flank turns.
+    """
+
+    joint: int
+    value: Array
+    cost: Array
+    theta: Array
+    weight: Array
+
+    @property
+    def likeliest(self) -> float:
+        """The value of the lowest cost; of frictions that no load exceeds the least."""
+        best = int(np.argmin(self.cost))
+        return float(self.value[min(best, len(self.value) - len(BEYOND))])
+
+    @classmethod
+    def of(cls, estimate: Estimate, friction: int) -> _Profile:
+        joint = int(estimate.slots[friction].place.removeprefix("joint")) - 1
+        gap = estimate.slots.index(Slot("backlash", "gap", f"joint{joint + 1}"))
+        row, visit = np.unique(estimate.experiment.rows.unit, return_index=True, return_inverse=True)[1:]
+        none = estimate.theta.copy()
+        none[friction] = 0.0
+        pressing = _pressing(estimate, none)
+        direction = estimate.experiment.rows.signals["direction"][row, joint]
+        without, now = pressing[row, joint], _pressing(estimate, estimate.theta)[row, joint]
+        contrary = np.flatnonzero(without * direction < 0.0)  # what presses against the direction, friction turns
+        order = contrary[np.argsort(np.abs(without[contrary]), kind="stable")]
+        value, width, after = _values(np.abs(without[order]))
+        side = np.where(without * now < 0.0, -1.0, 1.0)
+        theta, cost, normal = _Loose.of(estimate, friction, gap).fitted(value, visit, side, order, after)
+        variance = variance_along(estimate, np.array([gap]))
+        log = -0.5 * cost / variance - 0.5 * np.log(normal) + np.log(width)
+        weight = np.exp(log - log.max())
+        return cls(joint, value, cost, theta, weight / weight.sum())
+
+
+def _pressing(estimate: Estimate, theta: Array) -> Array:
+    """What presses on the flanks ``(N, n)``, Nm."""
+    found = poses.pressing(estimate.experiment.rows, estimate.experiment.chain, theta)
+    if found is None:
+        raise ValueError("expected a fit with clearances that follow the flanks, found none")
+    return found
+
+
+def _values(turns: Array) -> tuple[Array, Array, Integers]:
+    """Frictions to try ``(K,)``, Nm, how wide the range is that each stands for, and how many flanks turn below it.
+
+    ``turns``: at which frictions flanks turn, in their order.
+    """
+    at = np.r_[0.0, turns]
+    chosen = np.unique(np.linspace(0, len(at) - 1, min(len(at), CELLS)).astype(int))
+    edge = at[chosen]
+    inside, beyond = 0.5 * (edge[1:] + edge[:-1]), max(float(edge[-1]), 1e-6) * (1e-3 + np.array(BEYOND))
+    value = np.r_[inside, beyond]
+    width = np.r_[np.diff(edge), np.gradient(beyond)]
+    return value, width, np.asarray(np.searchsorted(turns, value), dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class _Loose:
+    """A fit's rows and priors, whitened, with one friction and one clearance taken out.
+
+    Attributes
+    ----------
+    rest
+        ``(M, R)``: columns of all other parameters, scaled by ``size`` ``(R,)``; ``index`` ``(R,)`` says which.
+    gap, friction
+        ``(M,)``: their columns.
+    residual
+        ``(M,)``: at no clearance and no friction.
+    rows
+        How many of the M are of rows; the others are the priors'.
+    """
+
+    estimate: Estimate
+    at: tuple[int, int]
+    index: Integers
+    size: Array
+    rest: Array
+    gap: Array
+    friction: Array
+    residual: Array
+    rows: int
+
+    @classmethod
+    def of(cls, estimate: Estimate, friction: int, gap: int) -> _Loose:
+        white, theta = estimate.whitened, estimate.theta
+        precision, mean = estimate.prior_precision.copy(), estimate.prior_mean.copy()
+        assumed, at_first = estimate.experiment.prior()
+        precision[friction], precision[:, friction] = 0.0, 0.0
+        precision[friction, friction], mean[friction] = assumed[friction, friction], at_first[friction]
+        scale = np.sqrt(np.diag(precision))
+        root = linalg.cholesky(precision / np.outer(scale, scale)) * scale
+        J = np.concatenate([white.jacobian, root])
+        residual = np.concatenate([white.residual, root @ (mean - theta)])
+        residual = residual + J[:, gap] * theta[gap] + J[:, friction] * theta[friction]
+        index = np.setdiff1d(np.arange(len(theta)), [friction, gap])
+        size = 1.0 / np.linalg.norm(J[:, index], axis=0)
+        return cls(
+            estimate, (friction, gap), index, size, J[:, index] * size, J[:, gap], J[:, friction], residual,
+            len(white.residual),
+        )  # fmt: skip
+
+    def fitted(
+        self, value: Array, visit: Integers, side: Array, order: Integers, after: Integers
+    ) -> tuple[Array, Array, Array]:
+        """Best parameters ``(K, P)``, their cost ``(K,)``, and the normal equation of the clearance ``(K,)``.
+
+        Parameters
+        ----------
+        value
+            Frictions ``(K,)``.
+        visit
+            Of each of the estimate's rows ``(N,)``.
+        side
+            ``(V,)``: on the flank of the fit, +1, or on the other, -1, without friction.
+        order, after
+            Visits whose flanks turn one after the other, and how many of them have turned ``(K,)``.
+        """
+        X, entry = self.rest, self.estimate.whitened.entry
+        C = self.gap.copy()
+        C[: self.rows] *= side[visit[entry]]
+        by_visit = sums_over(visit[entry], len(side))
+
+        def turned(products: Array) -> Array:
+            """``(K, ...)``: sums of products with the clearance's column, with as many visits turned."""
+            steps = np.cumsum(-2.0 * by_visit(products[: self.rows])[order], axis=0)
+            return np.asarray(products.sum(axis=0) + np.concatenate([np.zeros_like(steps[:1]), steps])[after])
+
+        root = linalg.cholesky(X.T @ X, lower=True)
+        r, f = self.residual, self.friction
+        known = linalg.solve_triangular(root, np.stack([X.T @ r, X.T @ f], axis=1), lower=True)
+        inside = linalg.solve_triangular(root, turned(C[:, None] * X).T, lower=True)  # (R, K)
+        normal = np.maximum(C @ C - np.sum(inside**2, axis=0), 1e-12 * (C @ C))
+        slope = turned(C * r) - inside.T @ known[:, 0] - value * (turned(C * f) - inside.T @ known[:, 1])
+        gap = np.maximum(slope / normal, 0.0)
+        squares = np.array([[r @ r, r @ f], [r @ f, f @ f]]) - known.T @ known
+        cost = (
+            squares[0, 0] - 2.0 * value * squares[0, 1] + value**2 * squares[1, 1] - gap * (2.0 * slope - gap * normal)
+        )
+        step = linalg.solve_triangular(root.T, known[:, :1] - value * known[:, 1:] - gap * inside, lower=False)
+        theta = np.tile(self.estimate.theta, (len(value), 1))
+        theta[:, self.index] += (self.size[:, None] * step).T
+        theta[:, self.at[0]], theta[:, self.at[1]] = value, gap
+        return theta, cost, normal
+
+
+def _load_variance(estimate: Estimate, joint: int) -> float:
+    """Variance of a joint's load, Nm², as far as masses are not known: friction shows only beside it."""
+    masses = [k for k, slot in enumerate(estimate.slots) if slot.effect == "gravity"]
+    if not masses:
+        return 0.0
+    signals = estimate.experiment.rows.signals
+    part = {"m": 0, "mx": 1, "my": 2, "mz": 3}
+    column = [
+        4 * (int(estimate.slots[k].place.removeprefix("link")) - 1) + part[estimate.slots[k].parameter] for k in masses
+    ]
+    Y = signals["regressor"][:, joint][:, column]
+    return float(np.mean(np.einsum("np,pq,nq->n", Y, estimate.covariance[np.ix_(masses, masses)], Y)))
