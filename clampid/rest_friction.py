@@ -31,7 +31,8 @@ __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
 FRICTION = "wrist_coupling_friction"
 ROUNDS = 6  # of all joints, at most
-CELLS = 2000  # values tried, at most
+CELLS, LEAST = 2000, 33  # values tried, at most and at least
+VARIES = 0.1  # of the heaviest load: one that is always the same turns all flanks or none
 BEYOND = (1.0, 1.3, 1.7, 2.5, 4.0, 7.0)  # of the heaviest load: frictions that no load exceeds
 BETTER = 0.1  # of chi-square
 
@@ -111,14 +112,16 @@ def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
     if experiment.stage != "poses" or not experiment.chain.reads_flanks or not experiment.rows.used.any():
         return []
     known = {slot for prior in priors for slot in prior.slots}
-    loads = np.abs(experiment.rows.signals["gravity_torque"]) > np.abs(experiment.rows.signals["rest_direction"])
-    came = experiment.rows.signals["direction"] != 0.0
+    signals = experiment.rows.signals
+    contrary = signals["gravity_torque"] * signals["direction"] < 0.0
+    load = np.where(contrary, np.abs(signals["gravity_torque"]) - np.abs(signals["rest_direction"]), 0.0)
     out = []
     for k, slot in enumerate(experiment.slots):
         if slot.effect != FRICTION or slot in known or Slot("backlash", "gap", slot.place) not in experiment.slots:
             continue
         joint = int(slot.place.removeprefix("joint")) - 1
-        if (loads & came)[:, joint].any():
+        turns = load[load[:, joint] > 0.0, joint]
+        if len(turns) and np.ptp(turns) > VARIES * turns.max():
             out.append(k)
     return out
 
@@ -203,7 +206,7 @@ def _values(turns: Array) -> tuple[Array, Array, Integers]:
 
     ``turns``: at which frictions flanks turn, in their order.
     """
-    at = np.r_[0.0, turns]
+    at = np.unique(np.r_[turns, np.linspace(0.0, turns.max(initial=0.0), LEAST)])
     chosen = np.unique(np.linspace(0, len(at) - 1, min(len(at), CELLS)).astype(int))
     edge = at[chosen]
     inside, beyond = 0.5 * (edge[1:] + edge[:-1]), max(float(edge[-1]), 1e-6) * (1e-3 + np.array(BEYOND))
@@ -291,9 +294,8 @@ class _Loose:
         slope = turned(C * r) - inside.T @ known[:, 0] - value * (turned(C * f) - inside.T @ known[:, 1])
         gap = np.maximum(slope / normal, 0.0)
         squares = np.array([[r @ r, r @ f], [r @ f, f @ f]]) - known.T @ known
-        cost = (
-            squares[0, 0] - 2.0 * value * squares[0, 1] + value**2 * squares[1, 1] - gap * (2.0 * slope - gap * normal)
-        )
+        apart = squares[0, 0] - 2.0 * value * squares[0, 1] + value**2 * squares[1, 1]
+        cost = apart - gap * (2.0 * slope - gap * normal)
         step = linalg.solve_triangular(root.T, known[:, :1] - value * known[:, 1:] - gap * inside, lower=False)
         theta = np.tile(self.estimate.theta, (len(value), 1))
         theta[:, self.index] += (self.size[:, None] * step).T
@@ -306,10 +308,7 @@ def _load_variance(estimate: Estimate, joint: int) -> float:
     masses = [k for k, slot in enumerate(estimate.slots) if slot.effect == "gravity"]
     if not masses:
         return 0.0
-    signals = estimate.experiment.rows.signals
     part = {"m": 0, "mx": 1, "my": 2, "mz": 3}
-    column = [
-        4 * (int(estimate.slots[k].place.removeprefix("link")) - 1) + part[estimate.slots[k].parameter] for k in masses
-    ]
-    Y = signals["regressor"][:, joint][:, column]
+    at = [(int(estimate.slots[k].place.removeprefix("link")), part[estimate.slots[k].parameter]) for k in masses]
+    Y = estimate.experiment.rows.signals["regressor"][:, joint][:, [4 * (link - 1) + p for link, p in at]]
     return float(np.mean(np.einsum("np,pq,nq->n", Y, estimate.covariance[np.ix_(masses, masses)], Y)))
