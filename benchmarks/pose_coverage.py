@@ -37,7 +37,7 @@ from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.rows import Rows
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Measured, Plant, measure
-from experiments.virtual_robot.drive import NEGLIGIBLE_LOAD
+from experiments.virtual_robot.drive import seals
 from kinematics.robot import RobotDescription
 
 Array = npt.NDArray[np.float64]
@@ -148,7 +148,8 @@ def shown_friction(plant: Plant, robot: RobotDescription, joint: int) -> float:
     rubs = float(plant.friction.arm[joint])
     if joint in coupled_joints(robot):
         return rubs
-    return max(rubs + NEGLIGIBLE_LOAD - REST_FRICTION * float(robot.joints[joint].rated_torque or 0.0), 0.0)
+    taken_for_any = REST_FRICTION * float(robot.joints[joint].rated_torque or 0.0)
+    return max(rubs + float(seals(plant.drive)[joint]) - taken_for_any, 0.0)
 
 
 def plant_values(plant: Plant, robot: RobotDescription) -> Mapping[Slot, float]:

@@ -48,6 +48,7 @@ CROSSING_PASSES = 2
 FIRST = 0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
 DAMPING_START, DAMPING_END = 1e-3, 1e8
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
+SHOWN = 3.0  # standard errors: a spring that is not known, and still no chance
 WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
 
@@ -256,14 +257,18 @@ def unknown_frictions(estimate: Estimate) -> list[int]:
     Where only the product with the spring's compliance shows, a friction that nothing else says anything of is as
     unknown as the spring.
     """
-    told = dict(zip(estimate.slots, estimate.identified.tolist(), strict=False))
+    springs = {estimate.slots[k].place for k in _untold_springs(estimate)}
     weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.experiment.prior_std() < 1.0 + 1e-9
-    return [
-        k
-        for k, slot in enumerate(estimate.slots)
-        if slot.effect == "wrist_coupling_friction"
-        and not (told[slot] and (not weak[k] or told.get(Slot("joint_compliance", "c", slot.place), True)))
-    ]
+    slots = enumerate(zip(estimate.slots, estimate.identified, strict=False))
+    frictions = [(k, slot, told) for k, (slot, told) in slots if slot.effect == "wrist_coupling_friction"]
+    return [k for k, slot, told in frictions if not told or (weak[k] and slot.place in springs)]
+
+
+def _untold_springs(estimate: Estimate) -> list[int]:
+    """Numbers of the compliances that a fit's rows do not tell, nor set apart from what springs are taken for."""
+    clear = np.abs(estimate.theta - estimate.prior_mean) > SHOWN * estimate.std
+    slots = enumerate(zip(estimate.slots, estimate.identified | clear, strict=False))
+    return [k for k, (slot, told) in slots if slot.effect == "joint_compliance" and not told]
 
 
 def _without_unknown_friction(estimate: Estimate) -> Estimate:
@@ -275,23 +280,30 @@ def _without_unknown_friction(estimate: Estimate) -> Estimate:
     the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0. A spring that no row
     tells is there as stiff as springs are: through one that is soft by chance F would seem known.
     """
-    experiment, unknown = estimate.experiment, unknown_frictions(estimate)
-    if not unknown:
-        return estimate
-    precision, mean, found = estimate.prior_precision, estimate.prior_mean, _at_no_friction(estimate, unknown)
-    before, after = (
-        _cost(experiment.with_flanks(e.theta), e.theta, estimate.noise, precision, mean) for e in (estimate, found)
-    )
-    moot, value = _moot(estimate, unknown)
-    if after - before < WORSE * len(moot):
+    experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
+
+    def cost(at: Estimate) -> float:
+        return _cost(experiment.with_flanks(at.theta), at.theta, estimate.noise, precision, mean)
+
+    found, reached = estimate, cost(estimate)
+    gone: list[int] = []
+    shown: list[int] = []
+    for k in unknown_frictions(estimate):
+        without = _at_no_friction(found, [*gone, k])
+        if cost(without) - reached < WORSE * len(_moot(found, [*gone, k])[0]):
+            found, gone = without, [*gone, k]
+        elif not estimate.identified[k]:
+            shown.append(k)
+    if not shown:
         return found
-    theta = estimate.theta.copy()
+    theta = found.theta.copy()
+    moot, value = _moot(found, shown)
     theta[moot] = value
     # The flanks stay those of the fit.
-    there = stage_point(experiment.with_flanks(estimate.theta), estimate.noise, theta)
-    white = replace(estimate.whitened, jacobian=there.white.jacobian)
+    there = stage_point(experiment.with_flanks(found.theta), estimate.noise, theta)
+    white = replace(found.whitened, jacobian=there.white.jacobian)
     normal = white.jacobian.T @ white.jacobian
-    return replace(estimate, whitened=white, covariance=_covariance(white, precision, normal))
+    return replace(found, whitened=white, covariance=_covariance(white, precision, normal))
 
 
 def _at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
@@ -309,12 +321,7 @@ def _at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
 def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:
     """Numbers of frictions and of untold springs that they wind up, and the values where they do nothing."""
     places = {estimate.slots[k].place for k in unknown}
-    told = estimate.identified
-    springs = [
-        k
-        for k, slot in enumerate(estimate.slots)
-        if slot.effect == "joint_compliance" and slot.place in places and not told[k]
-    ]
+    springs = [k for k in _untold_springs(estimate) if estimate.slots[k].place in places]
     return [*unknown, *springs], np.r_[np.zeros(len(unknown)), estimate.prior_mean[springs]]
 
 
@@ -456,12 +463,13 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
         return _cost(held[0], at, noise, precision, mean)
 
     def found(start: Array) -> Estimate:
-        return settled(
+        end = settled(
             start,
             lambda at: [experiment.with_flanks(at)],
             lambda held, at: _search(held[0], at, noise, precision, mean),
             cost,
         )
+        return _at_its_own(end, experiment.with_flanks(end.theta))
 
     estimate = found(theta)
     image = mirrored(experiment, estimate.theta)
@@ -470,6 +478,15 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
         if mirrored(experiment, upright.theta) is None:
             estimate = upright
     return replace(estimate, experiment=experiment)
+
+
+def _at_its_own(estimate: Estimate, held: Experiment) -> Estimate:
+    """The estimate on the flanks and loads that it gives, which its predictions will have."""
+    if held.rows.signals is estimate.experiment.rows.signals:
+        return estimate
+    there = stage_point(held, estimate.noise, estimate.theta)
+    covariance = _covariance(there.white, estimate.prior_precision, there.matrix)
+    return replace(estimate, whitened=there.white, residual=there.residual, covariance=covariance)
 
 
 def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:

@@ -118,13 +118,14 @@ def fit_stage(
     else:
         priors, carried = carried_over(rows, before)
         friction = with_rest_friction(trial, priors, {**carried, **start})
-        priors = (*priors, *friction.priors)
-        estimate = fit(trial, priors, friction.start)
+        estimate = fit(trial, (*priors, *friction.priors), friction.start)
         alone = with_open_friction(estimate, friction.held)
         drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
         contradicted = drives.contradicted
         if drives.prior is not None:
-            estimate = fit(trial, (*priors, drives.prior), estimate.values())
+            priors = (*priors, drives.prior)
+            friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
+            estimate = fit(trial, (*priors, *friction.priors), friction.start)
     estimate = with_kept_friction(estimate)
     if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_friction(with_open_flanks(estimate), friction.held)

@@ -32,8 +32,8 @@ __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 FRICTION = "wrist_coupling_friction"
 ROUNDS = 6  # of all joints, at most
 CELLS, LEAST = 2000, 33  # values tried, at most and at least
-VARIES = 0.1  # of the heaviest load: one that is always the same turns all flanks or none
-BEYOND = (1.0, 1.3, 1.7, 2.5, 4.0, 7.0)  # of the heaviest load: frictions that no load exceeds
+VARIES = 0.1  # of the heaviest load
+BEYOND, FAR = 16, 3.0  # frictions that no load exceeds: so many, to as many standard deviations of the prior
 BETTER = 0.1  # of chi-square
 
 
@@ -58,10 +58,12 @@ class RestFriction:
         return () if self.held is None else (self.held,)
 
 
-def with_rest_friction(experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float]) -> RestFriction:
+def with_rest_friction(
+    experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
+) -> RestFriction:
     """Seek the frictions that decide on flanks and of which nothing but the poses tells.
 
-    Those that ``start`` has are held there.
+    Where ``start`` has them all they are held there, unless they are to be sought ``anew``.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def with_rest_friction(experiment: Experiment, priors: Sequence[Prior], start: M
     if not open_:
         return RestFriction(start, None)
     theta = start_of(experiment, start, priors)
-    if all(experiment.slots[k] in start for k in open_):
+    if not anew and all(experiment.slots[k] in start for k in open_):
         return RestFriction(start, _held(experiment, open_, theta))
     at = theta
     estimate = _solved(experiment, priors, open_, at)
@@ -101,14 +103,19 @@ def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
         k = estimate.slots.index(slot)
         profile = _Profile.of(estimate, k)
         off = profile.theta - estimate.theta
-        moments = (profile.weight * off.T) @ off
-        moments[k, k] += _load_variance(estimate, profile.joint)
-        covariance += moments
+        covariance += (profile.weight * off.T) @ off
+        # Flanks tell the friction beside the load only: as far as that is not known, both may be larger, unless what
+        # the friction winds up tells otherwise.
+        load = _load_variance(estimate, profile.joint)
+        covariance += load / (1.0 + load * profile.told) * np.outer(profile.slope, profile.slope)
     return replace(estimate, covariance=covariance)
 
 
 def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
-    """Numbers of the frictions that decide on flanks, with no prior of their own."""
+    """Numbers of the frictions that decide on flanks, with no prior of their own.
+
+    A joint's load must be one that they can be compared with: one that is always the same turns all flanks or none.
+    """
     if experiment.stage != "poses" or not experiment.chain.reads_flanks or not experiment.rows.used.any():
         return []
     known = {slot for prior in priors for slot in prior.slots}
@@ -158,6 +165,8 @@ class _Profile:
         ``(K, P)``: all parameters.
     weight
         ``(K,)``: of the values between which no further flank turns.
+    slope, told
+        ``(P,)``: d theta / d value, flanks held as the estimate has them; and the information on the value then, 1/Nm².
     """
 
     joint: int
@@ -165,12 +174,14 @@ class _Profile:
     cost: Array
     theta: Array
     weight: Array
+    slope: Array
+    told: float
 
     @property
     def likeliest(self) -> float:
         """The value of the lowest cost; of frictions that no load exceeds the least."""
         best = int(np.argmin(self.cost))
-        return float(self.value[min(best, len(self.value) - len(BEYOND))])
+        return float(self.value[min(best, len(self.value) - BEYOND)])
 
     @classmethod
     def of(cls, estimate: Estimate, friction: int) -> _Profile:
@@ -181,16 +192,19 @@ class _Profile:
         none[friction] = 0.0
         pressing = _pressing(estimate, none)
         direction = estimate.experiment.rows.signals["direction"][row, joint]
-        without, now = pressing[row, joint], _pressing(estimate, estimate.theta)[row, joint]
+        without, fitted = pressing[row, joint], _pressing(estimate, estimate.theta)[row, joint]
         contrary = np.flatnonzero(without * direction < 0.0)  # what presses against the direction, friction turns
         order = contrary[np.argsort(np.abs(without[contrary]), kind="stable")]
-        value, width, after = _values(np.abs(without[order]))
-        side = np.where(without * now < 0.0, -1.0, 1.0)
-        theta, cost, normal = _Loose.of(estimate, friction, gap).fitted(value, visit, side, order, after)
+        value, width, after = _values(np.abs(without[order]), FAR * float(estimate.experiment.prior_std()[friction]))
+        side = np.where(without * fitted < 0.0, -1.0, 1.0)
+        loose = _Loose.of(estimate, friction, gap)
+        theta, cost, normal, slopes, curvature = loose.fitted(value, visit, side, order, after)
         variance = variance_along(estimate, np.array([gap]))
         log = -0.5 * cost / variance - 0.5 * np.log(normal) + np.log(width)
         weight = np.exp(log - log.max())
-        return cls(joint, value, cost, theta, weight / weight.sum())
+        now = int(np.argmin(np.abs(value - estimate.theta[friction])))
+        told = max(float(curvature[now]), 0.0) / variance
+        return cls(joint, value, cost, theta, weight / weight.sum(), slopes[now], told)
 
 
 def _pressing(estimate: Estimate, theta: Array) -> Array:
@@ -201,15 +215,16 @@ def _pressing(estimate: Estimate, theta: Array) -> Array:
     return found
 
 
-def _values(turns: Array) -> tuple[Array, Array, Integers]:
+def _values(turns: Array, most: float) -> tuple[Array, Array, Integers]:
     """Frictions to try ``(K,)``, Nm, how wide the range is that each stands for, and how many flanks turn below it.
 
-    ``turns``: at which frictions flanks turn, in their order.
+    ``turns``: at which frictions flanks turn, in their order; ``most``: a friction that hardly any bearing has.
     """
-    at = np.unique(np.r_[turns, np.linspace(0.0, turns.max(initial=0.0), LEAST)])
+    at = np.unique(np.r_[turns, np.linspace(0.0, turns.max(initial=1e-6), LEAST)])
     chosen = np.unique(np.linspace(0, len(at) - 1, min(len(at), CELLS)).astype(int))
     edge = at[chosen]
-    inside, beyond = 0.5 * (edge[1:] + edge[:-1]), max(float(edge[-1]), 1e-6) * (1e-3 + np.array(BEYOND))
+    inside, last = 0.5 * (edge[1:] + edge[:-1]), 1.001 * float(edge[-1])
+    beyond = np.geomspace(last, max(most, 10.0 * last), BEYOND)
     value = np.r_[inside, beyond]
     width = np.r_[np.diff(edge), np.gradient(beyond)]
     return value, width, np.asarray(np.searchsorted(turns, value), dtype=np.int64)
@@ -262,8 +277,10 @@ class _Loose:
 
     def fitted(
         self, value: Array, visit: Integers, side: Array, order: Integers, after: Integers
-    ) -> tuple[Array, Array, Array]:
-        """Best parameters ``(K, P)``, their cost ``(K,)``, and the normal equation of the clearance ``(K,)``.
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Best parameters ``(K, P)``, their cost ``(K,)``, and what the normal equations say of them.
+
+        That is, the clearance's own ``(K,)``, d parameters / d friction ``(K, P)``, and the friction's own ``(K,)``.
 
         Parameters
         ----------
@@ -284,23 +301,29 @@ class _Loose:
         def turned(products: Array) -> Array:
             """``(K, ...)``: sums of products with the clearance's column, with as many visits turned."""
             steps = np.cumsum(-2.0 * by_visit(products[: self.rows])[order], axis=0)
-            return np.asarray(products.sum(axis=0) + np.concatenate([np.zeros_like(steps[:1]), steps])[after])
+            return np.asarray(products.sum(axis=0) + np.concatenate([np.zeros((1, *steps.shape[1:])), steps])[after])
 
         root = linalg.cholesky(X.T @ X, lower=True)
         r, f = self.residual, self.friction
         known = linalg.solve_triangular(root, np.stack([X.T @ r, X.T @ f], axis=1), lower=True)
         inside = linalg.solve_triangular(root, turned(C[:, None] * X).T, lower=True)  # (R, K)
         normal = np.maximum(C @ C - np.sum(inside**2, axis=0), 1e-12 * (C @ C))
-        slope = turned(C * r) - inside.T @ known[:, 0] - value * (turned(C * f) - inside.T @ known[:, 1])
+        by_friction = turned(C * f) - inside.T @ known[:, 1]
+        slope = turned(C * r) - inside.T @ known[:, 0] - value * by_friction
         gap = np.maximum(slope / normal, 0.0)
+        gap_by = -by_friction / normal
         squares = np.array([[r @ r, r @ f], [r @ f, f @ f]]) - known.T @ known
         apart = squares[0, 0] - 2.0 * value * squares[0, 1] + value**2 * squares[1, 1]
         cost = apart - gap * (2.0 * slope - gap * normal)
         step = linalg.solve_triangular(root.T, known[:, :1] - value * known[:, 1:] - gap * inside, lower=False)
+        step_by = linalg.solve_triangular(root.T, -known[:, 1:] - gap_by * inside, lower=False)
         theta = np.tile(self.estimate.theta, (len(value), 1))
+        slopes = np.zeros_like(theta)
         theta[:, self.index] += (self.size[:, None] * step).T
         theta[:, self.at[0]], theta[:, self.at[1]] = value, gap
-        return theta, cost, normal
+        slopes[:, self.index] = (self.size[:, None] * step_by).T
+        slopes[:, self.at[0]], slopes[:, self.at[1]] = 1.0, gap_by
+        return theta, cost, normal, slopes, squares[1, 1] - by_friction**2 / normal
 
 
 def _load_variance(estimate: Estimate, joint: int) -> float:

@@ -15,7 +15,8 @@ from experiments.virtual_robot.plant import Attachments, Drive, Plant
 from experiments.virtual_robot.play import slipping
 
 HARDENED = 0.8  # of the rated torque, up to which springs harden
-NEGLIGIBLE_LOAD = 0.5  # Nm at the joint; below it, seals hold the arm on the flank that it came from
+SEALS = 0.5  # Nm at the joint; below it, seals hold the arm on the flank that it came from
+SMALL = 100.0  # Nm: of joints of less rated torque the seals are smaller as well
 
 
 def motor_angles(drive: Drive, q: Array) -> Array:
@@ -82,9 +83,14 @@ def transmitted(plant: Plant, load: Array, direction: Array) -> Array:
     return load + plant.friction.arm * direction
 
 
-def flank(tau: Array, direction: Array) -> Array:
+def seals(drive: Drive) -> Array:
+    """Return the load, Nm, (n,), below which seals hold a joint on the flank that it came from."""
+    return np.asarray(SEALS * np.minimum(drive.rated / SMALL, 1.0), dtype=float)
+
+
+def flank(drive: Drive, tau: Array, direction: Array) -> Array:
     """Return the side of the gap on which a drive presses, ±1."""
-    return np.where(np.abs(tau) < NEGLIGIBLE_LOAD, direction, np.sign(tau))
+    return np.where(np.abs(tau) < seals(drive), direction, np.sign(tau))
 
 
 def arm_at_rest(plant: Plant, bodies: Bodies, q: Array, direction: Array) -> tuple[Array, Array]:
@@ -112,5 +118,5 @@ def arm_at_rest(plant: Plant, bodies: Bodies, q: Array, direction: Array) -> tup
     for _ in range(4):  # each pass gains about three digits
         tau = transmitted(plant, static_load(plant, bodies, arm), direction)
         slip = -slipping(drive.slip, drive.slip_torque, tau)
-        arm = ideal - tau @ C - nonlinear_yield(drive, tau) - slip - 0.5 * drive.gap * flank(tau, direction)
+        arm = ideal - tau @ C - nonlinear_yield(drive, tau) - slip - 0.5 * drive.gap * flank(drive, tau, direction)
     return arm, tau

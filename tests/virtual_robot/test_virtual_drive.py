@@ -78,7 +78,7 @@ def test_the_arm_at_rest_is_in_equilibrium(plant, bodies, q):
     expected = transmitted(plant, static_load(plant, bodies, arm), direction)
     np.testing.assert_allclose(tau, expected, atol=2e-5)
     ideal = gear_output(plant.drive, motor_angles(plant.drive, q), plant.geometry.zero)
-    lag = tau @ compliance_matrix(plant.drive) + 0.5 * plant.drive.gap * flank(tau, direction)
+    lag = tau @ compliance_matrix(plant.drive) + 0.5 * plant.drive.gap * flank(plant.drive, tau, direction)
     np.testing.assert_allclose(ideal - arm, lag, atol=1e-9)
 
 
