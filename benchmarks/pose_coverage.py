@@ -29,15 +29,12 @@ from virtual_arms import ARMS, arm
 
 from clampid.catalogue import catalogue
 from clampid.identify import identify, stage_rows
-from clampid.layout import coupled_joints
 from clampid.model import StageModel
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
-from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.rows import Rows
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Measured, Plant, measure
-from experiments.virtual_robot.drive import seals
 from kinematics.robot import RobotDescription
 
 Array = npt.NDArray[np.float64]
@@ -139,19 +136,6 @@ def true_parameters(rows: Rows, stage: StageModel, measured: Measured, robot: Ro
     return theta, rms(trial.residual(theta)[0])
 
 
-def shown_friction(plant: Plant, robot: RobotDescription, joint: int) -> float:
-    """The dry friction on a joint's arm side, Nm, as what there is to tell it by shows it.
-
-    Logs of a coupled wrist tell what rubs. Elsewhere flanks do, which the seals hold as well: beyond what the pose
-    stage takes any bearing for, they are part of it.
-    """
-    rubs = float(plant.friction.arm[joint])
-    if joint in coupled_joints(robot):
-        return rubs
-    taken_for_any = REST_FRICTION * float(robot.joints[joint].rated_torque or 0.0)
-    return max(rubs + float(seals(plant.drive)[joint]) - taken_for_any, 0.0)
-
-
 def plant_values(plant: Plant, robot: RobotDescription) -> Mapping[Slot, float]:
     """What springs, clearances, friction and masses of an individual are, as parameters of the effects."""
     values: dict[Slot, float] = {}
@@ -159,7 +143,7 @@ def plant_values(plant: Plant, robot: RobotDescription) -> Mapping[Slot, float]:
         at = f"joint{j + 1}"
         values[Slot("joint_compliance", "c", at)] = 1.0 / plant.drive.spring[j]
         values[Slot("backlash", "gap", at)] = plant.drive.gap[j]
-        values[Slot("wrist_coupling_friction", "F", at)] = shown_friction(plant, robot, j)
+        values[Slot("wrist_coupling_friction", "F", at)] = plant.friction.arm[j]
         true, link = plant.masses, robot.links[j]
         beyond = np.r_[true.link[j] - link.mass, true.link[j] * true.com[j] - link.mass * np.asarray(link.com)]
         for name, value in zip(("m", "mx", "my", "mz"), beyond, strict=True):

@@ -14,6 +14,7 @@ from kinematics import (
     add_tool,
     gravity_parameters,
     gravity_regressor,
+    gravity_stiffness,
     gravity_torque,
     joint_transforms,
     load_robot,
@@ -63,6 +64,16 @@ def test_is_the_derivative_of_the_potential_energy(robot, rng):
     for i, found in enumerate(gravity_torque(robot, q, TILTED)):
         dq = step * np.eye(robot.n)[i]
         assert found == pytest.approx((energy(q + dq) - energy(q - dq)) / (2 * step), abs=1e-5)
+
+
+def test_stiffness_is_the_derivative_of_the_torque(robot, rng):
+    q, phi = rng.uniform(-1.5, 1.5, (20, robot.n)), gravity_parameters(robot.links)
+    K = gravity_stiffness(robot.screws, q, phi, TILTED)
+    step = 1e-6
+    for j in range(robot.n):
+        up, down = (gravity_regressor(robot.screws, q + s * step * np.eye(robot.n)[j], TILTED) @ phi for s in (1, -1))
+        np.testing.assert_allclose(K[:, :, j], (up - down) / (2 * step), atol=1e-7 * np.abs(K).max())
+    np.testing.assert_array_equal(K, np.swapaxes(K, 1, 2))
 
 
 def test_static_sign():

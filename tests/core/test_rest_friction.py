@@ -1,0 +1,75 @@
+"""Dry friction that only the flanks of poses tell: found past their flips, with the error that they leave."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pose_coverage
+import pytest
+from virtual_arms import ARMS, arm
+
+import clampid.rest_friction
+from clampid.fit import solve
+from clampid.identify import identify
+from clampid.model import Model
+from clampid.reopen import reopen
+from clampid.rest_friction import _cost, _Profile
+from clampid.slots import Slot
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
+from experiments.virtual_robot import measure
+
+UNCOUPLED = "abb_irb4600_40_255"  # its description has no gears: logs do not tell the wrist's friction
+
+
+@cache
+def robot_and_model() -> tuple[Campaign, Model]:
+    measured = measure(
+        arm(UNCOUPLED),
+        seed=pose_coverage.BETWEEN_ARMS * ARMS.index(UNCOUPLED) + 2,
+        tables=("free_air", "wrist", "poses"),
+    )
+    campaign = measured_campaign(measured, arm(UNCOUPLED))
+    return campaign, identify(campaign)
+
+
+def test_frictions_and_clearances_of_an_uncoupled_wrist():
+    """Of this robot a search that moved its flanks ended with clearances ten standard errors off, friction at 42 Nm."""
+    errors = pose_coverage.trial(UNCOUPLED, 2).errors
+    wrist = [f"{name}@joint{j}" for name in ("backlash.gap", "joint_compliance.c") for j in (4, 5)]
+    assert "wrist_coupling_friction.F@joint5" in errors
+    assert max(abs(errors[name]) for name in wrist) < 3.5
+    assert abs(errors["wrist_coupling_friction.F@joint5"]) < 3.5
+
+
+def test_a_fit_again_holds_the_frictions_where_they_were(monkeypatch: pytest.MonkeyPatch):
+    campaign, model = robot_and_model()
+    monkeypatch.setattr(clampid.rest_friction, "_solved", None)  # nothing is sought
+    stage = model.stages["poses"]
+    found = reopen(model, campaign).refit("poses").model
+    k = stage.slots.index(Slot("wrist_coupling_friction", "F", "joint5"))
+    assert found.theta[k] == pytest.approx(stage.theta[k], abs=1e-6)
+    np.testing.assert_allclose(found.theta, stage.theta, atol=0.1 * stage.std.max(), rtol=0.1)
+
+
+def test_a_profile_is_what_fits_with_the_friction_held_there():
+    """To first order: linear in all but the product of friction and compliance, so near the fit."""
+    campaign, model = robot_and_model()
+    estimate = reopen(model, campaign).refit("poses").estimate
+    k = estimate.slots.index(Slot("wrist_coupling_friction", "F", "joint5"))
+    profile = _Profile.of(estimate, k)
+    best = int(np.argmin(profile.cost))
+    assert abs(profile.value[best] - estimate.theta[k]) < 0.5
+    off = (profile.theta[best] - estimate.theta) / estimate.std
+    assert np.abs(off).max() < 0.5
+    assert profile.weight.sum() == pytest.approx(1.0)
+    # What is said to be lost elsewhere is what a fit with the friction held there loses.
+    near = np.flatnonzero(np.abs(profile.value - profile.value[best]) < 2.0)
+    at = int(near[np.argmax(profile.cost[near])])
+    theta, mean = estimate.theta.copy(), estimate.prior_mean.copy()
+    theta[k] = mean[k] = profile.value[at]
+    found = solve(estimate.experiment, theta, estimate.noise, estimate.prior_precision, mean)
+    lost = _cost(found) - _cost(estimate)
+    assert lost > 20.0
+    assert profile.cost[at] - profile.cost[best] == pytest.approx(lost, rel=0.1, abs=3.0)
