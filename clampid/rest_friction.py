@@ -105,7 +105,7 @@ def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
         profile = _Profile.of(estimate, k)
         off = profile.theta - estimate.theta
         covariance += (profile.weight * off.T) @ off
-        # Flanks tell friction and seals beside the load: as far as these are not known, the friction is not, unless what
+        # Flanks tell friction and seals beside the load: as far as these are not known, friction is not, unless what
         # it winds up tells it.
         seals = SEALS * float(np.abs(estimate.experiment.rows.signals["rest_direction"][:, profile.joint]).max())
         load = _load_variance(estimate, profile.joint) + seals**2
