@@ -14,7 +14,7 @@ from clampid.base_parameters import base_parameters
 from clampid.begin import begun
 from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
-from clampid.fit import Estimate, fit
+from clampid.fit import Estimate, fit, unknown_frictions
 from clampid.gauge import independent_geometry
 from clampid.kept_friction import with_kept_friction
 from clampid.mean_norm import compared, mean_norm
@@ -152,13 +152,14 @@ def _model_of(
 ) -> StageModel:
     count, fitted = len(estimate.slots), estimate.experiment.rows
     bad = np.flatnonzero(estimate.outliers)
+    unknown = unknown_frictions(estimate) if rows.stage == "poses" else []
     return StageModel(
         stage=rows.stage,
         terms=tuple(terms),
         slots=estimate.slots,
         theta=estimate.theta[:count],
         covariance=estimate.covariance[:count, :count],
-        identified=tuple(bool(b) for b in estimate.identified[:count]),
+        identified=tuple(bool(b) and k not in unknown for k, b in enumerate(estimate.identified[:count])),
         held_out=tuple(tuple(f) for f in held),
         outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
         null_directions=null_directions(estimate),

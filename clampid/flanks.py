@@ -22,7 +22,7 @@ from clampid.stages.rows import Array
 __all__ = ["mirrored", "settled"]
 
 ROUNDS = 8
-SAGS = 0.05  # of the largest: loads follow where the arm stands a thousand times less than this again
+SAGS = 1e-5  # of the largest: what loads follow of where the arm stands is a few thousandths of them again
 
 
 class Found(Protocol):
