@@ -266,7 +266,8 @@ class _Loose:
         precision[friction], precision[:, friction] = 0.0, 0.0
         precision[friction, friction], mean[friction] = assumed[friction, friction], at_first[friction]
         scale = np.sqrt(np.diag(precision))
-        root = linalg.cholesky(precision / np.outer(scale, scale)) * scale
+        square, axes = linalg.eigh(precision / np.outer(scale, scale))
+        root = np.sqrt(np.maximum(square, 0.0))[:, None] * axes.T * scale
         J = np.concatenate([white.jacobian, root])
         residual = np.concatenate([white.residual, root @ (mean - theta)])
         residual = residual + J[:, gap] * theta[gap] + J[:, friction] * theta[friction]

@@ -84,7 +84,7 @@ def test_the_last_stage_is_where_the_joint_fit_is(apart: Model, joint: Model):
     a, b = apart.stages["poses"], joint.stages["poses"]
     assert a.slots == b.slots
     told = np.array(a.identified)
-    np.testing.assert_allclose(((a.theta - b.theta) / b.std)[told], 0.0, atol=1.0)  # a standard error
+    np.testing.assert_allclose(((a.theta - b.theta) / a.std)[told], 0.0, atol=1.0)  # a standard error
 
 
 def test_held_out_rows_are_not_worse(apart: Model, joint: Model):
