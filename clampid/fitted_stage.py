@@ -15,6 +15,7 @@ from clampid.begin import begun
 from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
 from clampid.fit import Estimate, fit, unknown_frictions
+from clampid.friction_start import with_friction_start
 from clampid.gauge import independent_geometry
 from clampid.kept_friction import with_kept_friction
 from clampid.mean_norm import compared, mean_norm
@@ -117,14 +118,19 @@ def fit_stage(
         estimate = fit(trial, (told,), start)
     else:
         priors, carried = carried_over(rows, before)
-        friction = with_rest_friction(trial, priors, {**carried, **start})
+        if "free_air" in before:
+            friction = with_rest_friction(trial, priors, {**carried, **start})
+        else:
+            friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
         estimate = fit(trial, (*priors, *friction.priors), friction.start)
         alone = with_open_friction(estimate, friction.held)
         drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
         contradicted = drives.contradicted
         if drives.prior is not None:
             priors = (*priors, drives.prior)
-            friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
+            friction = RestFriction(estimate.values(), None)
+            if "free_air" in before:
+                friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
             estimate = fit(trial, (*priors, *friction.priors), friction.start)
     estimate = with_kept_friction(estimate)
     if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share

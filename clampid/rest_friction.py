@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from clampid.fit import Estimate, prior_of, solve, start_of, variance_along
-from clampid.noise import initial_noise
+from clampid.noise import NORMAL, initial_noise
 from clampid.repeatability import sums_over
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
@@ -29,12 +29,13 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
-FRICTION = "wrist_coupling_friction"
+FRICTION, CLEARANCE = "wrist_coupling_friction", "backlash"
 ROUNDS = 6  # of all joints, at most
 CELLS, LEAST = 2000, 33  # values tried, at most and at least
 VARIES = 0.1  # of the heaviest load
 BEYOND, FAR = 16, 3.0  # frictions that no load exceeds: so many, to as many standard deviations of the prior
 SEALS = 3.0  # of what any bearing is taken to rub: lips on shafts of 40 and 80 mm rub with 0.1 and 0.5 Nm
+MISSES = 3.0  # of the noise's squares
 BETTER = 0.1  # of chi-square
 
 
@@ -64,7 +65,8 @@ def with_rest_friction(
 ) -> RestFriction:
     """Seek the frictions that decide on flanks and of which nothing but the poses tells.
 
-    Where ``start`` has them all they are held there, unless they are to be sought ``anew``.
+    Where ``start`` has them all they are held there, unless they are to be sought ``anew``. Where the model leaves more
+    than noise none is held: flanks would explain what it lacks, and nothing could move them afterwards.
 
     Raises
     ------
@@ -75,10 +77,12 @@ def with_rest_friction(
     if not open_:
         return RestFriction(start, None)
     theta = start_of(experiment, start, priors)
-    if not anew and all(experiment.slots[k] in start for k in open_):
-        return RestFriction(start, _held(experiment, open_, theta))
-    at = theta
-    estimate = _solved(experiment, priors, open_, at)
+    places = {experiment.slots[k].place for k in open_}
+    deciding = [s for s in experiment.slots if s.effect in (FRICTION, CLEARANCE) and s.place in places]
+    if not anew and all(slot in start for slot in deciding):
+        held = _held(experiment, open_, theta)
+        return RestFriction(start, None if _misses(experiment, experiment.residual(theta)[0]) else held)
+    estimate = _solved(experiment, priors, open_, theta)
     for _ in range(ROUNDS):
         before = estimate
         for k in open_:
@@ -92,7 +96,14 @@ def with_rest_friction(
                 estimate = found
         if estimate is before:
             break
-    return RestFriction(estimate.values(), _held(experiment, open_, estimate.theta))
+    held = _held(experiment, open_, estimate.theta)
+    return RestFriction(estimate.values(), None if _misses(experiment, estimate.residual) else held)
+
+
+def _misses(experiment: Experiment, residual: Array) -> bool:
+    """Whether two thirds of the squares left ``(N, m)`` are not the instrument's noise, lost points not counted."""
+    white = (experiment.rows.in_noise_axes(residual) / experiment.rows.sigma)[experiment.rows.used]
+    return float(NORMAL * np.median(np.abs(white))) ** 2 > MISSES
 
 
 def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
@@ -126,7 +137,7 @@ def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
     load = np.where(contrary, np.abs(signals["gravity_torque"]) - np.abs(signals["rest_direction"]), 0.0)
     out = []
     for k, slot in enumerate(experiment.slots):
-        if slot.effect != FRICTION or slot in known or Slot("backlash", "gap", slot.place) not in experiment.slots:
+        if slot.effect != FRICTION or slot in known or Slot(CLEARANCE, "gap", slot.place) not in experiment.slots:
             continue
         joint = int(slot.place.removeprefix("joint")) - 1
         turns = load[load[:, joint] > 0.0, joint]
@@ -188,7 +199,7 @@ class _Profile:
     @classmethod
     def of(cls, estimate: Estimate, friction: int) -> _Profile:
         joint = int(estimate.slots[friction].place.removeprefix("joint")) - 1
-        gap = estimate.slots.index(Slot("backlash", "gap", f"joint{joint + 1}"))
+        gap = estimate.slots.index(Slot(CLEARANCE, "gap", f"joint{joint + 1}"))
         row, visit = np.unique(estimate.experiment.rows.unit, return_index=True, return_inverse=True)[1:]
         none = estimate.theta.copy()
         none[friction] = 0.0

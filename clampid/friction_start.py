@@ -1,0 +1,104 @@
+"""Where a pose fit begins with the joints' dry friction: past the flips of flanks that a search cannot cross.
+
+Friction F and load decide together on which flank a joint rests after a stop, s = sign(load + F dir), and a fit holds
+the flanks while it searches. Rows whose flank is wrong at the start pull F to where it is wrong still: every such fixed
+point is a local minimum. So a few frictions between none and the joint's heaviest load are tried at each joint that
+nothing is known of, each with the flanks that it gives, and the best is where the fit begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from clampid.fit import Estimate, Limits, limits_of, newton_step, prior_of, solve, stage_point, start_of
+from clampid.noise import initial_noise
+from clampid.slots import Prior, Slot
+from clampid.stages import poses
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array
+
+__all__ = ["with_friction_start"]
+
+FRICTION = "wrist_coupling_friction"
+SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
+PASSES = 2
+
+
+def with_friction_start(
+    experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float]
+) -> Mapping[Slot, float]:
+    """The start of a fit with values of all slots, where poses have to tell a friction that nothing is known of.
+
+    Raises
+    ------
+    clampid.fit.FitError
+        The model gives no finite prediction.
+    """
+    known = {*start, *(slot for prior in priors for slot in prior.slots)}
+    open_ = [k for k, s in enumerate(experiment.slots) if s.effect == FRICTION and s not in known]
+    reads = experiment.stage == "poses" and experiment.chain.reads_flanks
+    if not open_ or not reads or not experiment.rows.used.any():
+        return start
+    precision, mean = prior_of(experiment, priors)
+    theta = start_of(experiment, start, priors)
+    mean = np.where(experiment.held(), theta, mean)
+    best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
+    for _ in range(PASSES):
+        before = _cost(best)
+        for k in open_:
+            best = _past_flips(best, k)
+        if _cost(best) >= before:
+            break
+    return best.values()
+
+
+def _past_flips(estimate: Estimate, friction: int) -> Estimate:
+    """The estimate, or a better one that begins with another value of one joint's friction."""
+    experiment, limits = estimate.experiment, limits_of(estimate.experiment)
+    joint = int(experiment.slots[friction].place.removeprefix("joint")) - 1
+    none = estimate.theta.copy()
+    none[friction] = 0.0
+    pressing = poses.pressing(experiment.rows, experiment.chain, none)
+    if pressing is None:
+        return estimate
+    seen = [_flanks(experiment, estimate.theta)]
+    best, reached = None, _cost(estimate)
+    for value in np.quantile(np.abs(pressing[:, joint]), SHARES):
+        theta = none.copy()
+        theta[friction] = value
+        flanks = _flanks(experiment, theta)
+        if any(np.array_equal(flanks, other) for other in seen):
+            continue
+        seen.append(flanks)
+        there, cost = _step(estimate, theta, limits)
+        if cost < reached:
+            best, reached = there, cost
+    if best is None:
+        return estimate
+    found = solve(experiment, best, estimate.noise, estimate.prior_precision, estimate.prior_mean)
+    return found if _cost(found) < _cost(estimate) else estimate
+
+
+def _flanks(experiment: Experiment, theta: Array) -> Array:
+    found = poses.flanks(experiment.rows, experiment.chain, theta)
+    return np.zeros(0) if found is None else found
+
+
+def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, float]:
+    """One Newton step from ``theta`` with the flanks held there, and the cost that it promises."""
+    point = stage_point(estimate.experiment.with_flanks(theta), estimate.noise, theta)
+    A, g = point.normal()
+    off = theta - estimate.prior_mean
+    A, g = A + estimate.prior_precision, g - estimate.prior_precision @ off
+    step = newton_step(A, g, limits.size, 0.0, np.ones(len(theta), dtype=bool))
+    cost = point.cost + float(off @ estimate.prior_precision @ off)
+    return theta + step, cost - float(g @ step)
+
+
+def _cost(estimate: Estimate) -> float:
+    """Whitened squares of rows and prior, at the flanks that the parameters give."""
+    point = stage_point(estimate.experiment.with_flanks(estimate.theta), estimate.noise, estimate.theta)
+    off = estimate.theta - estimate.prior_mean
+    return point.cost + float(off @ estimate.prior_precision @ off)
