@@ -66,7 +66,8 @@ def with_rest_friction(
     """Seek the frictions that decide on flanks and of which nothing but the poses tells.
 
     Where ``start`` has them all they are held there, unless they are to be sought ``anew``. Where the model leaves more
-    than noise none is held: flanks would explain what it lacks, and nothing could move them afterwards.
+    than noise, or a clearance has just been added, none is held: flanks would explain what else it lacks, and nothing
+    could move them afterwards.
 
     Raises
     ------
@@ -77,11 +78,11 @@ def with_rest_friction(
     if not open_:
         return RestFriction(start, None)
     theta = start_of(experiment, start, priors)
-    places = {experiment.slots[k].place for k in open_}
-    deciding = [s for s in experiment.slots if s.effect in (FRICTION, CLEARANCE) and s.place in places]
-    if not anew and all(slot in start for slot in deciding):
-        held = _held(experiment, open_, theta)
-        return RestFriction(start, None if _misses(experiment, experiment.residual(theta)[0]) else held)
+    if not anew and all(experiment.slots[k] in start for k in open_):
+        places = {experiment.slots[k].place for k in open_}
+        new = any(s.effect == CLEARANCE and s.place in places and s not in start for s in experiment.slots)
+        free = new or _misses(experiment, experiment.residual(theta)[0])
+        return RestFriction(start, None if free else _held(experiment, open_, theta))
     estimate = _solved(experiment, priors, open_, theta)
     for _ in range(ROUNDS):
         before = estimate

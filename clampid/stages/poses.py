@@ -73,17 +73,20 @@ def held(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]:
     if not chain.reads_flanks and chain.yield_function is None:
         return rows.signals
     level = {**rows.signals, "sag_torque": np.zeros((len(rows), rows.robot.n))}
-    found = chain.pressing(theta, {**level, "flank": level["sag_torque"]})
-    level["flank"] = level["sag_torque"] if found is None else np.sign(found)
+    if chain.reads_flanks:
+        found = chain.pressing(theta, {**level, "flank": level["sag_torque"]})
+        level["flank"] = level["sag_torque"] if found is None else np.sign(found)
     off = chain.yields(theta, level)
     if off is None:
         return level
-    return {**level, "sag_torque": np.einsum("nij,nj->ni", rows.signals["weight_stiffness"], off)}
+    return {**level, "yielded": off, "sag_torque": np.einsum("nij,nj->ni", rows.signals["weight_stiffness"], off)}
 
 
 def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
     """Deviations at the flanks and loads that are held, or else at those that these parameters give."""
-    return chain.evaluate(theta, rows.signals if "flank" in rows.signals else held(rows, chain, theta))
+    follows = chain.reads_flanks and "flank" not in rows.signals
+    follows |= chain.yield_function is not None and "yielded" not in rows.signals
+    return chain.evaluate(theta, held(rows, chain, theta) if follows else rows.signals)
 
 
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
