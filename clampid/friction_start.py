@@ -4,6 +4,9 @@ Friction F and load decide together on which flank a joint rests after a stop, s
 the flanks while it searches. Rows whose flank is wrong at the start pull F to where it is wrong still: every such fixed
 point is a local minimum. So a few frictions between none and the joint's heaviest load are tried at each joint that
 nothing is known of, each with the flanks that it gives, and the best is where the fit begins.
+
+This is for poses without torque logs, whose loads are only what the description says. Where logs tell the loads beside
+which flanks tell friction, :mod:`clampid.rest_friction` seeks it apart from all else, and holds it.
 """
 
 from __future__ import annotations

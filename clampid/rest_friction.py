@@ -9,6 +9,8 @@ What these fits cost is what the poses say of the friction. It has steps and may
 equations tell its error: its distribution does, and what else of the parameters moves along with it. Their second
 moment is added to the covariance. Source: profile likelihood, as in Venzon, Moolgavkar, Applied Statistics 37, 1988,
 taken for a posterior with the prior that the friction has.
+
+Loads have to be known for this, from torque logs; without, a fit only begins well: :mod:`clampid.friction_start`.
 """
 
 from __future__ import annotations
