@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from clampid.fit import Estimate, clamping_offsets, limits_of, newton_step, solve
+from clampid.descent import newton_step
 from clampid.noise import Noise
+from clampid.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 

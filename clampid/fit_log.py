@@ -17,10 +17,12 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE, FitError, Limits, descend
+from clampid.descent import Limits, descend
+from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE
 from clampid.moments import LogPoint, Moments, minimise
 from clampid.noise import NORMAL
 from clampid.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.solve import FitError
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians

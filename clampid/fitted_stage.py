@@ -14,7 +14,7 @@ from clampid.base_parameters import base_parameters
 from clampid.begin import begun
 from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
-from clampid.fit import Estimate, fit, unknown_frictions
+from clampid.fit import fit
 from clampid.friction_start import with_friction_start
 from clampid.gauge import independent_geometry
 from clampid.kept_friction import with_kept_friction
@@ -25,8 +25,10 @@ from clampid.observability import observability, projected
 from clampid.open_flanks import with_open_flanks
 from clampid.rest_friction import RestFriction, with_open_friction, with_rest_friction
 from clampid.slots import Prior, Slot, Term, slots_of_terms
+from clampid.solve import Estimate
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
+from clampid.unknown_friction import unknown_frictions
 
 __all__ = ["Cost", "FittedStage", "active_slots", "fit_stage"]
 

@@ -15,9 +15,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from clampid.fit import Estimate, Limits, limits_of, newton_step, prior_of, solve, stage_point, start_of
+from clampid.descent import Limits, newton_step
 from clampid.noise import initial_noise
 from clampid.slots import Prior, Slot
+from clampid.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
@@ -36,7 +37,7 @@ def with_friction_start(
 
     Raises
     ------
-    clampid.fit.FitError
+    clampid.solve.FitError
         The model gives no finite prediction.
     """
     known = {*start, *(slot for prior in priors for slot in prior.slots)}
@@ -49,10 +50,10 @@ def with_friction_start(
     mean = np.where(experiment.held(), theta, mean)
     best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
     for _ in range(PASSES):
-        before = _cost(best)
+        before = best.cost
         for k in open_:
             best = _past_flips(best, k)
-        if _cost(best) >= before:
+        if best.cost >= before:
             break
     return best.values()
 
@@ -67,7 +68,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     if pressing is None:
         return estimate
     seen = [_flanks(experiment, estimate.theta)]
-    best, reached = None, _cost(estimate)
+    best, reached = None, estimate.cost
     for value in np.quantile(np.abs(pressing[:, joint]), SHARES):
         theta = none.copy()
         theta[friction] = value
@@ -81,7 +82,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     if best is None:
         return estimate
     found = solve(experiment, best, estimate.noise, estimate.prior_precision, estimate.prior_mean)
-    return found if _cost(found) < _cost(estimate) else estimate
+    return found if found.cost < estimate.cost else estimate
 
 
 def _flanks(experiment: Experiment, theta: Array) -> Array:
@@ -98,10 +99,3 @@ def _step(estimate: Estimate, theta: Array, limits: Limits) -> tuple[Array, floa
     step = newton_step(A, g, limits.size, 0.0, np.ones(len(theta), dtype=bool))
     cost = point.cost + float(off @ estimate.prior_precision @ off)
     return theta + step, cost - float(g @ step)
-
-
-def _cost(estimate: Estimate) -> float:
-    """Whitened squares of rows and prior, at the flanks that the parameters give."""
-    point = stage_point(estimate.experiment.with_flanks(estimate.theta), estimate.noise, estimate.theta)
-    off = estimate.theta - estimate.prior_mean
-    return point.cost + float(off @ estimate.prior_precision @ off)

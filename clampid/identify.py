@@ -11,13 +11,13 @@ import numpy as np
 from clampid.bootstrap import bootstrap as by_poses
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
-from clampid.fit import FitError
 from clampid.fitted_stage import Cost, FittedStage, fit_stage
 from clampid.identify_log import LogStage
 from clampid.joint import JointPart, fit_jointly
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.slots import Layout, Term, parse_term
+from clampid.solve import FitError
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.log_facts import log_parts, steady_share
 from clampid.stages.pose_rows import pose_rows

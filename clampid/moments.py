@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.fit import ITERATIONS, NEGLIGIBLE, inverse_of, newton_step
+from clampid.descent import ITERATIONS, NEGLIGIBLE, newton_step
 from clampid.stages.rows import Array, Bools, Integers
 
-__all__ = ["LogPoint", "Moments", "covariance_of", "minimise"]
+__all__ = ["LogPoint", "Moments", "minimise"]
 
 
 @dataclass
@@ -63,7 +63,7 @@ class Moments:
 
 @dataclass(frozen=True)
 class LogPoint:
-    """A log at one parameter vector, from its sums, as `clampid.fit.descend` sees it."""
+    """A log at one parameter vector, from its sums, as `clampid.descent.descend` sees it."""
 
     moments: Moments
 
@@ -90,7 +90,7 @@ class LogPoint:
 def minimise(
     moments: Moments, theta: Array, precision: Array, mean: Array, size: Array, free: Bools | None = None
 ) -> Moments:
-    """Least squares with prior by the steps of `clampid.fit.solve`; the sums at the solution.
+    """Least squares with prior by the steps of `clampid.solve.solve`; the sums at the solution.
 
     Parameters
     ----------
@@ -114,11 +114,3 @@ def minimise(
             break
         theta = theta + step
     return moments.moved(theta)
-
-
-def covariance_of(moments: Moments, precision: Array) -> Array:
-    """Covariance ``(P, P)`` of the solution, scaled by what the whitened residual is left with, as in `clampid.fit`."""
-    covariance = inverse_of(moments.normal + precision)
-    told = len(covariance) - float(np.sum(covariance * precision))  # parameters that the rows tell, not the prior
-    scale = moments.squares / max(moments.count - told, 1.0)
-    return np.asarray(covariance * max(scale, 1e-12))

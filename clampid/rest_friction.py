@@ -21,13 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from clampid.fit import Estimate, prior_of, solve, start_of, variance_along
 from clampid.noise import NORMAL, initial_noise
 from clampid.repeatability import sums_over
 from clampid.slots import Prior, Slot
+from clampid.solve import Estimate, prior_of, solve, start_of
 from clampid.stages import poses
 from clampid.stages.experiment import HELD, Experiment
 from clampid.stages.rows import Array, Integers
+from clampid.visits import variance_along
 
 __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
@@ -73,7 +74,7 @@ def with_rest_friction(
 
     Raises
     ------
-    clampid.fit.FitError
+    clampid.solve.FitError
         The model gives no finite prediction.
     """
     open_ = _open(experiment, priors)
@@ -162,11 +163,10 @@ def _solved(experiment: Experiment, priors: Sequence[Prior], open_: Sequence[int
 
 def _cost(estimate: Estimate) -> float:
     """Whitened squares of rows and priors, of held frictions as if they were not."""
-    white, off = estimate.whitened, estimate.theta - estimate.prior_mean
     assumed, mean = estimate.experiment.prior()
     frictions = [k for k, slot in enumerate(estimate.slots) if slot.effect == FRICTION]
     weak = sum(assumed[k, k] * (estimate.theta[k] - mean[k]) ** 2 for k in frictions)
-    return float(white.residual @ white.residual + off @ estimate.prior_precision @ off + weak)
+    return estimate.cost + float(weak)
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,8 @@ from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Refit, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import omission_of, outliers_of, summary_of
 from clampid.effect import Effect
-from clampid.fit import Estimate
 from clampid.fitted_stage import FittedStage
+from clampid.solve import Estimate
 from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]

@@ -19,7 +19,7 @@ _WRONG_INPUT = (
     ("kinematics.kuka", "MachineDataError"),
     ("clampid.effect", "EffectError"),
     ("clampid.model", "ModelError"),
-    ("clampid.fit", "FitError"),
+    ("clampid.solve", "FitError"),
 )
 _WRONG_PLACE = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 

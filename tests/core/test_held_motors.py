@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from clampid.catalogue import catalogue
-from clampid.fit import initial_noise, prior_of
 from clampid.fitted_stage import active_slots
 from clampid.held_motors import _middle, other_crossings
 from clampid.identify import identify
 from clampid.layout import layout_of
+from clampid.noise import initial_noise
 from clampid.slots import parse_term
+from clampid.solve import prior_of
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.experiment import Experiment, experiment
 from experiments.virtual_robot import Hidden, Measured, measure

@@ -10,12 +10,12 @@ import pytest
 from virtual_arms import ARMS, arm
 
 import clampid.rest_friction
-from clampid.fit import solve
 from clampid.identify import identify
 from clampid.model import Model
 from clampid.reopen import reopen
 from clampid.rest_friction import _cost, _Profile
 from clampid.slots import Slot
+from clampid.solve import solve
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure

@@ -1,0 +1,150 @@
+"""Downhill: damped Gauss-Newton on scaled normal equations with a prior, within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from scipy import linalg
+
+from clampid.stages.rows import Array, Bools
+
+__all__ = ["ITERATIONS", "NEGLIGIBLE", "Limits", "Point", "covariance_of", "descend", "inverse_of", "newton_step"]
+
+ITERATIONS = 30
+DAMPING_START, DAMPING_END = 1e-3, 1e8
+IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
+NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
+
+
+class Point(Protocol):
+    """The cost and its local quadratic model at one parameter vector, prior left out."""
+
+    @property
+    def theta(self) -> Array:
+        """Where ``(P,)``."""
+
+    @property
+    def cost(self) -> float:
+        """Sum of the whitened squares."""
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+
+    def normal(self) -> tuple[Array, Array]:
+        """Normal matrix ``(P, P)`` and downhill gradient ``(P,)`` of half the cost."""
+
+
+PointT = TypeVar("PointT", bound=Point)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a search keeps to: sizes that scale it, bounds, and which parameters ``(P,)`` they hold."""
+
+    size: Array
+    lower: Array
+    upper: Array
+    bounded: Bools
+
+    def clipped(self, theta: Array) -> Array:
+        """A parameter vector ``(P,)`` brought back within the bounds that hold."""
+        return np.where(self.bounded, np.clip(theta, self.lower, self.upper), theta)
+
+    def resting(self, theta: Array) -> Bools:
+        """Which parameters ``(P,)`` rest on a bound that holds."""
+        return np.asarray(self.bounded & ((theta <= self.lower) | (theta >= self.upper)))
+
+
+def descend(
+    at: Callable[[Array], PointT], theta: Array, precision: Array, mean: Array, limits: Limits
+) -> tuple[PointT, int]:
+    """The lowest point from ``theta`` downhill, prior included, by damped Gauss-Newton; and the iterations it took.
+
+    Parameters
+    ----------
+    at
+        The cost at a parameter vector.
+    precision, mean
+        The prior: ``(P, P)`` and ``(P,)``.
+    """
+
+    def whole(point: PointT) -> float:
+        off = point.theta - mean
+        return point.cost + float(off @ precision @ off)
+
+    def normal(point: PointT) -> tuple[Array, Array]:
+        A, g = point.normal()
+        return A + precision, g - precision @ (point.theta - mean)
+
+    best = at(theta)
+    cost, (A, g) = whole(best), normal(best)
+    damping, idle, iteration = 0.0, 0, 0
+    while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
+        iteration += 1
+        # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
+        on_bound = ((best.theta <= limits.lower) & (g < 0)) | ((best.theta >= limits.upper) & (g > 0))
+        step = newton_step(A, g, limits.size, damping, ~(limits.bounded & on_bound))
+        if float(g @ step) < NEGLIGIBLE * max(1.0, cost / max(best.count, 1)):
+            break
+        moved = best.theta + step
+        trial = at(limits.clipped(moved))
+        reached = whole(trial)
+        if reached > cost:
+            damping = max(10 * damping, DAMPING_START)
+            continue
+        # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
+        idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
+        best, cost = trial, reached
+        A, g = normal(best)
+        damping = 0.0 if damping < DAMPING_START else damping / 10
+    return best, iteration
+
+
+def newton_step(A: Array, g: Array, size: Array, damping: float, free: Bools) -> Array:
+    """Solve the normal equations of the free parameters, scaled by what each may amount to and by its column."""
+    out = np.zeros_like(g)
+    A, g, size = A[np.ix_(free, free)], g[free], size[free]
+    balance = size / np.sqrt(np.maximum(np.diag(A) * size**2, 1e-300))
+    scaled = A * np.outer(balance, balance) + damping * np.eye(len(g))
+    try:
+        step = linalg.cho_solve(linalg.cho_factor(scaled), g * balance)
+    except linalg.LinAlgError:
+        step = linalg.pinvh(scaled) @ (g * balance)
+    out[free] = step * balance
+    return out
+
+
+def inverse_of(A: Array) -> Array:
+    """Inverse of a normal matrix, its columns balanced first.
+
+    The prior makes it definite. A pseudo-inverse would drop, as numerically zero, the directions of which only the
+    prior knows anything, and give them no error at all where it is largest.
+    """
+    balance = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A * np.outer(balance, balance)
+    try:
+        inverse = linalg.cho_solve(linalg.cho_factor(scaled), np.eye(len(A)))
+    except linalg.LinAlgError:
+        inverse = linalg.pinvh(scaled)
+    inverse = 0.5 * (inverse + inverse.T)
+    return np.asarray(inverse * np.outer(balance, balance))
+
+
+def covariance_of(normal: Array, precision: Array, squares: float, count: int) -> Array:
+    """Covariance ``(P, P)`` of a fit of independent numbers, of which the residual says the scale.
+
+    Parameters
+    ----------
+    normal, precision
+        Of rows and prior, ``(P, P)``.
+    squares, count
+        The whitened squares left, and of how many numbers.
+    """
+    inverse = inverse_of(normal + precision)
+    told = len(inverse) - float(np.sum(inverse * precision))  # parameters that the rows tell, not the prior
+    scale = squares / max(count - told, 1.0)
+    return np.asarray(inverse * max(scale, 1e-12))

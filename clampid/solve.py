@@ -1,0 +1,266 @@
+"""One stage's least squares with a prior: weights given, rows given, the flanks on which gears rest followed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from clampid.descent import Limits, covariance_of, descend, inverse_of
+from clampid.flanks import mirrored, settled
+from clampid.noise import Noise, Whitened
+from clampid.repeatability import Scatter
+from clampid.slots import Prior, Slot
+from clampid.stages.clamped import loop_compliance
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Bools, Integers
+
+__all__ = [
+    "Estimate",
+    "FitError",
+    "StagePoint",
+    "clamping_offsets",
+    "holding",
+    "limits_of",
+    "prior_of",
+    "solve",
+    "stage_point",
+    "start_of",
+]
+
+
+class FitError(ValueError):
+    """The rows cannot carry the fit; the message says why."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The result of a fit.
+
+    Attributes
+    ----------
+    experiment
+        What was fitted; its rows are marked with the outliers found.
+    theta, covariance
+        ``(P + K,)`` and ``(P + K, P + K)``: values and covariance, SI.
+    noise
+        The noise model that weighted the rows.
+    whitened
+        Residual and Jacobian at the solution.
+    residual
+        ``(N, m)``, SI, of all rows, used or not.
+    outliers
+        ``(N,)``: rows rejected.
+    prior_precision, prior_mean
+        The prior that was used.
+    scatter
+        In poses, how the noise is shared between the measurement and the robot's own repeatability, where told.
+    """
+
+    experiment: Experiment
+    theta: Array
+    covariance: Array
+    noise: Noise
+    whitened: Whitened
+    residual: Array
+    outliers: Bools
+    prior_precision: Array
+    prior_mean: Array
+    iterations: int
+    scatter: Scatter | None = None
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """The slots of the first P parameters."""
+        return self.experiment.slots
+
+    @property
+    def std(self) -> Array:
+        """Standard errors ``(P + K,)``."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def identified(self) -> Bools:
+        """Which parameters ``(P + K,)`` the rows tell to within their reasonable size."""
+        return self.std < self.experiment.clear()
+
+    @property
+    def cost(self) -> float:
+        """Whitened squares of rows and prior, flanks as the parameters have them."""
+        off = self.theta - self.prior_mean
+        return self.point.cost + float(off @ self.prior_precision @ off)
+
+    @property
+    def point(self) -> StagePoint:
+        """The rows alone, where the fit has ended."""
+        return StagePoint(self.theta, self.residual, self.whitened)
+
+    def values(self) -> dict[Slot, float]:
+        """Slot → value."""
+        return {slot: float(v) for slot, v in zip(self.slots, self.theta, strict=False)}
+
+
+@dataclass(frozen=True)
+class StagePoint:
+    """One stage at one parameter vector."""
+
+    theta: Array
+    residual: Array
+    white: Whitened
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Normal matrix ``(P, P)``."""
+        return np.asarray(self.white.jacobian.T @ self.white.jacobian)
+
+    @property
+    def cost(self) -> float:
+        """Sum of the whitened squares."""
+        return float(self.white.residual @ self.white.residual)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.white.residual)
+
+    def normal(self) -> tuple[Array, Array]:
+        """Normal matrix and downhill gradient."""
+        return self.matrix, self.white.jacobian.T @ self.white.residual
+
+    def covariance(self, precision: Array) -> Array:
+        """Covariance ``(P, P)`` of a fit that has ended here, with a prior of ``precision`` ``(P, P)``."""
+        return covariance_of(self.matrix, precision, self.cost, self.count)
+
+
+def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint:
+    """One stage at ``theta`` ``(P + K,)``, flanks as they are held.
+
+    Raises
+    ------
+    FitError
+        The model gives no finite prediction.
+    """
+    residual, jacobian = experiment.residual(theta)
+    if not np.all(np.isfinite(residual)):
+        raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
+    return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
+
+
+def limits_of(experiment: Experiment) -> Limits:
+    """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
+    lower, upper = experiment.bounds()
+    return Limits(experiment.sizes(), lower, upper, experiment.bounded())
+
+
+def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
+    """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
+
+    The flanks on which gears rest follow the loads (:mod:`clampid.flanks`).
+
+    Raises
+    ------
+    FitError
+        The model gives no finite prediction.
+    """
+    theta = limits_of(experiment).clipped(theta)
+
+    def cost(held: Sequence[Experiment], at: Array) -> float:
+        return stage_point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
+
+    def found(start: Array) -> Estimate:
+        end = settled(
+            start,
+            lambda at: [experiment.with_flanks(at)],
+            lambda held, at: _search(held[0], at, noise, precision, mean),
+            cost,
+        )
+        return _at_its_own(end, experiment.with_flanks(end.theta))
+
+    estimate = found(theta)
+    image = mirrored(experiment, estimate.theta)
+    if image is not None:
+        upright = found(image)
+        if mirrored(experiment, upright.theta) is None:
+            estimate = upright
+    return replace(estimate, experiment=experiment)
+
+
+def _at_its_own(estimate: Estimate, held: Experiment) -> Estimate:
+    """The estimate on the flanks and loads that it gives, which its predictions will have."""
+    if held.rows.signals is estimate.experiment.rows.signals:
+        return estimate
+    there = stage_point(held, estimate.noise, estimate.theta)
+    covariance = there.covariance(estimate.prior_precision)
+    return replace(estimate, whitened=there.white, residual=there.residual, covariance=covariance)
+
+
+def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
+    """Damped Gauss-Newton with flanks held."""
+    best, iterations = descend(
+        lambda at: stage_point(experiment, noise, at), theta, precision, mean, limits_of(experiment)
+    )
+    return Estimate(
+        experiment=experiment,
+        theta=best.theta,
+        covariance=best.covariance(precision),
+        noise=noise,
+        whitened=best.white,
+        residual=best.residual,
+        outliers=np.zeros(len(experiment.rows), dtype=bool),
+        prior_precision=precision,
+        prior_mean=mean,
+        iterations=iterations,
+    )
+
+
+def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
+    """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
+    precision, mean = experiment.prior()
+    for prior in priors:
+        index = {slot: k for k, slot in enumerate(experiment.slots)}
+        shared = [k for k, slot in enumerate(prior.slots) if slot in index]
+        where = [index[prior.slots[k]] for k in shared]
+        if where:
+            precision[np.ix_(where, where)] = inverse_of(prior.covariance[np.ix_(shared, shared)])
+            mean[where] = prior.mean[shared]
+    return precision, mean
+
+
+def holding(experiment: Experiment, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
+    """A prior's precision ``(P + K, P + K)`` with some parameters held at its mean to ``within`` of their sizes."""
+    held = precision.copy()
+    held[chosen, chosen] += 1.0 / (within * experiment.sizes()[chosen]) ** 2
+    return held
+
+
+def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
+    """Where a fit begins ``(P + K,)``: what is known, else what the experiment says."""
+    theta = experiment.start()
+    known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
+    known |= dict(start or {})
+    # A drive without spring would be infinitely stiff, and its torque undefined: the loops' slopes are the start.
+    stiffness = loop_compliance(experiment.rows) if experiment.stage == "clamped" else np.zeros(0)
+    for k, slot in enumerate(experiment.slots):
+        if slot in known:
+            theta[k] = known[slot]
+        elif experiment.stage == "clamped" and slot.effect == "joint_compliance":
+            theta[k] = stiffness[int(slot.place.removeprefix("joint")) - 1]
+    if experiment.stage == "clamped":
+        theta[len(experiment.slots) :] = clamping_offsets(experiment, theta)
+    return theta
+
+
+def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
+    """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds.
+
+    Of the friction that held motors keep: what their last motion left, or none where that is not known.
+    """
+    rows, n = experiment.rows, experiment.rows.robot.n
+    torque = rows.constants["start_torque"]
+    d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
+    wound = rows.constants["wound"] + d.values[:, :n]
+    run = rows.constants["run"]
+    keys, kept = rows.constants["offset_keys"], rows.constants["kept_sign"] * rows.constants["held_friction"]
+    return np.array([wound[run == s, j].mean() if j < n else kept[s, j - n] for s, j in keys])

@@ -1,0 +1,82 @@
+"""Joints' dry friction of which a pose fit's rows say nothing: none is taken, and the errors are those at none.
+
+What a joint yields to its dry friction is a product c F. Where neither is known by itself and the product is small,
+F has some value by chance, and the linearised fit would take c for known through it; and whoever propagates an
+unknown c at that F would take the product for unknown, which is known. At F = 0 both are right, where the rest of
+the model reproduces the rows as well. Where it does not, only the covariance is that at F = 0. A spring that no row
+tells is there as stiff as springs are: through one that is soft by chance F would seem known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.solve import Estimate, holding, solve, stage_point
+from clampid.stages.experiment import HELD
+from clampid.stages.rows import Array
+
+__all__ = ["at_no_friction", "unknown_frictions", "without_unknown_friction"]
+
+SHOWN = 3.0  # standard errors: a spring that is not known, and still no chance
+WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
+
+
+def unknown_frictions(estimate: Estimate) -> list[int]:
+    """Numbers of the arm-side frictions that a fit's rows do not tell.
+
+    Where only the product with the spring's compliance shows, a friction that nothing else says anything of is as
+    unknown as the spring.
+    """
+    springs = {estimate.slots[k].place for k in _untold_springs(estimate)}
+    weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.experiment.prior_std() < 1.0 + 1e-9
+    slots = enumerate(zip(estimate.slots, estimate.identified, strict=False))
+    frictions = [(k, slot, told) for k, (slot, told) in slots if slot.effect == "wrist_coupling_friction"]
+    return [k for k, slot, told in frictions if not told or (weak[k] and slot.place in springs)]
+
+
+def without_unknown_friction(estimate: Estimate) -> Estimate:
+    """The same pose fit with frictions of zero where the rows do not tell them, and its covariance there."""
+    found, gone = estimate, list[int]()
+    shown: list[int] = []
+    for k in unknown_frictions(estimate):
+        without = at_no_friction(found, [*gone, k])
+        if without.cost - estimate.cost < WORSE * len(_moot(found, [*gone, k])[0]):
+            found, gone = without, [*gone, k]
+        elif not estimate.identified[k]:
+            shown.append(k)
+    if not shown:
+        return found
+    theta = found.theta.copy()
+    moot, value = _moot(found, shown)
+    theta[moot] = value
+    # The flanks stay those of the fit.
+    there = stage_point(found.experiment.with_flanks(found.theta), estimate.noise, theta)
+    found = replace(found, whitened=replace(found.whitened, jacobian=there.white.jacobian))
+    return replace(found, covariance=found.point.covariance(found.prior_precision))
+
+
+def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
+    """The fit with some frictions held at none, its covariance as if they were free there."""
+    experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
+    moot, value = _moot(estimate, unknown)
+    theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(experiment, precision, moot, HELD)
+    theta[moot] = at_zero[moot] = value
+    found = solve(experiment, theta, estimate.noise, held, at_zero)
+    return replace(found, covariance=found.point.covariance(precision), prior_precision=precision, prior_mean=mean)
+
+
+def _untold_springs(estimate: Estimate) -> list[int]:
+    """Numbers of the compliances that a fit's rows do not tell, nor set apart from what springs are taken for."""
+    clear = np.abs(estimate.theta - estimate.prior_mean) > SHOWN * estimate.std
+    slots = enumerate(zip(estimate.slots, estimate.identified | clear, strict=False))
+    return [k for k, (slot, told) in slots if slot.effect == "joint_compliance" and not told]
+
+
+def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:
+    """Numbers of frictions and of untold springs that they wind up, and the values where they do nothing."""
+    places = {estimate.slots[k].place for k in unknown}
+    springs = [k for k in _untold_springs(estimate) if estimate.slots[k].place in places]
+    return [*unknown, *springs], np.r_[np.zeros(len(unknown)), estimate.prior_mean[springs]]
