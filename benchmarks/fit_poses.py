@@ -27,14 +27,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from scipy.optimize import least_squares
 
-from clampid.bootstrap import bootstrap
 from clampid.catalogue import catalogue
+from clampid.fitting.bootstrap import bootstrap
+from clampid.fitting.noise import initial_noise
+from clampid.fitting.solve import Estimate, solve
 from clampid.gauge import independent_geometry
 from clampid.identify import stage_rows
 from clampid.layout import layout_of
-from clampid.noise import initial_noise
 from clampid.slots import Slot
-from clampid.solve import Estimate, solve
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.rows import Array, Rows
 from experiments.campaign import Campaign
@@ -199,7 +199,7 @@ def beside_loop(data: Campaign, runs: int) -> None:
     theirs = process_time() - start
     print(f"{len(rows)} poses, {len(task.slots)} parameters; the two forward models differ by {same:.1e} sigma")
     print(f"{'':34}{'time':>12}{'validation error':>20}")
-    print(f"{'clampid.solve.solve':34}{ours * 1e3:9.1f} ms{task.error(estimate.theta) * 1e6:17.3f} µm")
+    print(f"{'clampid.fitting.solve.solve':34}{ours * 1e3:9.1f} ms{task.error(estimate.theta) * 1e6:17.3f} µm")
     print(f"{'scipy least_squares, Python loop':34}{theirs * 1e3:9.0f} ms{task.error(found.x) * 1e6:17.3f} µm")
     print(f"{'ratio':34}{theirs / ours:9.0f}")
 
@@ -216,7 +216,7 @@ def beside_pybotics(data: Campaign, runs: int, python: str) -> None:
     print(f"{len(rows)} poses of one target, geometry alone")
     print(f"{'':34}{'time':>12}{'parameters':>12}{'validation error':>20}")
     error = task.error(estimate.theta) * 1e6
-    print(f"{'clampid.solve.solve':34}{ours * 1e3:9.1f} ms{len(task.slots):12}{error:17.3f} µm")
+    print(f"{'clampid.fitting.solve.solve':34}{ours * 1e3:9.1f} ms{len(task.slots):12}{error:17.3f} µm")
     seconds, error = told["seconds"], told["other_rms"] * 1e6
     print(f"{'pybotics':34}{seconds * 1e3:9.0f} ms{told['parameters']:12}{error:17.3f} µm")
     print(f"{'ratio':34}{seconds / ours:9.0f}")

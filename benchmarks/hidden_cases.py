@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from clampid.effect import Stage
+from clampid.fitting.solve import Estimate
 from clampid.identify import identify
 from clampid.model import Model
 from clampid.reopen import reopen
-from clampid.solve import Estimate
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate
 from experiments.virtual_robot import Hidden, Measured, Plant, measure

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from clampid.descent import newton_step
-from clampid.noise import Noise
-from clampid.solve import Estimate, clamping_offsets, limits_of, solve
+from clampid.fitting.descent import newton_step
+from clampid.fitting.noise import Noise
+from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 

@@ -21,8 +21,8 @@ from scipy import linalg, optimize
 
 from clampid.effect import Effect
 from clampid.evidence import evidence, rows_say
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
-from clampid.solve import Estimate
 from clampid.stages.rows import Array, Bools
 
 __all__ = ["STRONG", "Alignment", "Curves", "align", "alignment_of", "curves_of", "simpler"]

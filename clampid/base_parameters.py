@@ -21,8 +21,8 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.base_names import BaseParameter, base_name
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, find_parameter
-from clampid.solve import Estimate
 from clampid.stages.experiment import Experiment
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.rows import Array, Rows

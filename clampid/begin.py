@@ -12,8 +12,8 @@ from clampid.alignment import Alignment, alignment_of
 from clampid.diagnosis.events import time_of
 from clampid.effect import Effect, EffectError
 from clampid.evidence import sized
+from clampid.fitting.solve import Estimate
 from clampid.slots import Layout, Slot, Term
-from clampid.solve import Estimate
 
 __all__ = ["begun"]
 

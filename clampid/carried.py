@@ -20,10 +20,10 @@ import numpy as np
 
 from clampid.agreement import Agreement, agreement_of, shared_drives
 from clampid.effect import Stage
+from clampid.fitting.solve import Estimate
 from clampid.model import StageModel
 from clampid.priors import description_priors
 from clampid.slots import Prior, Slot
-from clampid.solve import Estimate
 from clampid.stages.rows import Rows
 
 __all__ = ["Drives", "carried_drives", "carried_over", "prior_from"]

@@ -93,7 +93,7 @@ class Chain:
         In ``poses``, where an effect reads loads: by how much the joints give way. Else None.
     lean
         ``(n, 3)``, rad: by what the weight's torque at each joint decides on its flank beside its friction, though it
-        is no load; see :mod:`clampid.open_flanks`. None: the robot is level.
+        is no load; see :mod:`clampid.fitting.open_flanks`. None: the robot is level.
     """
 
     stage: Stage

@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from clampid.fit import OUTLIER_SHARE
-from clampid.noise import NORMAL
+from clampid.fitting.fit import OUTLIER_SHARE
+from clampid.fitting.noise import NORMAL
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.campaign import CampaignError
 from kinematics.poe import joint_transforms

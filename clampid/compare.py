@@ -14,8 +14,8 @@ from clampid.agreement import Agreement, agreement_of, shared_drives
 from clampid.compensation import Compensation, compensation_of
 from clampid.curves import angle_errors, shared_curve
 from clampid.effect import Stage
-from clampid.fit import fit
 from clampid.fitted_stage import fit_stage
+from clampid.fitting.fit import fit
 from clampid.identify import TABLES_OF, held_out_folds
 from clampid.model import Model, ModelError, StageModel
 from clampid.placing import placing

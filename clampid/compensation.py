@@ -21,7 +21,7 @@ import numpy as np
 from scipy import stats
 
 from clampid.chain import Deviations
-from clampid.noise import NORMAL
+from clampid.fitting.noise import NORMAL
 from clampid.reopen import Reopened
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment

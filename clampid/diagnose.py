@@ -15,12 +15,12 @@ from clampid.diagnosis.score import Scored
 from clampid.diagnosis.stage import diagnose_stage
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.fitting.solve import Estimate
 from clampid.identify import TABLES_OF, session_of
 from clampid.model import Model
 from clampid.omission import exported_shift, shift_in_words
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot, Term
-from clampid.solve import Estimate
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 

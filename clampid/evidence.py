@@ -17,9 +17,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import linalg, optimize
 
-from clampid.descent import inverse_of
+from clampid.fitting.descent import inverse_of
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
-from clampid.solve import Estimate
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["SIZES", "evidence", "of_size", "rows_say", "sized"]

@@ -14,21 +14,21 @@ from clampid.base_parameters import base_parameters
 from clampid.begin import begun
 from clampid.carried import carried_drives, carried_over
 from clampid.effect import Effect, Stage
-from clampid.fit import fit
-from clampid.friction_start import with_friction_start
+from clampid.fitting.fit import fit
+from clampid.fitting.friction_start import with_friction_start
+from clampid.fitting.kept_friction import with_kept_friction
+from clampid.fitting.mean_norm import compared, mean_norm
+from clampid.fitting.open_flanks import with_open_flanks
+from clampid.fitting.rest_friction import RestFriction, with_open_friction, with_rest_friction
+from clampid.fitting.solve import Estimate
+from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.gauge import independent_geometry
-from clampid.kept_friction import with_kept_friction
-from clampid.mean_norm import compared, mean_norm
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
-from clampid.open_flanks import with_open_flanks
-from clampid.rest_friction import RestFriction, with_open_friction, with_rest_friction
 from clampid.slots import Prior, Slot, Term, slots_of_terms
-from clampid.solve import Estimate
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
-from clampid.unknown_friction import unknown_frictions
 
 __all__ = ["Cost", "FittedStage", "active_slots", "fit_stage"]
 
@@ -96,7 +96,7 @@ def fit_stage(
     told
         What all other rows say, where a joint fit knows: taken instead.
     cost
-        ``mean-norm``, of ``poses`` only: see :mod:`clampid.mean_norm`.
+        ``mean-norm``, of ``poses`` only: see :mod:`clampid.fitting.mean_norm`.
 
     Raises
     ------

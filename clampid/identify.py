@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from clampid.bootstrap import bootstrap as by_poses
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import Cost, FittedStage, fit_stage
+from clampid.fitting.bootstrap import bootstrap as by_poses
+from clampid.fitting.solve import FitError
 from clampid.identify_log import LogStage
 from clampid.joint import JointPart, fit_jointly
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.slots import Layout, Term, parse_term
-from clampid.solve import FitError
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.log_facts import log_parts, steady_share
 from clampid.stages.pose_rows import pose_rows
@@ -190,7 +190,7 @@ def identify(
     bootstrap
         How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
     cost
-        Of the stage ``poses``: ``least-squares``, or ``mean-norm``, the universal model's (:mod:`clampid.mean_norm`).
+        Of the stage ``poses``: ``least-squares``, or ``mean-norm``, the universal model's (`fitting.mean_norm`).
     joint
         Fit all tables at once, with the parameters that they share; else stage by stage, where a stage takes over what
         those before it found.

@@ -11,17 +11,17 @@ import numpy as np
 from clampid.accuracy import StageErrors
 from clampid.base_names import BaseParameter
 from clampid.base_parameters import INERTIAL, MOST_ROWS, grouped
-from clampid.descent import covariance_of
 from clampid.effect import Effect
-from clampid.fit_log import LogFit, LogPrior, fit_log
-from clampid.log_errors import log_errors, parts_of
-from clampid.log_sample import sampled_columns
+from clampid.fitting.descent import covariance_of
+from clampid.fitting.fit_log import LogFit, LogPrior, fit_log
+from clampid.fitting.log_errors import log_errors, parts_of
+from clampid.fitting.log_sample import sampled_columns
+from clampid.fitting.solve import limits_of, prior_of, start_of
 from clampid.model import StageModel
 from clampid.nulls import assumed_of, named_directions
 from clampid.observability import observability, projected
 from clampid.priors import description_priors
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
-from clampid.solve import limits_of, prior_of, start_of
 from clampid.stages.experiment import experiment
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
@@ -124,7 +124,7 @@ class LogStage:
 
         Raises
         ------
-        clampid.solve.FitError
+        clampid.fitting.solve.FitError
             There are no rows to fit, or the model gives no finite prediction.
         """
         kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)

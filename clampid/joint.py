@@ -24,18 +24,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.agreement import SHARED as OF_DRIVES
-from clampid.descent import Limits, Point, descend, inverse_of
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage
-from clampid.flanks import settled
+from clampid.fitting.descent import Limits, Point, descend, inverse_of
+from clampid.fitting.flanks import settled
+from clampid.fitting.moments import LogPoint
+from clampid.fitting.solve import Estimate, StagePoint, limits_of, prior_of, stage_point
+from clampid.fitting.visits import gradient_covariance
 from clampid.identify_log import FittedLog
-from clampid.moments import LogPoint
 from clampid.priors import description_priors
 from clampid.slots import Prior, Slot
-from clampid.solve import Estimate, StagePoint, limits_of, prior_of, stage_point
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Integers
-from clampid.visits import gradient_covariance
 
 __all__ = ["JointPart", "fit_jointly", "is_shared"]
 
@@ -109,7 +109,7 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
 
     Raises
     ------
-    clampid.solve.FitError
+    clampid.fitting.solve.FitError
         A stage gives no finite prediction.
     """
     union = _union(parts)
@@ -213,7 +213,7 @@ def _weights(best: _Joint, union: _Union) -> Array:
 
 
 def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights: Array) -> Array:
-    """Covariance ``(U, U)`` of the solution, with what the numbers of a pose's visit share, as in `clampid.visits`.
+    """Covariance ``(U, U)`` of the solution, with what the numbers of a pose's visit share, as in `fitting.visits`.
 
     A^-1 M A^-1, A the normal matrix, M the covariance of its gradient.
     """

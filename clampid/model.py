@@ -16,8 +16,8 @@ from typing import Any, cast
 import numpy as np
 
 from clampid.base_names import BaseParameter, base_json, read_base
-from clampid.bootstrap import Bootstrap
 from clampid.effect import STAGES, Stage
+from clampid.fitting.bootstrap import Bootstrap
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
 
@@ -75,7 +75,7 @@ class StageModel:
         Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
         counting any row twice; else None.
     lean
-        ``(n, 3)``, rad, of poses: how the robot leans as far as flanks tell, see `clampid.open_flanks`; else None.
+        ``(n, 3)``, rad, of poses: how the robot leans as far as flanks tell, see `fitting.open_flanks`; else None.
     """
 
     stage: Stage

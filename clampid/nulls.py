@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from clampid.fitting.solve import Estimate
 from clampid.observability import projected
 from clampid.slots import Slot
-from clampid.solve import Estimate
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from clampid.bootstrap import Bootstrap
 from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.fitting.bootstrap import Bootstrap
 from clampid.identify import has_friction_state, has_inertia, stage_rows, stages_of
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError, StageModel

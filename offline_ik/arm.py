@@ -86,7 +86,7 @@ class IdentifiedArm:
     reference
         ``(4, 4)``: the session's guess of the base in the instrument's frame, without the fitted motion.
     lean
-        ``(n, 3)``, rad: what decides on flanks beside friction, see :mod:`clampid.open_flanks`; None: nothing.
+        ``(n, 3)``, rad: what decides on flanks beside friction, see :mod:`clampid.fitting.open_flanks`; None: nothing.
     """
 
     robot: RobotDescription

@@ -14,10 +14,10 @@ import numpy as np
 from clampid.diagnosis.columns import Columns, Products, columns_from
 from clampid.effect import Effect, Parameter
 from clampid.evidence import SIZES
+from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate
 from clampid.gauge import independent_geometry
-from clampid.noise import Whitened
 from clampid.slots import Slot, Term, slots_of
-from clampid.solve import Estimate
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Array
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import sparse
 
-from clampid.noise import Whitened
+from clampid.fitting.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["Columns", "Products", "Sums", "channel_starts", "columns_from"]

@@ -17,8 +17,8 @@ from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Sums
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Scored, Space, explained_by
-from clampid.noise import Noise
-from clampid.solve import Estimate
+from clampid.fitting.noise import Noise
+from clampid.fitting.solve import Estimate
 from clampid.stages.pose_rows import join_rows
 from clampid.stages.rows import Array, Integers, Rows
 

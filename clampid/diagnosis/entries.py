@@ -10,8 +10,8 @@ import numpy as np
 from clampid.diagnosis.look import CONFUSABLE, RATE, Look
 from clampid.diagnosis.score import Flips, Scored, canonical
 from clampid.effect import Effect
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term, find_parameter
-from clampid.solve import Estimate
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
 

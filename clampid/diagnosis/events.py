@@ -26,8 +26,8 @@ from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns, channel_starts
 from clampid.diagnosis.score import ABSORBED, Scored, Space, log_tail, score, space_of
 from clampid.effect import Effect
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
-from clampid.solve import Estimate
 from clampid.stages.clamped import BLOCK_ROWS
 from clampid.stages.rows import Array, Integers, Rows
 

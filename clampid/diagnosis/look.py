@@ -13,7 +13,7 @@ from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.effect import Effect
-from clampid.solve import Estimate
+from clampid.fitting.solve import Estimate
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers, Rows
 from kinematics.description import RobotDescription

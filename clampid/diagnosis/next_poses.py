@@ -14,10 +14,10 @@ import pandas as pd
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, TEMPERATURES, NextPoses
 from clampid.diagnosis.parting import part
 from clampid.diagnosis.score import Scored
+from clampid.fitting.solve import Estimate
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.slots import Slot
-from clampid.solve import Estimate
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
 from experiments.campaign import Campaign

@@ -15,8 +15,8 @@ import numpy as np
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Columns, Products, channel_starts, columns_from
 from clampid.evidence import SIZES
-from clampid.noise import Whitened
-from clampid.solve import Estimate
+from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
 

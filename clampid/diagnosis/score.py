@@ -25,7 +25,7 @@ from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.evidence import of_size
-from clampid.solve import Estimate
+from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = [

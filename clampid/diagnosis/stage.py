@@ -25,7 +25,7 @@ from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
-from clampid.solve import Estimate
+from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]

@@ -16,9 +16,9 @@ from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of
 from clampid.diagnosis.score import Scored, canonical
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
-from clampid.noise import Noise
+from clampid.fitting.noise import Noise
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
-from clampid.solve import Estimate
 from clampid.stages.rows import Array, Rows
 
 __all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "held_out", "pruned"]

@@ -27,7 +27,7 @@ from clampid.diagnosis.columns import Columns
 from clampid.diagnosis.score import Scored, Space, score
 from clampid.effect import EffectError
 from clampid.effect_new import effect_module, effect_text
-from clampid.solve import Estimate
+from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Rows
 
 __all__ = ["shape_of"]

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, find_parameter
-from clampid.solve import Estimate
 
 __all__ = ["omission_of", "outliers_of", "summary_of"]
 

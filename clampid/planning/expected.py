@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from clampid.noise import Noise, Whitened
+from clampid.fitting.noise import Noise, Whitened
+from clampid.fitting.solve import Estimate
 from clampid.nulls import null_directions
 from clampid.observability import observability
 from clampid.priors import description_priors
-from clampid.solve import Estimate
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
 from experiments.plans.model import Expected, ExpectedParameter

@@ -10,9 +10,9 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from clampid.drives import Drives, drives_of
+from clampid.fitting.solve import clamping_offsets
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout, thin
-from clampid.solve import clamping_offsets
 from clampid.stages.clamped import fixture_motion
 from clampid.stages.rows import Array
 

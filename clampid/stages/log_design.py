@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.chain import Chain
-from clampid.prewhitening import REACH, Grouping, Whitener
+from clampid.fitting.prewhitening import REACH, Grouping, Whitener
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
 from clampid.stages.rows import Array, Bools, Integers

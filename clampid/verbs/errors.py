@@ -19,7 +19,7 @@ _WRONG_INPUT = (
     ("kinematics.kuka", "MachineDataError"),
     ("clampid.effect", "EffectError"),
     ("clampid.model", "ModelError"),
-    ("clampid.solve", "FitError"),
+    ("clampid.fitting.solve", "FitError"),
 )
 _WRONG_PLACE = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
 

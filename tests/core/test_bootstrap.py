@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clampid.bootstrap import bootstrap, draws, one_step
 from clampid.catalogue import catalogue
 from clampid.fitted_stage import fit_stage
+from clampid.fitting.bootstrap import bootstrap, draws, one_step
+from clampid.fitting.solve import Estimate, solve
 from clampid.identify import identify
 from clampid.layout import layout_of
 from clampid.model import Model, load_model, save_model
 from clampid.slots import Term
-from clampid.solve import Estimate, solve
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 

@@ -11,15 +11,15 @@ from scipy import linalg
 
 from clampid.carried import carried_drives, prior_from
 from clampid.catalogue import catalogue
-from clampid.descent import inverse_of
 from clampid.effect import Stage
-from clampid.fit import fit
 from clampid.fitted_stage import FittedStage, fit_stage
+from clampid.fitting.descent import inverse_of
+from clampid.fitting.fit import fit
+from clampid.fitting.solve import prior_of
 from clampid.identify import stage_rows
 from clampid.layout import layout_of
 from clampid.model import StageModel
 from clampid.slots import Prior, Slot, Term
-from clampid.solve import prior_of
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign
 

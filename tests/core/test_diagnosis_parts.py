@@ -16,10 +16,10 @@ from clampid.diagnosis.candidates import Candidate, columns_of, named_candidates
 from clampid.diagnosis.columns import Columns
 from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.score import score, space_of
+from clampid.fitting.solve import solve
 from clampid.identify import identify
 from clampid.reopen import reopen
 from clampid.slots import Slot, Term
-from clampid.solve import solve
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign
 from kinematics.description import load_robot

@@ -13,13 +13,13 @@ from clampid.catalogue import catalogue
 from clampid.diagnose import diagnose
 from clampid.diagnosis.events import Scan, absent_events, event_scores, time_of
 from clampid.diagnosis.score import Flips, space_of
-from clampid.fit import fit
 from clampid.fitted_stage import active_slots
+from clampid.fitting.fit import fit
+from clampid.fitting.solve import Estimate
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
 from clampid.reopen import reopen
 from clampid.slots import Slot, Term, slots_of
-from clampid.solve import Estimate
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

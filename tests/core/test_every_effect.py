@@ -13,8 +13,8 @@ import clampid.effects
 from clampid.catalogue import catalogue
 from clampid.chain import OUTPUTS
 from clampid.effect import FAMILIES, UNITS, Effect, Stage
+from clampid.fitting.solve import clamping_offsets
 from clampid.slots import find_parameter, slots_of
-from clampid.solve import clamping_offsets
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.rows import Rows
 from kinematics.sources import load_sources

@@ -11,12 +11,12 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.diagnose import diagnose
 from clampid.effect import EffectError, Parameter
-from clampid.fit import fit
+from clampid.fitting.fit import fit
+from clampid.fitting.solve import FitError
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
 from clampid.nulls import null_directions
 from clampid.slots import Prior, Slot, slots_of
-from clampid.solve import FitError
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign

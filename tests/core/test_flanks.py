@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
 from clampid.fitted_stage import active_slots
-from clampid.flanks import mirrored, settled
+from clampid.fitting.flanks import mirrored, settled
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
 from clampid.slots import Term

@@ -11,12 +11,12 @@ from scipy import stats
 
 from clampid.catalogue import catalogue
 from clampid.fitted_stage import active_slots
-from clampid.held_motors import _middle, other_crossings
+from clampid.fitting.held_motors import _middle, other_crossings
+from clampid.fitting.noise import initial_noise
+from clampid.fitting.solve import prior_of
 from clampid.identify import identify
 from clampid.layout import layout_of
-from clampid.noise import initial_noise
 from clampid.slots import parse_term
-from clampid.solve import prior_of
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.experiment import Experiment, experiment
 from experiments.virtual_robot import Hidden, Measured, measure

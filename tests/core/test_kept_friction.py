@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from clampid.fitting.kept_friction import AXES, with_kept_friction
 from clampid.identify import identify
-from clampid.kept_friction import AXES, with_kept_friction
 from clampid.reopen import reopen
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, measure

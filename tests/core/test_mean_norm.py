@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.fit import fit
 from clampid.fitted_stage import active_slots
+from clampid.fitting.fit import fit
+from clampid.fitting.mean_norm import ALIKE, compared, mean_norm
+from clampid.fitting.noise import Noise
+from clampid.fitting.solve import Estimate, FitError, solve
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
-from clampid.mean_norm import ALIKE, compared, mean_norm
-from clampid.noise import Noise
 from clampid.slots import Term
-from clampid.solve import Estimate, FitError, solve
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign
 

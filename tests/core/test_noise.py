@@ -28,8 +28,8 @@ from clampid.diagnosis.score import (
     tail_of,
 )
 from clampid.effect import Stage
-from clampid.noise import initial_noise, learn_noise
-from clampid.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.fitting.noise import initial_noise, learn_noise
+from clampid.fitting.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.slots import Slot
 from clampid.stages.rows import Rows
 

@@ -10,15 +10,15 @@ import pytest
 
 import clampid.fitted_stage
 from clampid.catalogue import catalogue
+from clampid.fitting.open_flanks import _fitted
+from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.identify import identify
 from clampid.model import Model, StageModel, load_model, save_model
-from clampid.open_flanks import _fitted
 from clampid.reopen import reopen
 from clampid.slots import Slot
 from clampid.stages import poses
 from clampid.stages.experiment import experiment
 from clampid.stages.loads import gravity_signals, lean_torque
-from clampid.unknown_friction import unknown_frictions
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Plant, measure

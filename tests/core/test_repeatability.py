@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clampid.noise import Whitened
-from clampid.repeatability import Scatter, clustered_covariance, visit_scatter
+from clampid.fitting.noise import Whitened
+from clampid.fitting.repeatability import Scatter, clustered_covariance, visit_scatter
 
 VISITS, NUMBERS, JOINTS, PARAMETERS = 300, 9, 3, 40
 JOINT_STD = np.array([0.6, 0.0, 1.2])

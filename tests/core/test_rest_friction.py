@@ -9,13 +9,13 @@ import pose_coverage
 import pytest
 from virtual_arms import ARMS, arm
 
-import clampid.rest_friction
+import clampid.fitting.rest_friction
+from clampid.fitting.rest_friction import _cost, _Profile
+from clampid.fitting.solve import solve
 from clampid.identify import identify
 from clampid.model import Model
 from clampid.reopen import reopen
-from clampid.rest_friction import _cost, _Profile
 from clampid.slots import Slot
-from clampid.solve import solve
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
@@ -45,7 +45,7 @@ def test_frictions_and_clearances_of_an_uncoupled_wrist():
 
 def test_a_fit_again_holds_the_frictions_where_they_were(monkeypatch: pytest.MonkeyPatch):
     campaign, model = robot_and_model()
-    monkeypatch.setattr(clampid.rest_friction, "_solved", None)  # nothing is sought
+    monkeypatch.setattr(clampid.fitting.rest_friction, "_solved", None)  # nothing is sought
     stage = model.stages["poses"]
     found = reopen(model, campaign).refit("poses").model
     k = stage.slots.index(Slot("wrist_coupling_friction", "F", "joint5"))

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue, with_user_effects
 from clampid.effect import EffectError, Stage
 from clampid.effect_new import effect_module, effect_new, effect_text
+from clampid.fitting.solve import clamping_offsets
 from clampid.identify import stage_rows
 from clampid.layout import layout_of
 from clampid.slots import slots_of
-from clampid.solve import clamping_offsets
 from clampid.stages.experiment import Experiment, experiment
 
 VARIABLES: dict[Stage, tuple[str, ...]] = {

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from clampid.add import add
-from clampid.descent import NEGLIGIBLE
 from clampid.effect_new import effect_new
 from clampid.export import dh_table
+from clampid.fitting.descent import NEGLIGIBLE
 from clampid.identify import identify
 from clampid.model import Model, ModelError, load_model, save_model
 from clampid.omission import exported_shift, shift_in_words

@@ -23,8 +23,8 @@ from clampid.diagnosis.probes import probes
 from clampid.diagnosis.score import score, space_of
 from clampid.diagnosis.unknown_shape import _width, shape_of
 from clampid.export import calibrated_chain
-from clampid.fit import fit
 from clampid.fitted_stage import fit_stage
+from clampid.fitting.fit import fit
 from clampid.identify import identify, stage_rows
 from clampid.layout import layout_of
 from clampid.model import load_model, save_model

@@ -21,14 +21,14 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg, special
 
-from clampid.fit import again
-from clampid.repeatability import sums_over
+from clampid.fitting.fit import again
+from clampid.fitting.repeatability import sums_over
+from clampid.fitting.solve import Estimate
+from clampid.fitting.unknown_friction import unknown_frictions
+from clampid.fitting.visits import variance_along
 from clampid.slots import Slot
-from clampid.solve import Estimate
 from clampid.stages import poses
 from clampid.stages.rows import Array, Bools, Integers
-from clampid.unknown_friction import unknown_frictions
-from clampid.visits import variance_along
 
 __all__ = ["with_open_flanks"]
 

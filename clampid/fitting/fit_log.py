@@ -1,4 +1,4 @@
-"""The fit of a torque log by passes over its windows: the results of `clampid.fit.fit`, without holding the log.
+"""The fit of a torque log by passes over its windows: the results of `fitting.fit`, without holding the log.
 
 For effects linear in their parameters one pass sums the normal equations, another finds what the residual says of
 outliers and noise, two where the log is long; then the prewhitened equations are summed, again if that changes the
@@ -17,12 +17,12 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from clampid.descent import Limits, descend
-from clampid.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE
-from clampid.moments import LogPoint, Moments, minimise
-from clampid.noise import NORMAL
-from clampid.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
-from clampid.solve import FitError
+from clampid.fitting.descent import Limits, descend
+from clampid.fitting.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE
+from clampid.fitting.moments import LogPoint, Moments, minimise
+from clampid.fitting.noise import NORMAL
+from clampid.fitting.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.fitting.solve import FitError
 from clampid.stages.log_design import Block, Channel, LogDesign
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
@@ -44,7 +44,7 @@ class LogNoise:
     counts: tuple[float, ...] = ()
 
     def settled(self, again: LogNoise) -> bool:
-        """As `clampid.noise.Noise.settled`."""
+        """As `clampid.fitting.noise.Noise.settled`."""
         ratios = again.sigma / self.sigma
         channels = zip(ratios, self.autocorrelations, again.autocorrelations, again.counts, strict=True)
         return all(settled(*channel) for channel in channels)
@@ -117,7 +117,7 @@ class _PartedPoint(LogPoint):
 
 
 def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part: Integers | None = None) -> LogFit:
-    """Fit the rows of some folds ``(F,)``; weighting and rejection as in `clampid.fit.fit`.
+    """Fit the rows of some folds ``(F,)``; weighting and rejection as in `clampid.fitting.fit.fit`.
 
     Parameters
     ----------
@@ -272,14 +272,14 @@ class _Memory:
             self.pairs[r.motor] += counts
 
     def noise(self) -> LogNoise:
-        """As `clampid.noise.learn_noise` finds it."""
+        """As `clampid.fitting.noise.learn_noise` finds it."""
         sigma = np.maximum(np.sqrt(self.products[:, 0] / np.maximum(self.pairs[:, 0], 1)), 1e-12)
         autocorrelations = tuple(autocorrelation(p, k) for p, k in zip(self.products, self.pairs, strict=True))
         return LogNoise(np.where(self.pairs[:, 0] > 0, sigma, 1.0), autocorrelations, tuple(self.pairs[:, 0]))
 
 
 def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> tuple[Integers, LogNoise]:
-    """Rows far beyond what a clean table would show, as in `clampid.fit`, and the noise, for where there are none."""
+    """Rows far beyond what a clean table would show, as in `fitting.fit`, and the noise, for where there are none."""
     count, largest = np.zeros((2, design.n))
     memory: _Memory | None = None
 

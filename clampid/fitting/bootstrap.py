@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from clampid.solve import Estimate
+from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["Bootstrap", "bootstrap", "draws", "one_step"]

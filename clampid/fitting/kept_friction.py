@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.solve import Estimate
+from clampid.fitting.solve import Estimate
 from clampid.stages.clamped import joint_torques
 from clampid.stages.rows import Array
 

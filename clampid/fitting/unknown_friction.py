@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.solve import Estimate, holding, solve, stage_point
+from clampid.fitting.solve import Estimate, holding, solve, stage_point
 from clampid.stages.experiment import HELD
 from clampid.stages.rows import Array
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.descent import ITERATIONS, NEGLIGIBLE, newton_step
+from clampid.fitting.descent import ITERATIONS, NEGLIGIBLE, newton_step
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["LogPoint", "Moments", "minimise"]
@@ -63,7 +63,7 @@ class Moments:
 
 @dataclass(frozen=True)
 class LogPoint:
-    """A log at one parameter vector, from its sums, as `clampid.descent.descend` sees it."""
+    """A log at one parameter vector, from its sums, as `clampid.fitting.descent.descend` sees it."""
 
     moments: Moments
 
@@ -90,7 +90,7 @@ class LogPoint:
 def minimise(
     moments: Moments, theta: Array, precision: Array, mean: Array, size: Array, free: Bools | None = None
 ) -> Moments:
-    """Least squares with prior by the steps of `clampid.solve.solve`; the sums at the solution.
+    """Least squares with prior by the steps of `clampid.fitting.solve.solve`; the sums at the solution.
 
     Parameters
     ----------

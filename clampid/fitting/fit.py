@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg, stats
 
-from clampid.held_motors import other_crossings
-from clampid.noise import NORMAL, Noise, initial_noise, learn_noise
+from clampid.fitting.held_motors import other_crossings
+from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
+from clampid.fitting.solve import Estimate, FitError, holding, prior_of, solve, start_of
+from clampid.fitting.unknown_friction import at_no_friction, without_unknown_friction
+from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
-from clampid.solve import Estimate, FitError, holding, prior_of, solve, start_of
 from clampid.stages.clamped import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Rows
-from clampid.unknown_friction import at_no_friction, without_unknown_friction
-from clampid.visits import with_repeatability
 
 __all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit"]
 
@@ -75,7 +75,7 @@ def fit(
 def again(estimate: Estimate, experiment: Experiment, none: Sequence[int]) -> Estimate:
     """The same pose fit of another experiment with the same parameters and rows: noise, prior and outliers stay.
 
-    Frictions ``none`` stay at zero, for the reason that :mod:`clampid.unknown_friction` gives.
+    Frictions ``none`` stay at zero, for the reason that :mod:`clampid.fitting.unknown_friction` gives.
     """
     found = without_unknown_friction(at_no_friction(replace(estimate, experiment=experiment), none))
     return replace(with_repeatability(found), outliers=estimate.outliers)

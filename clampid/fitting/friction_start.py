@@ -6,7 +6,7 @@ point is a local minimum. So a few frictions between none and the joint's heavie
 nothing is known of, each with the flanks that it gives, and the best is where the fit begins.
 
 This is for poses without torque logs, whose loads are only what the description says. Where logs tell the loads beside
-which flanks tell friction, :mod:`clampid.rest_friction` seeks it apart from all else, and holds it.
+which flanks tell friction, :mod:`clampid.fitting.rest_friction` seeks it apart from all else, and holds it.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from clampid.descent import Limits, newton_step
-from clampid.noise import initial_noise
+from clampid.fitting.descent import Limits, newton_step
+from clampid.fitting.noise import initial_noise
+from clampid.fitting.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
 from clampid.slots import Prior, Slot
-from clampid.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
@@ -37,7 +37,7 @@ def with_friction_start(
 
     Raises
     ------
-    clampid.solve.FitError
+    clampid.fitting.solve.FitError
         The model gives no finite prediction.
     """
     known = {*start, *(slot for prior in priors for slot in prior.slots)}

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, sparse
 
-from clampid.noise import Whitened
+from clampid.fitting.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]

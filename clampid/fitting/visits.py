@@ -1,6 +1,6 @@
 """What a pose fit's visits share: where the robot has stopped is the same for all numbers of one visit.
 
-The moments of such numbers are those of :mod:`clampid.repeatability`; here they are a fit's.
+The moments of such numbers are those of :mod:`clampid.fitting.repeatability`; here they are a fit's.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.descent import inverse_of
-from clampid.noise import Whitened
-from clampid.repeatability import clustered_covariance, shared_moments, visit_scatter
-from clampid.solve import Estimate, StagePoint
+from clampid.fitting.descent import inverse_of
+from clampid.fitting.noise import Whitened
+from clampid.fitting.repeatability import clustered_covariance, shared_moments, visit_scatter
+from clampid.fitting.solve import Estimate, StagePoint
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["gradient_covariance", "variance_along", "with_repeatability"]

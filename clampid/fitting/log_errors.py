@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clampid.accuracy import FOLDS, QUIET_S, StageErrors
-from clampid.fit_log import LogFit, LogNoise, LogPrior, residuals, summed
-from clampid.moments import Moments, minimise
+from clampid.fitting.fit_log import LogFit, LogNoise, LogPrior, residuals, summed
+from clampid.fitting.moments import Moments, minimise
 from clampid.stages.log_design import LogDesign
 from clampid.stages.rows import Array, Bools, Integers, Rows
 

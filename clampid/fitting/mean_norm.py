@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, optimize
 
-from clampid.descent import inverse_of
-from clampid.flanks import settled
-from clampid.noise import Noise
-from clampid.solve import Estimate, FitError, limits_of, stage_point
+from clampid.fitting.descent import inverse_of
+from clampid.fitting.flanks import settled
+from clampid.fitting.noise import Noise
+from clampid.fitting.solve import Estimate, FitError, limits_of, stage_point
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
 from experiments.metrics import norm_metrics

@@ -10,7 +10,7 @@ equations tell its error: its distribution does, and what else of the parameters
 moment is added to the covariance. Source: profile likelihood, as in Venzon, Moolgavkar, Applied Statistics 37, 1988,
 taken for a posterior with the prior that the friction has.
 
-Loads have to be known for this, from torque logs; without, a fit only begins well: :mod:`clampid.friction_start`.
+Loads have to be known for this, from torque logs; without, a fit only begins well: `fitting.friction_start`.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from clampid.noise import NORMAL, initial_noise
-from clampid.repeatability import sums_over
+from clampid.fitting.noise import NORMAL, initial_noise
+from clampid.fitting.repeatability import sums_over
+from clampid.fitting.solve import Estimate, prior_of, solve, start_of
+from clampid.fitting.visits import variance_along
 from clampid.slots import Prior, Slot
-from clampid.solve import Estimate, prior_of, solve, start_of
 from clampid.stages import poses
 from clampid.stages.experiment import HELD, Experiment
 from clampid.stages.rows import Array, Integers
-from clampid.visits import variance_along
 
 __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
@@ -74,7 +74,7 @@ def with_rest_friction(
 
     Raises
     ------
-    clampid.solve.FitError
+    clampid.fitting.solve.FitError
         The model gives no finite prediction.
     """
     open_ = _open(experiment, priors)

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from clampid.descent import Limits, covariance_of, descend, inverse_of
-from clampid.flanks import mirrored, settled
-from clampid.noise import Noise, Whitened
-from clampid.repeatability import Scatter
+from clampid.fitting.descent import Limits, covariance_of, descend, inverse_of
+from clampid.fitting.flanks import mirrored, settled
+from clampid.fitting.noise import Noise, Whitened
+from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped import loop_compliance
 from clampid.stages.experiment import Experiment
@@ -157,7 +157,7 @@ def limits_of(experiment: Experiment) -> Limits:
 def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
     """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
 
-    The flanks on which gears rest follow the loads (:mod:`clampid.flanks`).
+    The flanks on which gears rest follow the loads (:mod:`clampid.fitting.flanks`).
 
     Raises
     ------
