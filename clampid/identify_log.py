@@ -14,9 +14,9 @@ from clampid.base_parameters import INERTIAL, MOST_ROWS, grouped
 from clampid.effect import Effect
 from clampid.fitting.descent import covariance_of
 from clampid.fitting.fit_log import LogFit, LogPrior, fit_log
-from clampid.fitting.log_errors import log_errors, parts_of
 from clampid.fitting.log_sample import sampled_columns
 from clampid.fitting.solve import limits_of, prior_of, start_of
+from clampid.log_errors import log_errors, parts_of
 from clampid.model import StageModel
 from clampid.nulls import assumed_of, named_directions
 from clampid.observability import observability, projected

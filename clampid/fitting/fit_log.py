@@ -21,9 +21,9 @@ from clampid.fitting.descent import Limits, descend
 from clampid.fitting.fit import OUTLIER_PASSES, OUTLIER_RATE, OUTLIER_SHARE
 from clampid.fitting.moments import LogPoint, Moments, minimise
 from clampid.fitting.noise import NORMAL
-from clampid.fitting.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.fitting.solve import FitError
 from clampid.stages.log_design import Block, Channel, LogDesign
+from clampid.stages.prewhitening import ORDER, Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
 

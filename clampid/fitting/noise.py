@@ -1,7 +1,7 @@
 """Noise: what the residual of a right model looks like, and how to make it white.
 
 Poses: independent numbers of known relative size. Torques, whether of a log or of a sweep, follow each other closely
-and are correlated, so that residual and columns alike pass the filter of `clampid.fitting.prewhitening`.
+and are correlated, so that residual and columns alike pass the filter of `clampid.stages.prewhitening`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clampid.fitting.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.signals import segments
 

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 
 from clampid.chain import Chain
-from clampid.fitting.prewhitening import REACH, Grouping, Whitener
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
+from clampid.stages.prewhitening import REACH, Grouping, Whitener
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.temperatures import temperatures
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clampid.fitting import prewhitening
+from clampid.stages import prewhitening
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
 from experiments.columns import LOGS

@@ -29,8 +29,8 @@ from clampid.diagnosis.score import (
 )
 from clampid.effect import Stage
 from clampid.fitting.noise import initial_noise, learn_noise
-from clampid.fitting.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.slots import Slot
+from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import Rows
 
 LAGS = 20
