@@ -28,6 +28,7 @@ from clampid.fitting.visits import variance_along
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
 from clampid.stages.experiment import HELD, Experiment
+from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
@@ -37,7 +38,8 @@ ROUNDS = 6  # of all joints, at most
 CELLS, LEAST = 2000, 33  # values tried, at most and at least
 VARIES = 0.1  # of the heaviest load
 BEYOND, FAR = 16, 3.0  # frictions that no load exceeds: so many, to as many standard deviations of the prior
-SEALS = 3.0  # of what any bearing is taken to rub: lips on shafts of 40 and 80 mm rub with 0.1 and 0.5 Nm
+LIP, RATED = 0.1, 100.0  # Nm: what a seal's lip rubs on a shaft of 40 mm, that of a joint of such a rated torque
+LIPS = 3.0  # of it: how far seals may be from what they are taken for
 MISSES = 3.0  # of the noise's squares
 BETTER = 0.1  # of chi-square
 
@@ -120,11 +122,10 @@ def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
         profile = _Profile.of(estimate, k)
         off = profile.theta - estimate.theta
         covariance += (profile.weight * off.T) @ off
-        # Flanks tell friction and seals beside the load: as far as these are not known, friction is not, unless what
-        # it winds up tells it.
-        seals = SEALS * float(np.abs(estimate.experiment.rows.signals["rest_direction"][:, profile.joint]).max())
-        load = _load_variance(estimate, profile.joint) + seals**2
-        covariance += load / (1.0 + load * profile.told) * np.outer(profile.slope, profile.slope)
+        # Flanks tell friction and seals beside the load: what these are off, friction is off. What it winds up would
+        # tell it apart, but not where one visit in a hundred is taken to stand on the other flank.
+        load = _load_variance(estimate, profile.joint) + _seals(estimate, profile.joint) ** 2
+        covariance += load * np.outer(profile.slope, profile.slope)
     return replace(estimate, covariance=covariance)
 
 
@@ -181,8 +182,8 @@ class _Profile:
         ``(K, P)``: all parameters.
     weight
         ``(K,)``: of the values between which no further flank turns.
-    slope, told
-        ``(P,)``: d theta / d value, flanks held as the estimate has them; and the information on the value then, 1/Nm².
+    slope
+        ``(P,)``: d theta / d value, flanks held as the estimate has them.
     """
 
     joint: int
@@ -191,7 +192,6 @@ class _Profile:
     theta: Array
     weight: Array
     slope: Array
-    told: float
 
     @property
     def likeliest(self) -> float:
@@ -214,13 +214,12 @@ class _Profile:
         value, width, after = _values(np.abs(without[order]), FAR * float(estimate.experiment.prior_std()[friction]))
         side = np.where(without * fitted < 0.0, -1.0, 1.0)
         loose = _Loose.of(estimate, friction, gap)
-        theta, cost, normal, slopes, curvature = loose.fitted(value, visit, side, order, after)
+        theta, cost, normal, slopes = loose.fitted(value, visit, side, order, after)
         variance = variance_along(estimate, np.array([gap]))
         log = -0.5 * cost / variance - 0.5 * np.log(normal) + np.log(width)
         weight = np.exp(log - log.max())
         now = int(np.argmin(np.abs(value - estimate.theta[friction])))
-        told = max(float(curvature[now]), 0.0) / variance
-        return cls(joint, value, cost, theta, weight / weight.sum(), slopes[now], told)
+        return cls(joint, value, cost, theta, weight / weight.sum(), slopes[now])
 
 
 def _pressing(estimate: Estimate, theta: Array) -> Array:
@@ -294,10 +293,10 @@ class _Loose:
 
     def fitted(
         self, value: Array, visit: Integers, side: Array, order: Integers, after: Integers
-    ) -> tuple[Array, Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array]:
         """Best parameters ``(K, P)``, their cost ``(K,)``, and what the normal equations say of them.
 
-        That is, the clearance's own ``(K,)``, d parameters / d friction ``(K, P)``, and the friction's own ``(K,)``.
+        That is, the clearance's own ``(K,)``, and d parameters / d friction ``(K, P)``.
 
         Parameters
         ----------
@@ -340,7 +339,16 @@ class _Loose:
         theta[:, self.at[0]], theta[:, self.at[1]] = value, gap
         slopes[:, self.index] = (self.size[:, None] * step_by).T
         slopes[:, self.at[0]], slopes[:, self.at[1]] = 1.0, gap_by
-        return theta, cost, normal, slopes, squares[1, 1] - by_friction**2 / normal
+        return theta, cost, normal, slopes
+
+
+def _seals(estimate: Estimate, joint: int) -> float:
+    """How far a joint's seals may be from what they are taken for, Nm.
+
+    A lip rubs with the square of the shaft's diameter, of which the third power bears the torque.
+    """
+    rest = np.abs(estimate.experiment.rows.signals["rest_direction"][:, joint]).max()
+    return float(LIPS * LIP * (rest / REST_FRICTION / RATED) ** (2.0 / 3.0))
 
 
 def _load_variance(estimate: Estimate, joint: int) -> float:
