@@ -21,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.base_names import BaseParameter, base_name
+from clampid.fitting.log_sample import sampled_rows
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, find_parameter
 from clampid.stages.experiment import Experiment
@@ -29,12 +30,11 @@ from clampid.stages.rows import Array, Rows
 from kinematics.dynamics import inertial_parameters
 from kinematics.robot import RobotDescription
 
-__all__ = ["INERTIAL", "MOST_ROWS", "base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
+__all__ = ["INERTIAL", "base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
 
 INERTIAL = ("gravity", "link_inertia", "payload", "inertia")
 """Effects whose parameters are masses, first moments and inertias; in the order in which their columns are taken."""
 
-MOST_ROWS = 600  # rank is a matter of postures, not of rows
 EXACT = 1e-7  # a column whose new part is a smaller share of it is a combination of others, but for rounding
 ROUNDING = 1e-11  # of the largest column: nothing
 NOUGHT = 1e-6  # a share this small, in reasonable sizes, is rounding
@@ -195,8 +195,7 @@ def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Arra
 def _columns(estimate: Estimate) -> tuple[Array, Array]:
     """Jacobian of some of the rows over their noise: of the slots ``(M, P)``, and of the runs' offsets ``(M, K)``."""
     rows: Rows = estimate.experiment.rows
-    usable = np.flatnonzero(rows.used.any(axis=1))
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(MOST_ROWS, len(usable))).astype(int))]
+    chosen = sampled_rows(rows)
     part = rows.take(chosen)
     if not any(estimate.experiment.effects[s.effect].family == "inertia" for s in estimate.slots):
         # Rows are steady then: the little acceleration they have must not blur what gravity cannot tell apart.

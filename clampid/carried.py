@@ -14,13 +14,14 @@ then nothing of them is taken over.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clampid.agreement import Agreement, agreement_of, shared_drives
 from clampid.effect import Stage
 from clampid.fitting.solve import Estimate
+from clampid.log_springs import springs
 from clampid.model import StageModel
 from clampid.priors import description_priors
 from clampid.slots import Prior, Slot
@@ -64,7 +65,12 @@ def carried_over(rows: Rows, stages: Mapping[Stage, StageModel]) -> tuple[tuple[
     torque = stages.get("free_air")
     if torque is None:
         return description_priors(rows), start
-    return (prior_from(torque, tuple(s for s in torque.slots if s.effect in LOADS)),), start
+    loads = tuple(s for s in torque.slots if s.effect in LOADS)
+    prior = prior_from(torque, loads)
+    if torque.by_springs is not None:
+        slope = torque.by_springs[[torque.slots.index(s) for s in loads]]
+        prior = replace(prior, follows=springs(slope.shape[1]), slope=slope)
+    return (prior,), start
 
 
 def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:

@@ -23,6 +23,7 @@ from clampid.fitting.rest_friction import RestFriction, with_open_friction, with
 from clampid.fitting.solve import Estimate
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.gauge import independent_geometry
+from clampid.log_springs import rows_by_springs
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
@@ -172,6 +173,7 @@ def _model_of(
         outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
         null_directions=null_directions(estimate),
         base=base_parameters(estimate),
+        by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
         told=told,
         lean=estimate.experiment.chain.lean,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),

@@ -10,13 +10,14 @@ import numpy as np
 
 from clampid.accuracy import StageErrors
 from clampid.base_names import BaseParameter
-from clampid.base_parameters import INERTIAL, MOST_ROWS, grouped
+from clampid.base_parameters import INERTIAL, grouped
 from clampid.effect import Effect
 from clampid.fitting.descent import covariance_of
 from clampid.fitting.fit_log import LogFit, LogPrior, fit_log
-from clampid.fitting.log_sample import sampled_columns
+from clampid.fitting.log_sample import MOST_ROWS, sampled_columns
 from clampid.fitting.solve import limits_of, prior_of, start_of
 from clampid.log_errors import log_errors, parts_of
+from clampid.log_springs import log_by_springs
 from clampid.model import StageModel
 from clampid.nulls import assumed_of, named_directions
 from clampid.observability import observability, projected
@@ -169,6 +170,7 @@ class LogStage:
             base=self._base(fit, own, prior.precision[:count, :count]),
             told=told,
             observability=observability(projected(information, count), fit.moments.count),
+            by_springs=log_by_springs(self.design, self.parts, slots, fit.noise.sigma, fit.moments, prior.precision),
         )
 
     def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:

@@ -76,6 +76,9 @@ class StageModel:
         counting any row twice; else None.
     lean
         ``(n, 3)``, rad, of poses: how the robot leans as far as flanks tell, see `fitting.open_flanks`; else None.
+    by_springs
+        ``(P, n)``, of ``free_air``: how the parameters follow the springs, see :mod:`clampid.log_springs`; None where
+        not known.
     """
 
     stage: Stage
@@ -92,6 +95,7 @@ class StageModel:
     bootstrap: Bootstrap | None = None
     told: Prior | None = None
     lean: Array | None = None
+    by_springs: Array | None = None
 
     @property
     def std(self) -> Array:
@@ -255,6 +259,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
         "told": None if stage.told is None else _told_json(stage.told),
         "lean_rad": None if stage.lean is None else stage.lean.tolist(),
+        "by_springs": None if stage.by_springs is None else stage.by_springs.tolist(),
     }
 
 
@@ -309,6 +314,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             bootstrap=_read_bootstrap(part.get("bootstrap")),
             told=_read_told(part.get("told")),
             lean=None if part.get("lean_rad") is None else np.array(part["lean_rad"], dtype=float),
+            by_springs=None if part.get("by_springs") is None else np.array(part["by_springs"], dtype=float),
         )
     sessions = tuple(
         Session(

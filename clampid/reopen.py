@@ -197,6 +197,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         observability=stage.observability,
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
         told=stage.told,
+        by_springs=None if stage.by_springs is None else stage.by_springs[chosen],
     )
 
 
@@ -213,6 +214,7 @@ def _without_events(stage: StageModel, effects: Mapping[str, Effect]) -> StageMo
         covariance=stage.covariance[np.ix_(keep, keep)],
         identified=tuple(stage.identified[k] for k in keep),
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, keep),
+        by_springs=None if stage.by_springs is None else stage.by_springs[keep],
     )
 
 

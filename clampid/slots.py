@@ -29,11 +29,20 @@ class Slot:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of some slots before rows are seen: values ``(k,)`` and covariance ``(k, k)``, SI."""
+    """What is known of some slots before rows are seen: values ``(k,)`` and covariance ``(k, k)``, SI.
+
+    Attributes
+    ----------
+    follows, slope
+        Slots ``(f,)`` that the values follow, and how, ``(k, f)``: the covariance is that of what is off
+        mean + slope times those slots' values. None: they follow nothing.
+    """
 
     slots: tuple[Slot, ...]
     mean: npt.NDArray[np.float64]
     covariance: npt.NDArray[np.float64]
+    follows: tuple[Slot, ...] = ()
+    slope: npt.NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,11 @@ from clampid.slots import Slot
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.log_design import LogDesign
 from clampid.stages.log_facts import LogPart, joint_columns
-from clampid.stages.rows import Array, Integers
+from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["sampled_columns"]
+__all__ = ["MOST_ROWS", "sampled_columns", "sampled_postures", "sampled_rows"]
+
+MOST_ROWS = 600  # what depends on what is a matter of postures, not of rows
 
 _OF_LINK = ("m", "mx", "my", "mz")
 
@@ -51,6 +53,39 @@ def sampled_columns(
     return columns[:, : len(slots)], columns[:, len(slots) :]
 
 
+def sampled_rows(rows: Rows) -> Integers:
+    """Numbers of the rows of a log read whole that stand for all."""
+    usable = np.flatnonzero(rows.used.any(axis=1))
+    even = np.linspace(0, len(usable) - 1, min(MOST_ROWS, len(usable)))
+    return np.asarray(usable[np.unique(even.astype(int))])
+
+
+def sampled_postures(design: LogDesign, parts: Sequence[LogPart]) -> tuple[Integers, Integers, Array]:
+    """The sample's rows of the log ``(M,)``, their motors ``(M,)``, and where the joints are ``(M, n)``, rad."""
+    found = design.sample()
+    row = np.concatenate([part.row for part in found])
+    motor = np.concatenate([np.full(len(part.row), part.motor) for part in found])
+    q, before = np.zeros((len(row), design.n)), 0
+    for part in parts:
+        inside = np.flatnonzero((row >= before) & (row < before + part.table.rows))
+        wanted, of = np.unique(row[inside] - before, return_inverse=True)
+        q[inside] = _postures(part, wanted)[of]
+        before += part.table.rows
+    return row, motor, q
+
+
+def _postures(part: LogPart, wanted: Integers) -> Array:
+    """Joint angles ``(k, n)``, rad, of some rows of a table, in their order."""
+    n = part.campaign.robot.n
+    q, done = np.zeros((len(wanted), n)), 0
+    for chunk in part.table.chunks(joint_columns("q", "rad", n)):
+        found = np.column_stack(list(chunk.values()))
+        here = (wanted >= done) & (wanted < done + len(found))
+        q[here] = found[wanted[here] - done]
+        done += len(found)
+    return q
+
+
 def _weigh(
     columns: Array, row: Integers, motor: Integers, design: LogDesign, parts: Sequence[LogPart], slots: Sequence[Slot]
 ) -> None:
@@ -61,14 +96,8 @@ def _weigh(
     for part in parts:
         inside = np.flatnonzero((row >= before) & (row < before + part.table.rows))
         wanted, of = np.unique(row[inside] - before, return_inverse=True)
-        q, done = np.zeros((len(wanted), n)), 0
-        for chunk in part.table.chunks(joint_columns("q", "rad", n)):
-            found = np.column_stack(list(chunk.values()))
-            here = (wanted >= done) & (wanted < done + len(found))
-            q[here] = found[wanted[here] - done]
-            done += len(found)
         gravity = np.asarray(part.campaign.gravity, dtype=float)
-        weight = gravity_regressors(part.campaign.robot, gravity, q)
+        weight = gravity_regressors(part.campaign.robot, gravity, _postures(part, wanted))
         links, tool = T @ weight["regressor"], T @ weight["tool_regressor"]
         for i, name in enumerate(_OF_LINK):
             for k in range(n):

@@ -218,13 +218,24 @@ def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array
 def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
     precision, mean = experiment.prior()
+    index = {slot: k for k, slot in enumerate(experiment.slots)}
+    following: list[tuple[list[int], list[int], Array]] = []
     for prior in priors:
-        index = {slot: k for k, slot in enumerate(experiment.slots)}
         shared = [k for k, slot in enumerate(prior.slots) if slot in index]
         where = [index[prior.slots[k]] for k in shared]
         if where:
             precision[np.ix_(where, where)] = inverse_of(prior.covariance[np.ix_(shared, shared)])
             mean[where] = prior.mean[shared]
+        others = [k for k, slot in enumerate(prior.follows) if slot in index]
+        if where and others and prior.slope is not None:
+            slope = prior.slope[np.ix_(shared, others)]
+            following.append((where, [index[prior.follows[k]] for k in others], slope))
+    for where, others, slope in following:  # when all blocks stand: what is followed may have a prior of its own
+        own = precision[np.ix_(where, where)]
+        precision[np.ix_(where, others)] -= own @ slope
+        precision[np.ix_(others, where)] -= (own @ slope).T
+        precision[np.ix_(others, others)] += slope.T @ own @ slope
+        mean[where] += slope @ mean[others]
     return precision, mean
 
 

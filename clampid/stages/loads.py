@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
@@ -15,6 +16,7 @@ from kinematics.robot import RobotDescription
 
 __all__ = [
     "bearing_signals",
+    "declared_weight",
     "flange_to_base",
     "gravity_regressors",
     "gravity_signals",
@@ -52,13 +54,17 @@ def lean_torque(campaign: Campaign, q: Array) -> Array:
     return np.stack([gravity_signals(c, q)["gravity_torque"] for c in turned], axis=-1)
 
 
-def weight_stiffness(campaign: Campaign, q: Array) -> Array:
-    """How the weight's torques follow the posture ``(N, n, n)``, Nm/rad, at ``q`` ``(N, n)``, rad."""
+def declared_weight(campaign: Campaign) -> Array:
+    """(m, m c) of described links with the declared tool on the last ``(4n,)``, base axes at the zero pose."""
     robot, declared = campaign.robot, campaign.tool
     phi = gravity_parameters(robot.links) if robot.has_masses else np.zeros(4 * robot.n)
-    phi = add_tool(phi, robot.flange, declared.mass, declared.com)
+    return add_tool(phi, robot.flange, declared.mass, declared.com)
+
+
+def weight_stiffness(robot: RobotDescription, phi: Array, gravity: npt.ArrayLike, q: Array) -> Array:
+    """How torques of weights ``phi`` ``(4n,)`` follow the posture ``(N, n, n)``, Nm/rad, at ``q`` ``(N, n)``, rad."""
     linkage = np.asarray(robot.linkage)
-    stiffness = gravity_stiffness(robot.screws, q @ linkage.T, phi, campaign.gravity)
+    stiffness = gravity_stiffness(robot.screws, q @ linkage.T, phi, gravity)
     return np.asarray(linkage.T @ stiffness @ linkage)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.slots import Layout
-from clampid.stages.loads import bearing_signals, gravity_signals, lean_torque, weight_stiffness
+from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
 from clampid.stages.rows import Array, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign, Instrument
@@ -104,7 +104,7 @@ def _one(
         "position": position,
         **gravity_signals(campaign, q),
         "sag_torque": np.zeros((count, n)),
-        "weight_stiffness": weight_stiffness(campaign, q),
+        "weight_stiffness": weight_stiffness(campaign.robot, declared_weight(campaign), campaign.gravity, q),
         "lean_torque": lean_torque(campaign, q),
         **bearing_signals(campaign, q),
         **temperatures(frame, n),

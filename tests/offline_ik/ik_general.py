@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.chain import build_chain
-from clampid.stages.loads import bearing_signals, gravity_signals, weight_stiffness
+from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, weight_stiffness
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import evaluate, link_vectors, predict
 from clampid.stages.rows import Rows
@@ -82,7 +82,7 @@ def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -
         "position": np.zeros((count, 3)),
         "link_temperature": each(conditions.link_temperature),
         "motor_temperature": each(conditions.motor_temperature),
-        "weight_stiffness": weight_stiffness(campaign, q),
+        "weight_stiffness": weight_stiffness(campaign.robot, declared_weight(campaign), campaign.gravity, q),
         **gravity_signals(campaign, q),
         **bearing_signals(campaign, q),
     }
