@@ -223,7 +223,9 @@ def build_chain(
     if stage == "poses" and "flank" in row.flats:
         # A joint without load rests on the side it came from; any load beyond that decides the flank.
         pressing = ca.densify(row.offered["torque"] + row.recorded("rest_direction"))
-    yields = ca.densify(stacked[offsets["joint_angle"]]) if stage == "poses" and "torque" in row.offered else None
+    yields = None
+    if "sag_torque" in row.flats and ca.depends_on(stacked, row.flats["sag_torque"]):
+        yields = ca.densify(stacked[offsets["joint_angle"]])
     inputs = [theta, ca.vertcat(*row.flats.values())]
     widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
     least = least_deciding(slots, effects)

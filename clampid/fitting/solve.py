@@ -30,6 +30,9 @@ __all__ = [
     "start_of",
 ]
 
+FOLLOWING = ("flank", "sag_torque")
+"""Signals of poses that follow the parameters, held while these are searched."""
+
 
 class FitError(ValueError):
     """The rows cannot carry the fit; the message says why."""
@@ -169,14 +172,22 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     def cost(held: Sequence[Experiment], at: Array) -> float:
         return stage_point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
+    held: dict[bytes, Experiment] = {}
+
+    def held_at(at: Array) -> Experiment:
+        key = at.tobytes()
+        if key not in held:
+            held[key] = experiment.with_flanks(at)
+        return held[key]
+
     def found(start: Array) -> Estimate:
         end = settled(
             start,
-            lambda at: [experiment.with_flanks(at)],
+            lambda at: [held_at(at)],
             lambda held, at: _search(held[0], at, noise, precision, mean),
             cost,
         )
-        return _at_its_own(end, experiment.with_flanks(end.theta))
+        return _at_its_own(end, held_at(end.theta))
 
     estimate = found(theta)
     image = mirrored(experiment, estimate.theta)
@@ -189,7 +200,8 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
 
 def _at_its_own(estimate: Estimate, held: Experiment) -> Estimate:
     """The estimate on the flanks and loads that it gives, which its predictions will have."""
-    if held.rows.signals is estimate.experiment.rows.signals:
+    before, after = (e.rows.signals for e in (estimate.experiment, held))
+    if before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after):
         return estimate
     there = stage_point(held, estimate.noise, estimate.theta)
     covariance = there.covariance(estimate.prior_precision)
