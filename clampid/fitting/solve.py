@@ -172,13 +172,14 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     def cost(held: Sequence[Experiment], at: Array) -> float:
         return stage_point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
-    held: dict[bytes, Experiment] = {}
+    known: dict[bytes, Experiment] = {}
 
     def held_at(at: Array) -> Experiment:
+        """Flanks and loads where a parameter vector puts them, found once."""
         key = at.tobytes()
-        if key not in held:
-            held[key] = experiment.with_flanks(at)
-        return held[key]
+        if key not in known:
+            known[key] = experiment.with_flanks(at)
+        return known[key]
 
     def found(start: Array) -> Estimate:
         end = settled(
