@@ -70,9 +70,10 @@ def with_rest_friction(
 ) -> RestFriction:
     """Seek the frictions that decide on flanks and of which nothing but the poses tells.
 
-    Where ``start`` has them all they are held there, unless they are to be sought ``anew``. Where the model leaves more
-    than noise, or a clearance has just been added, none is held: flanks would explain what else it lacks, and nothing
-    could move them afterwards.
+    Where ``start`` has all of the model they are held there, unless they are to be sought ``anew``. Where it lacks an
+    effect that has just been added, they are sought from what it has: without that effect flanks may have explained
+    what it does. Where the model leaves more than noise, or a clearance has just been added, none is held: flanks would
+    explain what else it lacks, and nothing could move them afterwards.
 
     Raises
     ------
@@ -85,9 +86,12 @@ def with_rest_friction(
     theta = start_of(experiment, start, priors)
     if not anew and all(experiment.slots[k] in start for k in open_):
         places = {experiment.slots[k].place for k in open_}
-        new = any(s.effect == CLEARANCE and s.place in places and s not in start for s in experiment.slots)
-        free = new or _misses(experiment, experiment.residual(theta)[0])
-        return RestFriction(start, None if free else _held(experiment, open_, theta))
+        added = [s for s in experiment.slots if s not in start]
+        if any(s.effect == CLEARANCE and s.place in places for s in added):
+            return RestFriction(start, None)
+        if not added:
+            free = _misses(experiment, experiment.residual(theta)[0])
+            return RestFriction(start, None if free else _held(experiment, open_, theta))
     estimate = _solved(experiment, priors, open_, theta)
     for _ in range(ROUNDS):
         before = estimate
