@@ -68,9 +68,11 @@ def stability(first: Sequence[Scored], chosen: Scored) -> float:
 
 
 def same_effect(a: Scored, b: Scored) -> bool:
-    """Whether two candidates are one effect, or probes of a common variable."""
-    if a.candidate.terms or b.candidate.terms:
-        return a.candidate.name == b.candidate.name
+    """Whether two candidates are one effect, variants of one at the same places, or probes of a common variable."""
+    a_what, b_what = a.candidate, b.candidate
+    if a_what.terms or b_what.terms:
+        variants = a_what.family == b_what.family and a_what.places == b_what.places
+        return a_what.name == b_what.name or variants
     return bool(set(a.candidate.depends_on) & set(b.candidate.depends_on))
 
 

@@ -18,7 +18,7 @@ from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers, Rows
 from kinematics.description import RobotDescription
 
-__all__ = ["ABLE", "CONFUSABLE", "IMPOSSIBLE", "RATE", "Look", "look_at", "rivals_of"]
+__all__ = ["ABLE", "CONFUSABLE", "IMPOSSIBLE", "RATE", "Look", "look_at", "rivals_of", "variants_of"]
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
 CONFUSABLE = 0.8
@@ -148,3 +148,14 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
     ]
     return kept[:4]
+
+
+def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
+    """Other variants of the best candidate's family, at the same places, that explain much of the same."""
+    mine, found = best.candidate, dict[str, Scored]()
+    for other in sorted(named, key=lambda s: -s.bic):
+        theirs = other.candidate
+        same = theirs.family == mine.family and theirs.places == mine.places and theirs.name != mine.name
+        if same and other.state in ABLE and other.bic > 0 and canonical(best, other) > CONFUSABLE:
+            found.setdefault(theirs.name, other)
+    return list(found.values())

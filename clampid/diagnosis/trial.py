@@ -12,7 +12,7 @@ from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.entries import confusable_with, entry_of
-from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of
+from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of, variants_of
 from clampid.diagnosis.score import Scored, canonical
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
@@ -175,10 +175,9 @@ class Bench:
         rivals = rivals_of(look.space, look.named, best, {t.best.candidate.label for t in refused})
         if rivals:
             return Undecided([best, *rivals], look)
-        terms = [*fitted.model.terms, *best.candidate.terms]
-        trial = self.refit(terms, fitted, best.candidate.shapes)
-        trial, kept = pruned(trial, best.candidate.terms, fitted.model.terms, self.refit)
-        new = self.held_out(trial)
+        # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
+        along = [self._fitted_along(s, fitted) for s in (best, *variants_of(look.named, best))]
+        best, trial, kept, new = min(along, key=lambda f: f[3].rms)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
         again = stability(first, best)
@@ -190,6 +189,12 @@ class Bench:
                 return Undecided([best, *others.values()], look)
             reason = "without a fifth of the rows it is not first"
         return Tried(best, look, trial, kept, new, p_held, again, reason)
+
+    def _fitted_along(self, s: Scored, fitted: FittedStage) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
+        """A candidate, the fit with it, the terms that pay, and that fit's errors on rows that it has not seen."""
+        trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, s.candidate.shapes)
+        trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
+        return s, trial, kept, self.held_out(trial)
 
     def beside(self, undecided: Undecided, fitted: FittedStage, number: int) -> Tried | list[Undecided]:
         """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.

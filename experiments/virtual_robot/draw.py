@@ -26,6 +26,7 @@ TARGETS = {"T1": (0.10, 0.0, 0.12), "T2": (-0.05, 0.0866, 0.12), "T3": (-0.05, -
 ARCSEC = np.pi / 180 / 3600
 GEARING = 100.0  # between motor and joint, where a description has none and logs the motors as if at the joints
 DISC_MARKS = 36  # of an encoder, round its disc: errors of spacing show at every ten degrees
+RIPPLES = 6  # per revolution of a motor, at most
 
 
 def nominal_geometry(robot: RobotDescription) -> Geometry:
@@ -97,7 +98,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
         asymmetry=zeros,
         load=zeros,
         thermal=zeros,
-        ripple=np.zeros((n, 4)),
+        ripple=np.zeros((n, 2 * RIPPLES)),
         offset=zeros,
         lag=0.0,
     )
@@ -107,7 +108,7 @@ def draw_plant(robot: RobotDescription, rng: np.random.Generator) -> Plant:
         drive=drive,
         friction=friction,
         attachments=Attachments(zeros, zeros, 0.0, min(1, n - 1), (0.25, 0.7), 0.4, 0.0),
-        structure=Structure(zeros, zeros, zeros, 0.0),
+        structure=Structure(zeros, zeros, zeros, 0.0, np.zeros(6)),
         heat=_draw_heat(n, rng),
         instrument=_draw_instrument(geometry, shaft, rng),
         fixture=Fixture(np.zeros(6), np.zeros(6), np.inf, 0.05, np.array([3e-6] * 3 + [1e-5] * 3)),
@@ -168,6 +169,7 @@ def _draw_drive(robot: RobotDescription, rng: np.random.Generator) -> Drive:
         slip=np.zeros((n, 3)),
         slip_torque=np.ones((n, 3)),
         eccentricity=np.zeros((n, 4)),
+        resolver=np.zeros((n, 4)),
         disc=np.zeros((n, DISC_MARKS)),
         disc_turn=np.zeros(n),
         disc_sense=np.ones(n),

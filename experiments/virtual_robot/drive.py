@@ -34,9 +34,14 @@ def compliance_matrix(drive: Drive) -> Array:
 def gear_output(drive: Drive, motor: Array, zero: Array) -> Array:
     """Return the joint angles that unloaded gears give, rad, (N, n), from motor angles, rad, (N, n)."""
     q = motor @ drive.transmission + zero
-    e = drive.eccentricity
-    periodic = e[:, 0] * np.sin(q) + e[:, 1] * np.cos(q) + e[:, 2] * np.sin(2 * q) + e[:, 3] * np.cos(2 * q)
+    periodic = _twice(drive.eccentricity, q) + _twice(drive.resolver, motor)
     return np.asarray(q + periodic + _disc_error(drive, q), dtype=float)
+
+
+def _twice(e: Array, angle: Array) -> Array:
+    """Return errors once and twice per revolution, rad, (N, n), from amplitudes (n, 4) and angles, rad, (N, n)."""
+    once = e[:, 0] * np.sin(angle) + e[:, 1] * np.cos(angle)
+    return np.asarray(once + e[:, 2] * np.sin(2 * angle) + e[:, 3] * np.cos(2 * angle), dtype=float)
 
 
 def _disc_error(drive: Drive, q: Array) -> Array:

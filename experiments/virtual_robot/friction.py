@@ -43,11 +43,12 @@ def motor_friction(friction: Friction, speed: Array, state: Array, temperature: 
 
 def ripple(friction: Friction, motor: Array) -> Array:
     """Return the torque ripple at the joints, Nm, (N, n), at motor angles, rad, (N, n)."""
-    r = friction.ripple
-    return np.asarray(
-        r[:, 0] * np.sin(motor) + r[:, 1] * np.cos(motor) + r[:, 2] * np.sin(2 * motor) + r[:, 3] * np.cos(2 * motor),
-        dtype=float,
-    )
+    total = np.zeros_like(motor)
+    for k in range(friction.ripple.shape[1] // 2):
+        sine, cosine = friction.ripple[:, 2 * k], friction.ripple[:, 2 * k + 1]
+        if sine.any() or cosine.any():
+            total += sine * np.sin((k + 1) * motor) + cosine * np.cos((k + 1) * motor)
+    return total
 
 
 def motor_torque(

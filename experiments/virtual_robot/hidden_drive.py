@@ -58,6 +58,18 @@ def hide_eccentricity(plant: Plant, i: int, m: float, s: Sight, rng: np.random.G
     return wavy(plant, terms), named(("sin_q_rad", "cos_q_rad", "sin_2q_rad", "cos_2q_rad"), terms)
 
 
+def hide_resolver(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a joint's angle err once and, less, twice per revolution of its motor, with random phases."""
+    a, b = rng.uniform(0, 2 * np.pi, 2)
+    shape = np.array([np.cos(a), np.sin(a), 0.6 * np.cos(b), 0.6 * np.sin(b)])
+
+    def wavy(p: Plant, terms: Array) -> Plant:
+        return replace(p, drive=replace(p.drive, resolver=plus(p.drive.resolver, i, terms)))
+
+    terms = m * SMALL * s.factor(lambda p: wavy(p, SMALL * shape)) * shape
+    return wavy(plant, terms), named(("sin_motor_rad", "cos_motor_rad", "sin_2motor_rad", "cos_2motor_rad"), terms)
+
+
 def hide_disc(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Give all joints encoders with one and the same faulty disc, each turned and read from the side as it came."""
     return _with_discs(plant, m, s, rng, 1)
@@ -88,7 +100,18 @@ def _with_discs(plant: Plant, m: float, s: Sight, rng: np.random.Generator, kind
 def hide_ratio(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Make an entry of T wrong: of the wrist's coupling to the joint before, or else of the joint's own ratio."""
     T = s.plant.drive.transmission
-    j = i - 1 if i > 0 and T[i - 1, i] != 0 else i
+    return _with_wrong_entry(plant, i - 1 if i > 0 and T[i - 1, i] != 0 else i, i, m, s)
+
+
+def hide_distant_ratio(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Make the entry of T wrong by which the joint two before turns a joint."""
+    if i < 2:
+        raise ValueError(f"distant_coupling_error@joint{i + 1}: expected joint3 or a later one, with one two before it")
+    return _with_wrong_entry(plant, i - 2, i, m, s)
+
+
+def _with_wrong_entry(plant: Plant, j: int, i: int, m: float, s: Sight) -> tuple[Plant, Numbers]:
+    T = s.plant.drive.transmission
 
     def wrong(p: Plant, error: float) -> Plant:
         new = p.drive.transmission.copy()

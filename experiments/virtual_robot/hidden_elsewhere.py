@@ -82,6 +82,18 @@ def hide_base_tilt(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gene
     return tilting(plant, value), {"tilt_rad_Nm": value}
 
 
+def hide_settling(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let the base tilt and sink in the course of the session, in a direction of its own."""
+    shape = np.r_[1e-4 * rng.standard_normal(3), 1e-4 * rng.standard_normal(3)]
+
+    def settling(p: Plant, value: float) -> Plant:
+        return replace(p, structure=replace(p.structure, settling=p.structure.settling + value * shape))
+
+    value = m * 0.1 * s.factor(lambda p: settling(p, 0.1))
+    names = ("rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
+    return settling(plant, value), named(names, value * shape)
+
+
 def hide_bearing_tilt(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Let a joint's bearing tilt under the moment across its axis."""
 

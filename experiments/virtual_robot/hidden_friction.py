@@ -44,9 +44,24 @@ def hide_ripple(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generat
     size = 1.5 * m * float(plant.instrument.torque_sigma[i] / abs(plant.drive.nominal[i, i]))
     a, b = rng.uniform(0, 2 * np.pi, 2)
     terms = size * np.array([np.cos(a), np.sin(a), 0.6 * np.cos(b), 0.6 * np.sin(b)])
-    friction = replace(plant.friction, ripple=plus(plant.friction.ripple, i, terms))
+    every = np.zeros(plant.friction.ripple.shape[1])
+    every[:4] = terms
+    friction = replace(plant.friction, ripple=plus(plant.friction.ripple, i, every))
     names = ("sin_motor_Nm", "cos_motor_Nm", "sin_2motor_Nm", "cos_2motor_Nm")
     return replace(plant, friction=friction), named(names, terms)
+
+
+def hide_poles(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a joint's torque ripple with the poles of its motor: three and, less, six times per revolution."""
+    size = 1.5 * m * float(plant.instrument.torque_sigma[i] / abs(plant.drive.nominal[i, i]))
+    a, b = rng.uniform(0, 2 * np.pi, 2)
+    terms = size * np.array([np.cos(a), np.sin(a), 0.6 * np.cos(b), 0.6 * np.sin(b)])
+    every = np.zeros(plant.friction.ripple.shape[1])
+    every[[4, 5, 10, 11]] = terms
+    friction = replace(plant.friction, ripple=plus(plant.friction.ripple, i, every))
+    return replace(plant, friction=friction), named(
+        ("sin_3motor_Nm", "cos_3motor_Nm", "sin_6motor_Nm", "cos_6motor_Nm"), terms
+    )
 
 
 def hide_lag(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:

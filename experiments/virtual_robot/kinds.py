@@ -19,10 +19,12 @@ from experiments.virtual_robot.hidden_drive import (
     hide_coupled_springs,
     hide_disc,
     hide_discs,
+    hide_distant_ratio,
     hide_eccentricity,
     hide_hardening,
     hide_hysteresis,
     hide_ratio,
+    hide_resolver,
     hide_soft,
 )
 from experiments.virtual_robot.hidden_elsewhere import (
@@ -36,12 +38,14 @@ from experiments.virtual_robot.hidden_elsewhere import (
     hide_outside,
     hide_payload,
     hide_scale,
+    hide_settling,
     hide_slip,
 )
 from experiments.virtual_robot.hidden_friction import (
     hide_creep,
     hide_friction,
     hide_lag,
+    hide_poles,
     hide_ripple,
     hide_stribeck,
 )
@@ -80,6 +84,10 @@ def _inner_loaded(plant: Plant) -> list[int]:
 
 def _wrist(plant: Plant) -> list[int]:
     return list(range(min(3, plant.n - 1), plant.n))
+
+
+def _last(plant: Plant) -> list[int]:
+    return [plant.n - 1]
 
 
 def _tilted(plant: Plant) -> list[int]:
@@ -154,6 +162,7 @@ KINDS: dict[str, Kind] = {
     "backlash": Kind(hide_backlash, "joint", ("clamped", *POSES), _inner),
     "joint_compliance": Kind(hide_compliance, "joint", ("clamped", *POSES), _loaded),
     "gear_eccentricity": Kind(hide_eccentricity, "joint", POSES),
+    "motor_eccentricity": Kind(hide_resolver, "joint", POSES, _inner),
     "encoder_disc": Kind(hide_disc, "joints", POSES),
     "different_encoder_discs": Kind(hide_discs, "joints", POSES),
     "thermal_expansion": Kind(hide_expansion, "link", POSES, _long),
@@ -162,15 +171,18 @@ KINDS: dict[str, Kind] = {
     "presliding_friction": Kind(hide_creep, "joint", ("free_air", "wrist")),
     "fixture_compliance": Kind(hide_fixture, "fixture", ("clamped",)),
     "base_tilt": Kind(hide_base_tilt, "base", POSES),
+    "base_settling": Kind(hide_settling, "base", POSES),
     "instrument_scale": Kind(hide_scale, "instrument", POSES),
     "bearing_tilt": Kind(hide_bearing_tilt, "joint", POSES, _tilted),
     "link_bending": Kind(hide_bending, "link", POSES, _beams),
     "coupling_ratio_error": Kind(hide_ratio, "joint", POSES, _wrist),
+    "distant_coupling_error": Kind(hide_distant_ratio, "joint", POSES, _last),
     "nonlinear_stiffness": Kind(hide_hardening, "joint", ("clamped", *POSES), _inner_loaded),
     "soft_near_zero": Kind(hide_soft, "joint", ("clamped", *POSES), _inner_loaded),
     "fixture_shift": Kind(hide_slip, "fixture", ("clamped",)),
     "hysteresis": Kind(hide_hysteresis, "joint", ("clamped", *POSES), _loaded),
     "torque_ripple": Kind(hide_ripple, "joint", TORQUES),
+    "higher_torque_ripple": Kind(hide_poles, "joint", TORQUES),
     "dress_pack": Kind(hide_dress_pack, "joint", EVERYWHERE, _wrist),
     "gravity_compensator": Kind(hide_balancer, "joint", EVERYWHERE, _second),
     "cross_coupled_stiffness": Kind(hide_coupled_springs, "joint", ("clamped", *POSES), _wrist),

@@ -66,6 +66,7 @@ class Drive:
     slip: Array  # (n, k) rad/Nm, compliance of the elements that slip (hysteresis)
     slip_torque: Array  # (n, k) Nm, where they slip
     eccentricity: Array  # (n, 4) rad: sin q, cos q, sin 2q, cos 2q
+    resolver: Array  # (n, 4) rad at the joint: sin m, cos m, sin 2m, cos 2m of the motor's angle
     rotor: Array  # (n,) kg m² at the motor
     disc: Array  # (n, marks) rad by which each encoder's disc is off at equal angles all round
     disc_turn: Array  # (n,) rad by which each drive's disc is turned
@@ -86,7 +87,7 @@ class Friction:
     asymmetry: Array  # (n,) Nm at the motor, more when turning forward
     load: Array  # (n,) share of the transmitted joint torque
     thermal: Array  # (n,) 1/K
-    ripple: Array  # (n, 4) Nm at the joint: sin m, cos m, sin 2m, cos 2m of the motor's angle
+    ripple: Array  # (n, 2k) Nm at the joint: sin m, cos m, sin 2m, cos 2m, … of the motor's angle
     offset: Array  # (n,) Nm at the motor
     lag: float  # s by which torques are logged late
 
@@ -112,6 +113,7 @@ class Structure:
     bending: Array  # (n,) 1/(Nm²), 1/EI of each link
     bearing: Array  # (n,) rad/Nm, tilt of each joint's bearing
     base: float  # rad/Nm, tilt of the base
+    settling: Array  # (6,) rad and m, turn and shift of the base about its origin in the first hour
 
 
 @dataclass(frozen=True)

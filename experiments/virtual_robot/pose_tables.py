@@ -17,9 +17,14 @@ from experiments.virtual_robot.structure import deformation, flange_poses
 from experiments.virtual_robot.torque_tables import Logged, columns
 
 
-def tracked_points(plant: Plant, bodies: Bodies, arm: Array, link_temperature: Array) -> Array:
-    """Return the tracked points in the instrument's frame, m, (N, targets, 3), at true joint angles, rad, (N, n)."""
-    pose = flange_poses(bodies, arm, deformation(plant, bodies, arm, link_temperature))
+def tracked_points(
+    plant: Plant, bodies: Bodies, arm: Array, link_temperature: Array, time: Array | None = None
+) -> Array:
+    """Return the tracked points in the instrument's frame, m, (N, targets, 3), at true joint angles, rad, (N, n).
+
+    ``time`` as in :func:`deformation`.
+    """
+    pose = flange_poses(bodies, arm, deformation(plant, bodies, arm, link_temperature, time))
     points = []
     for target in plant.geometry.targets.values():
         point = pose[:, :3, :3] @ target + pose[:, :3, 3]
@@ -37,8 +42,8 @@ def measure_poses(
     arm, _ = arm_at_rest(plant, bodies, program.q, program.direction)
     there = arm + plant.instrument.repeatability * rng.standard_normal((visits, n))
     warm = history.at(program.time).link
-    truth = tracked_points(plant, bodies, arm, warm).reshape(-1, 3)
-    read = tracked_points(plant, bodies, there, warm).reshape(-1, 3)
+    truth = tracked_points(plant, bodies, arm, warm, program.time).reshape(-1, 3)
+    read = tracked_points(plant, bodies, there, warm, program.time).reshape(-1, 3)
     read += plant.instrument.sigma * rng.standard_normal(read.shape)
 
     each = np.repeat(np.arange(visits), len(names))

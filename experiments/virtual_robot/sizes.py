@@ -34,13 +34,14 @@ class Sight:
         self._q = site.configurations(100, 0.85, 2 * np.pi, rng)
         self._direction = rng.choice([-1.0, 1.0], self._q.shape)
         warm = session(plant.heat, np.array([8000.0]), np.ones((1, plant.n)))
-        self._link = warm.at(np.linspace(0.0, 8000.0, len(self._q))).link
+        self._time = np.linspace(0.0, 8000.0, len(self._q))
+        self._link = warm.at(self._time).link
 
     def points(self, plant: Plant) -> Array:
         """Return all coordinates of all tracked points of a plant, m, flat."""
         bodies = Bodies(plant.geometry, plant.masses)
         arm, _ = arm_at_rest(plant, bodies, self._q, self._direction)
-        return tracked_points(plant, bodies, arm, self._link).ravel()
+        return tracked_points(plant, bodies, arm, self._link, self._time).ravel()
 
     @cached_property
     def _here(self) -> Array:

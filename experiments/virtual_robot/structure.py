@@ -12,6 +12,7 @@ from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.rotations import rotation_matrix
 
 REFERENCE_TEMPERATURE = 20.0  # °C, at which links have the length of the true geometry
+CREEP_BEGINS, SETTLING_TIME = 600.0, 3600.0  # s
 
 
 @dataclass(frozen=True)
@@ -19,16 +20,22 @@ class Deformation:
     """Small motions at the n joints and, last, at the flange; in the frame of the link before each.
 
     ``rotation`` (N, n+1, 3) in rad about the joint's point, ``shift`` (N, n+1, 3) in m; ``base`` (N, 3) in rad about
-    the base origin, in the base frame.
+    the base origin, in the base frame, and ``foot`` (N, 3) in m the shift of that origin.
     """
 
     rotation: Array
     shift: Array
     base: Array
+    foot: Array
 
 
-def deformation(plant: Plant, bodies: Bodies, q: Array, link_temperature: Array) -> Deformation:
-    """Return how the structure deforms at true joint angles q, rad, (N, n), and link temperatures, °C, (N, n)."""
+def deformation(
+    plant: Plant, bodies: Bodies, q: Array, link_temperature: Array, time: Array | None = None
+) -> Deformation:
+    """Return how the structure deforms at true joint angles q, rad, (N, n), and link temperatures, °C, (N, n).
+
+    ``time`` (N,) is what has passed since the robot was set up, s; without it nothing has.
+    """
     N, n = q.shape
     rotation, shift, base = np.zeros((N, n + 1, 3)), np.zeros((N, n + 1, 3)), np.zeros((N, 3))
     vectors, s = plant.geometry.link_vectors, plant.structure
@@ -46,7 +53,10 @@ def deformation(plant: Plant, bodies: Bodies, q: Array, link_temperature: Array)
             shift[:, i + 1] += sag
         foot = load.moment[:, 0] + np.cross(plant.geometry.points[0], load.force[:, 0])
         base = s.base * foot * np.array([1.0, 1.0, 0.0])
-    return Deformation(rotation, shift, base)
+    # Grout and anchors creep with the logarithm of time.
+    crept = np.zeros(N) if time is None else np.log1p(time / CREEP_BEGINS) / np.log1p(SETTLING_TIME / CREEP_BEGINS)
+    settled = crept[:, None] * s.settling
+    return Deformation(rotation, shift, base + settled[:, :3], settled[:, 3:])
 
 
 def _cantilever(flexibility: float, vector: Array, force: Array, moment: Array) -> tuple[Array, Array]:
@@ -73,7 +83,7 @@ def flange_poses(bodies: Bodies, q: Array, deformed: Deformation) -> Array:
     bent[..., :3, :3] = turn @ chain[..., :3, :3]
     bent[..., :3, 3] += deformed.shift
     pose = np.tile(np.eye(4), (len(q), 1, 1))
-    pose[:, :3, :3] = rotation_matrix(deformed.base)
+    pose[:, :3, :3], pose[:, :3, 3] = rotation_matrix(deformed.base), deformed.foot
     for k in range(bent.shape[1]):
         pose = pose @ bent[:, k]
     return np.asarray(pose, dtype=float)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
@@ -41,12 +41,28 @@ class Case:
     ----------
     lacking
         Whether the start model leaves out an effect that the standard set has.
+    hidden
+        What the virtual robot calls it, if not by the name of the effect.
+    unrecorded
+        Columns whose names begin like this are taken out of the tables.
     """
 
     effect: str
     tables: tuple[str, ...]
     stages: tuple[Stage, ...]
     lacking: bool = False
+    hidden: str = ""
+    unrecorded: str = ""
+
+    def seen(self, campaign: Campaign) -> Campaign:
+        """The campaign without what was not recorded."""
+        if not self.unrecorded:
+            return campaign
+        kept = {
+            name: table[[c for c in table.columns if not str(c).startswith(self.unrecorded)]]
+            for name, table in campaign.tables.items()
+        }
+        return replace(campaign, tables=kept)
 
 
 CASES = {
@@ -55,6 +71,11 @@ CASES = {
         Case("gear_eccentricity", (*TORQUES, *POSES), ("poses",)),
         Case("thermal_expansion", (*TORQUES, *POSES), ("poses",)),
         Case("base_tilt", (*TORQUES, *POSES), ("poses",)),
+        Case("base_settling", (*TORQUES, *POSES), ("poses",)),
+        Case("motor_eccentricity", (*TORQUES, *POSES), ("poses",)),
+        Case("distant_coupling_error", (*TORQUES, *POSES), ("poses",)),
+        Case("warm_up_expansion", (*TORQUES, *POSES), ("poses",), hidden="thermal_expansion", unrecorded="temp_"),
+        Case("higher_torque_ripple", TORQUES, ("free_air",)),
         Case("bearing_tilt", (*TORQUES, *POSES), ("poses",)),
         Case("link_bending", (*TORQUES, *POSES), ("poses",)),
         Case("stribeck_friction", TORQUES, ("free_air",)),
@@ -111,7 +132,7 @@ def truth_of(case: Case, where: str) -> str:
 
 
 def check(case: Case, seed: int, simulated: Simulated, table: list[str]) -> None:
-    campaign = simulated(seed=seed, poses=200, tables=case.tables, hidden=(case.effect,))
+    campaign = case.seen(simulated(seed=seed, poses=200, tables=case.tables, hidden=(case.hidden or case.effect,)))
     where = _hidden_where(campaign)
     model = start_model(case, campaign)
     found = diagnose(model, campaign).stages
@@ -122,7 +143,8 @@ def check(case: Case, seed: int, simulated: Simulated, table: list[str]) -> None
         names = [f"{c['effect']}@{','.join(c['where'])}" for c in verdict.candidates]
         told = f"{case.effect}@{where} seed {seed} {stage}: {verdict.verdict} {names}"
         listed = verdict.candidates if verdict.verdict == "ambiguous" and first and first["alternative"] else [first]
-        named = any(c is not None and c["effect"] == case.effect for c in listed)
+        family = catalogue()[case.effect].family
+        named = any(c is not None and c["effect"] == family for c in listed)
         reached = best = float("nan")
         if verdict.candidates:
             try:
@@ -153,7 +175,7 @@ def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Si
     check(CASES[effect], seed, simulated, table)
 
 
-@pytest.mark.parametrize("effect", ["gear_eccentricity", "torque_offset", "time_lag"])
+@pytest.mark.parametrize("effect", ["gear_eccentricity", "base_settling", "torque_offset", "time_lag"])
 def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
     check(CASES[effect], 4, simulated, table)
 

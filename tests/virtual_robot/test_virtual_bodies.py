@@ -10,7 +10,8 @@ from experiments.virtual_robot.structure import Deformation, _cantilever, deform
 
 def _rigid(q):
     n = q.shape[1]
-    return Deformation(np.zeros((len(q), n + 1, 3)), np.zeros((len(q), n + 1, 3)), np.zeros((len(q), 3)))
+    still = np.zeros((len(q), n + 1, 3))
+    return Deformation(still, still, np.zeros((len(q), 3)), np.zeros((len(q), 3)))
 
 
 def _height_of_masses(bodies, plant, q):

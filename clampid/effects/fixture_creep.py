@@ -1,0 +1,32 @@
+"""The block that the flange is clamped to creeps on while a sweep lasts.
+
+The posture at which each sweep was clamped is unknown anyway, so only the course within a sweep tells.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+
+def motion(p: Any, x: Any) -> Any:
+    """(w, v) = (r, d) times the share of the sweep that is over."""
+    return rows(p.rx, p.ry, p.rz, p.x, p.y, p.z) * x.sweep_fraction
+
+
+EFFECT = Effect(
+    name="fixture_creep",
+    family="fixture_compliance",
+    acts={"fixture": motion},
+    parameters=(
+        *(Parameter(a, "m", 1e-4, bounds=(-1e-2, 1e-2), meaning=f"crept along {a} in a sweep") for a in "xyz"),
+        *(Parameter(f"r{a}", "rad", 1e-4, bounds=(-1e-2, 1e-2), meaning=f"turned about {a} in a sweep") for a in "xyz"),
+    ),
+    needs=("sweep_fraction",),
+    stages=("clamped",),
+    equation="(w, v) = (r, d) s, s from 0 to 1 in each sweep; base frame, about the flange",
+    source=("Thesis",),
+    at="fixture",
+)
