@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import StageErrors, stage_errors
+from clampid.accuracy import StageErrors, noise_floor, stage_errors
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.score import score, space_of
@@ -128,7 +128,10 @@ def add(
         # An effect that takes another's place finds its own places.
         every, new_terms = new.model.terms, [t for t in new.model.terms if t not in stages[stage].terms]
         verification = verification_rows(several, layout, stage, new.base_reference)
-        errors = [stage_errors(f.estimate, rows, held, verification, seed) for f in (old, new)]
+        # A log's noise is learned from what a model leaves. Both are judged by what the better one leaves: a ripple
+        # that was taken for noise would make the error seem to rise when it is gone.
+        floor = noise_floor(new.estimate.experiment.rows, new.estimate.residual)
+        errors = [stage_errors(f.estimate, rows, held, verification, seed, floor) for f in (old, new)]
         references |= new.base_reference
         mended[stage] = new.model
         if stage == "poses":
