@@ -28,6 +28,7 @@ from clampid.stages.experiment import Experiment
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.rows import Array, Rows
 from kinematics.dynamics import inertial_parameters
+from kinematics.masses import links_of
 from kinematics.robot import RobotDescription
 
 __all__ = ["INERTIAL", "base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
@@ -103,7 +104,7 @@ def grouped(
         terms = _ordered([(slots[j], float(weights[j])) for j in order if weights[j] != 0.0], slots[k])
         std, prior = (float(np.sqrt(max(float(weights @ C @ weights), 0.0))) for C in (covariance, before))
         unit = find_parameter(slots[k], effects).unit
-        value, nominal = float(weights @ theta), float(weights @ described)
+        value, nominal = float(weights @ theta), float(weights @ described) if robot.has_masses else 0.0
         known = bool(std < min(size[k], TOLD * prior))
         out.append(BaseParameter(base_name(terms, effects), unit, terms, value, std, nominal, known))
     return tuple(out)
@@ -172,22 +173,21 @@ def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
 
 
 def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Array:
-    """What the description gives for each slot ``(P,)``, about the links' joint points; 0 where it says nothing.
+    """What each slot ``(P,)`` counts from, about the links' joint points: the description.
 
-    Links without described inertia count as points, as they do in the model's own torques
-    (:func:`clampid.stages.loads.inertial_signals`). Source: Lynch & Park, theorem 8.2 (Steiner).
+    Where that has no masses, those of :func:`kinematics.masses.usual_links`, and no inertia. Links without described
+    inertia count as points, as they do in the model's own torques (:func:`clampid.stages.loads.inertial_signals`).
+    Source: Lynch & Park, theorem 8.2 (Steiner).
     """
     out = np.zeros(len(slots))
-    if not robot.has_masses:
-        return out
     names = ("m", *_FIRST_MOMENTS, "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
     bodies = []
-    for body, joint in zip(robot.links, robot.joints, strict=True):
+    for body, joint in zip(links_of(robot), robot.joints, strict=True):
         phi = inertial_parameters(body.mass, body.com, body.inertia, joint.point)
         phi[1:4] -= body.mass * joint.point
         bodies.append(dict(zip(names, phi.tolist(), strict=True)))
     for k, slot in enumerate(slots):
-        if slot.effect in ("gravity", "link_inertia"):
+        if slot.effect == "gravity" or (slot.effect == "link_inertia" and robot.has_masses):
             out[k] = bodies[_number(slot) - 1][slot.parameter]
     return out
 

@@ -96,10 +96,13 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     Returns
     -------
     Compensation or None
-        None where the model has no springs in its poses, the campaign has none, or nothing is deflected.
+        None where the model has no springs in its poses, the campaign has none, nothing is deflected, or nobody knows
+        what the arm weighs.
     """
     model = opened.stages.get("poses")
     if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
+        return None
+    if not opened.campaign.robot.has_masses and not any(s.effect == "gravity" for s in model.slots):
         return None
     trial = opened.experiment("poses", opened.rows("poses"))
     bent = _bending(opened, trial)

@@ -22,6 +22,7 @@ from clampid.fitting.open_flanks import with_open_flanks
 from clampid.fitting.rest_friction import RestFriction, with_open_friction, with_rest_friction
 from clampid.fitting.solve import Estimate
 from clampid.fitting.unknown_friction import unknown_frictions
+from clampid.fitting.unknown_masses import with_unknown_masses
 from clampid.gauge import independent_geometry
 from clampid.log_springs import rows_by_springs
 from clampid.model import StageModel
@@ -138,6 +139,7 @@ def fit_stage(
     estimate = with_kept_friction(estimate)
     if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_friction(with_open_flanks(estimate), friction.held)
+        estimate = with_unknown_masses(estimate) if "free_air" not in before else estimate
     universal = None
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)

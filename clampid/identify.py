@@ -56,9 +56,9 @@ def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
 def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
     """The standard set for the tables present.
 
-    Poses alone get geometry, the drives' springs where the description says what the links weigh, and backlash where
-    approach directions were recorded. Logs whose motion is accelerated for the most part get inertia, because hardly
-    anything would be left of them without. Everything else is for diagnosis to find.
+    Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs whose
+    motion is accelerated for the most part get inertia, because hardly anything would be left of them without.
+    Everything else is for diagnosis to find.
     """
     found = stages_of(campaigns)
     names: dict[Stage, tuple[str, ...]] = {
@@ -70,8 +70,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         n = campaigns[0].robot.n
         columns = [f"dir{i + 1}" for i in range(n)]
         directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
-        springs = ("joint_compliance",) if campaigns[0].robot.has_masses else ()
-        names["poses"] = ("geometry", *springs, "backlash") if directed else ("geometry", *springs)
+        names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
     if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
         names["free_air"] += ("inertia",)
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}

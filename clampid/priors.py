@@ -1,4 +1,4 @@
-"""What a description already knows: its masses and centres of mass, to within the tolerance of such figures."""
+"""What is known of masses before they are measured: the description's, to within the tolerance of such figures."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from clampid.slots import Prior, Slot
 from clampid.stages.rows import Rows
+from kinematics.masses import usual_covariance
 
 __all__ = ["description_priors"]
 
@@ -16,15 +17,18 @@ CENTRE_MASS = 2.0  # kg: what a link described without mass may hold of a neighb
 
 
 def description_priors(rows: Rows) -> tuple[Prior, ...]:
-    """The prior of the links' gravity parameters; none where the description has no masses.
+    """The prior of the links' gravity parameters.
+
+    Where the description has no masses, none for torque logs, which tell them; for poses, in which mass and spring are
+    one factor, how far the links may be from those of usual arms.
 
     Mass and centre of mass are off independently, m = M + dm and c = C + dc, so that m c = M C + dm C + M dc is
-    correlated
-    with m. Base axes at the zero pose, SI.
+    correlated with m. Base axes at the zero pose, SI.
     """
     robot = rows.robot
     if not robot.has_masses:
-        return ()
+        slots = tuple(Slot("gravity", a, f"link{i + 1}") for i in range(robot.n) for a in ("m", "mx", "my", "mz"))
+        return (Prior(slots, np.zeros(len(slots)), usual_covariance(robot)),) if rows.stage == "poses" else ()
     priors = []
     for i, link in enumerate(robot.links):
         place = f"link{i + 1}"

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from clampid.stages.loads import flange_to_base
 from kinematics.gravity import gravity_parameters
+from kinematics.masses import links_of
 from kinematics.robot import RobotDescription
 from kinematics.symbolic import exponential_sx
 from kinematics.symbolic_dynamics import symbolic_torques
@@ -49,10 +50,7 @@ class Loads:
         self.tool = self.to_base @ tool
         self.tool_mass = float(tool[0])
         self.tool_at = flange[:3, :3] @ (tool[1:] / tool[0] if tool[0] else np.zeros(3)) + flange[:3, 3]
-        masses = np.zeros(4 * self.n)
-        if robot.has_masses:
-            masses = np.asarray(gravity_parameters(robot.links), dtype=float).copy()
-        self.masses = masses
+        self.masses = np.asarray(gravity_parameters(links_of(robot)), dtype=float).copy()
         self.points = np.array([*(joint.point for joint in robot.joints), flange[:3, 3]])
 
     def signal(self, name: str) -> Any:

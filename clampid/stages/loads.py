@@ -11,6 +11,7 @@ from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from kinematics.dynamics import inertial_parameters, inertial_regressor
 from kinematics.gravity import add_tool, gravity_parameters, gravity_regressor, gravity_stiffness
+from kinematics.masses import links_of
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 
@@ -34,14 +35,14 @@ def gravity_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     """Regressors and nominal gravity torque of postures ``q`` ``(N, n)``.
 
     ``regressor`` ``(N, n, 4n)`` of the links' (m, m c), base axes at the zero pose; ``tool_regressor`` ``(N, n, 4)`` of
-    the tool's (m, m c) in the flange frame; ``gravity_torque`` ``(N, n)``, Nm, of described links and declared tool.
+    the tool's (m, m c) in the flange frame; ``gravity_torque`` ``(N, n)``, Nm, of the declared tool and of the links as
+    described, or as usual (:mod:`kinematics.masses`).
     """
     robot = campaign.robot
     found = gravity_regressors(robot, np.asarray(campaign.gravity, dtype=float), q)
     declared = campaign.tool.mass * np.r_[1.0, campaign.tool.com]
     torque = found["tool_regressor"] @ declared
-    if robot.has_masses:
-        torque = torque + found["regressor"] @ gravity_parameters(robot.links)
+    torque = torque + found["regressor"] @ gravity_parameters(links_of(robot))
     return {**found, "gravity_torque": torque}
 
 
@@ -55,10 +56,9 @@ def lean_torque(campaign: Campaign, q: Array) -> Array:
 
 
 def declared_weight(campaign: Campaign) -> Array:
-    """(m, m c) of described links with the declared tool on the last ``(4n,)``, base axes at the zero pose."""
+    """(m, m c) of described or usual links with the declared tool on the last ``(4n,)``, base axes at the zero pose."""
     robot, declared = campaign.robot, campaign.tool
-    phi = gravity_parameters(robot.links) if robot.has_masses else np.zeros(4 * robot.n)
-    return add_tool(phi, robot.flange, declared.mass, declared.com)
+    return add_tool(gravity_parameters(links_of(robot)), robot.flange, declared.mass, declared.com)
 
 
 def weight_stiffness(robot: RobotDescription, phi: Array, gravity: npt.ArrayLike, q: Array) -> Array:
@@ -94,9 +94,7 @@ def bearing_signals(campaign: Campaign, q: Array) -> dict[str, Array]:
     g = np.asarray(campaign.gravity, dtype=float)
     tool_at = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
     tool = campaign.tool.mass * np.r_[1.0, tool_at]
-    masses = np.zeros(4 * n)
-    if robot.has_masses:
-        masses = np.asarray(gravity_parameters(robot.links), dtype=float).copy()
+    masses = np.asarray(gravity_parameters(links_of(robot)), dtype=float).copy()
     points = np.array([*(joint.point for joint in robot.joints), robot.flange[:3, 3]])
     # By (m, m c) of link k: force m g, and about a point o the moment (R m c + (t - o) m) x g.
     by_link = np.zeros((len(q), n, 3, 4))

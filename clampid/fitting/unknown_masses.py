@@ -1,0 +1,40 @@
+"""What nobody knows of an arm's masses is part of the errors of springs that its weight winds up.
+
+Where neither the description nor a torque log says what the links weigh, loads are those of a usual arm, and how far
+they may be from it is uncertainty that no pose takes away: a spring twice as soft under half the weight is the same.
+Source: parameters that are considered but not estimated, as in Schmidt's filter (Schmidt, Advances in Control Systems
+3, 1966).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.fitting.solve import Estimate
+from clampid.priors import description_priors
+
+__all__ = ["with_unknown_masses"]
+
+
+def with_unknown_masses(estimate: Estimate) -> Estimate:
+    """The same fit, with what the links may weigh in its covariance; unchanged where they are described or fitted."""
+    experiment = estimate.experiment
+    rows = experiment.rows
+    if rows.stage != "poses" or rows.robot.has_masses or any(s.effect == "gravity" for s in estimate.slots):
+        return estimate
+    (masses,) = description_priors(rows)
+    count = len(estimate.slots)
+    trial = experiment.with_slots((*estimate.slots, *masses.slots))
+    theta = np.r_[estimate.theta[:count], masses.mean, estimate.theta[count:]]
+    residual, jacobian = trial.residual(theta)
+    white = estimate.noise.whiten(rows, residual, jacobian[:, :, count : count + len(masses.slots)])
+    if not np.any(white.jacobian):
+        return estimate
+    size = experiment.sizes()
+    J = estimate.whitened.jacobian
+    normal = (J.T @ J + estimate.prior_precision) * np.outer(size, size)
+    # How the fitted parameters follow the masses, kg and kg m.
+    slope = size[:, None] * np.linalg.lstsq(normal, size[:, None] * (J.T @ white.jacobian), rcond=None)[0]
+    return replace(estimate, covariance=estimate.covariance + slope @ masses.covariance @ slope.T)

@@ -1,0 +1,88 @@
+"""Poses of an arm of which nobody says what it weighs: it yields as arms do, and its springs are known as its masses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from virtual_arms import arm
+
+from clampid.compare import compare
+from clampid.diagnose import diagnose
+from clampid.identify import identify, standard_effects
+from clampid.model import Model
+from clampid.slots import Slot
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
+from experiments.virtual_robot import Measured, Plant, measure
+from kinematics.description import load_robot
+
+NAME = "abb_irb1200_5_09"
+
+
+@pytest.fixture(scope="module")
+def measured() -> Measured:
+    return measure(arm(NAME), seed=3, poses=120, tables=("poses", "verification"))
+
+
+@pytest.fixture(scope="module")
+def campaign(measured: Measured) -> Campaign:
+    robot = load_robot(NAME)
+    assert not robot.has_masses
+    return measured_campaign(measured, robot)
+
+
+@pytest.fixture(scope="module")
+def model(campaign: Campaign) -> Model:
+    return identify([campaign])
+
+
+def heldout(model: Model, campaign: Campaign) -> float:
+    return float(compare(model, campaign).tables["poses"]["heldout"]["rms"])
+
+
+def test_the_arm_yields_under_a_weight_that_nobody_said(model: Model, campaign: Campaign):
+    assert [t.effect for t in standard_effects([campaign])["poses"]] == ["geometry", "joint_compliance", "backlash"]
+    stiff = identify([campaign], {"poses": ("geometry", "backlash")})
+    assert heldout(model, campaign) < heldout(stiff, campaign) / 4.0
+
+
+def test_errors_of_springs_say_that_masses_are_unknown(model: Model, measured: Measured):
+    stage, springs = model.stages["poses"], 1.0 / measured.truth.plant.drive.spring
+    for j in (2, 3, 5):
+        k = stage.slots.index(Slot("joint_compliance", "c", f"joint{j}"))
+        assert abs(stage.theta[k] - springs[j - 1]) < 3.0 * stage.std[k]
+        assert stage.std[k] > 0.05 * stage.theta[k]  # the points alone would tell it to a hundredth
+
+
+def test_a_described_arm_has_no_such_error(measured: Measured):
+    """The same arm, its nominal masses described: errors are those of the points."""
+    stage = identify([measured_campaign(measured, arm(NAME))]).stages["poses"]
+    k = stage.slots.index(Slot("joint_compliance", "c", "joint2"))
+    assert stage.std[k] < 0.05 * stage.theta[k]
+
+
+def test_several_tools_weigh_the_arm():
+    """Three known tools part springs from masses: gravity is named, and the springs are then known."""
+    robot, bare = arm(NAME), load_robot(NAME)
+    plant = measure(robot, seed=3, poses=2, tables=("poses",)).truth.plant
+    campaigns = []
+    for k, mass in enumerate((0.0, 2.0, 6.0)):
+        loaded = np.array([0.0, 0.0, 0.08])
+        one = measure(robot, seed=20 + k, poses=60, tables=("poses",), alter=partial(_with_tool, plant, mass, loaded))
+        one.header["tool"] = {"mass_kg": mass, "com_m": loaded.tolist()}
+        campaigns.append(measured_campaign(one, bare, f"load{k}"))
+    verdict = diagnose(identify(campaigns), campaigns).stages["poses"]
+    assert "gravity" in [c["effect"] for c in verdict.candidates]  # a balancer at joint 2 may be like it
+    effects = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction")
+    stage = identify(campaigns, {"poses": effects}).stages["poses"]
+    for j in (2, 3):
+        k = stage.slots.index(Slot("joint_compliance", "c", f"joint{j}"))
+        assert abs(stage.theta[k] - 1.0 / plant.drive.spring[j - 1]) < 3.0 * stage.std[k]
+        assert stage.std[k] < 0.1 * stage.theta[k]
+
+
+def _with_tool(plant: Plant, mass: float, com: np.ndarray, _: Plant) -> Plant:
+    return replace(plant, masses=replace(plant.masses, tool=mass, tool_com=com))
