@@ -1,4 +1,4 @@
-"""Poses of an arm of which nobody says what it weighs: it yields as arms do, and its springs are known as its masses."""
+"""Poses of an arm whose masses nobody says: it yields as arms do, and its springs are known as well as its masses."""
 
 from __future__ import annotations
 
