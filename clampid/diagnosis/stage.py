@@ -16,7 +16,7 @@ from clampid.diagnosis.entries import (
 )
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPoses
-from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
 from clampid.diagnosis.testability import testability_of
@@ -83,7 +83,7 @@ def diagnose_stage(
             tried = bench.fitted_with(beside, fitted)
         refused.pop(tried.best.candidate.label, None)
         result.candidates.append(tried.entry(effects, held.rms))
-        result.added += tried.kept
+        result.steps.append(Step(tuple(tried.kept)))
         result.verdict = "missing"
         fitted, held = tried.fitted, tried.held
         result.after = held.rms

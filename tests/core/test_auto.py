@@ -1,0 +1,79 @@
+"""The whole loop: every step that a diagnosis confirmed is a round of the ledger, and can be taken back alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from clampid.add import add_steps
+from clampid.auto import auto
+from clampid.diagnose import Diagnosis
+from clampid.diagnosis.result import Step
+from clampid.identify import identify
+from clampid.model import Model
+from clampid.slots import Term
+from clampid.undo import undo
+from experiments.campaign import Campaign
+
+Simulated = Callable[..., Campaign]
+START = ("geometry",)  # a robot of poses yields and has clearances, too
+
+
+@pytest.fixture(scope="module")
+def arm(simulated: Simulated) -> Campaign:
+    hidden = ("thermal_expansion:3",)
+    return simulated(seed=3, poses=100, tables=("poses", "verification"), hidden=hidden, robot="ur10")
+
+
+@pytest.fixture(scope="module")
+def first(arm: Campaign) -> Model:
+    return identify(arm, START)
+
+
+@pytest.fixture(scope="module")
+def mended(arm: Campaign) -> tuple[Model, Diagnosis]:
+    return auto(arm, START)
+
+
+def test_each_step_is_a_round_and_the_error_falls(mended: tuple[Model, Diagnosis], first: Model):
+    model, found = mended
+    steps = found.stages["poses"].steps
+    assert [step.terms[0].effect for step in steps[:2]] == ["joint_compliance", "thermal_expansion"]
+    assert model.ledger[0] == first.ledger[0]
+    rounds = model.ledger[1:]
+    assert [r.added for r in rounds] == [tuple(t.label for t in step.terms) for step in steps]
+    errors = [r.heldout_rms for r in model.ledger]
+    assert np.all(np.diff(errors) < 0.0)
+    for before, after in zip(model.ledger, rounds, strict=False):
+        assert after.evidence["heldout_rms_before"] == pytest.approx(before.heldout_rms, rel=0.01)
+        assert after.effects == (*before.effects, *after.added)
+
+
+def test_rounds_end_where_the_diagnosis_did(mended: tuple[Model, Diagnosis]):
+    """Friction only winds up springs: of it no row tells anything before there are any, and one round would lose it."""
+    model, found = mended
+    stage, part = model.stages["poses"], found.stages["poses"]
+    assert part.fitted is not None
+    assert "wrist_coupling_friction" in {t.effect for t in stage.terms}
+    known = part.fitted.model.values()
+    assert set(stage.slots) == set(known)
+    off = [(value - known[slot]) / std for (slot, value), std in zip(stage.values().items(), stage.std, strict=True)]
+    np.testing.assert_allclose(off, 0.0, atol=0.1)
+    assert model.ledger[-1].heldout_rms == pytest.approx(part.after, rel=1e-3)
+
+
+def test_undo_takes_back_one_step(arm: Campaign, mended: tuple[Model, Diagnosis]):
+    model, _ = mended
+    back, gone = undo(model, arm)
+    assert gone == model.ledger[-1]
+    assert back.ledger == model.ledger[:-1]
+    assert tuple(t.label for t in back.stages["poses"].terms) == model.ledger[-2].effects
+
+
+def test_a_step_of_which_no_row_tells_anything_is_left_out_and_said(arm: Campaign, first: Model):
+    again, gear = Step((Term("thermal_expansion", "link2"),)), Step((Term("gear_eccentricity", "joint2"),))
+    model, left_out = add_steps(first, arm, {"poses": [again, gear, again]})
+    assert left_out == [("poses", again)]
+    assert [r.added for r in model.ledger[1:]] == [("thermal_expansion@link2",), ("gear_eccentricity@joint2",)]
