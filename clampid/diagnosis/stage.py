@@ -16,6 +16,7 @@ from clampid.diagnosis.entries import (
 )
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPoses
+from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
@@ -70,9 +71,8 @@ def diagnose_stage(
         result.depends_on = list(look.probe.candidate.depends_on)
     for number in range(1, ROUNDS + 1):
         tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
-        for other in others:
-            entry = entry_of(other.best, look.named_null, effects, held.rms, other.held.rms)
-            refused[other.best.candidate.label] = {**entry, "reason": other.reason}
+        here = {t.best.candidate.label: t.refusal(effects, held.rms) for t in others}
+        refused |= here
         if tried is None:
             break
         if isinstance(tried, Undecided):
@@ -82,8 +82,10 @@ def diagnose_stage(
                 break
             tried = bench.fitted_with(beside, fitted)
         refused.pop(tried.best.candidate.label, None)
-        result.candidates.append(tried.entry(effects, held.rms))
-        result.steps.append(Step(tuple(tried.kept)))
+        entry = tried.entry(effects, held.rms)
+        result.candidates.append(entry)
+        evidence = evidence_of(entry, tried.best, tried.look, list(here.values()))
+        result.steps.append(Step(tuple(tried.kept), evidence))
         result.verdict = "missing"
         fitted, held = tried.fitted, tried.held
         result.after = held.rms

@@ -120,6 +120,11 @@ class Tried:
             "confusable_with": confusable_with(self.look.named, self.best),
         }
 
+    def refusal(self, effects: dict[str, Effect], before: float) -> dict[str, Any]:
+        """The same of one that is refused, with the reason; its parameters are the score's."""
+        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms)
+        return {**entry, "stability": self.stability, "p_held_out": self.p_held_out, "reason": self.reason}
+
 
 @dataclass(frozen=True)
 class Undecided:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ import pytest
 from clampid.add import add_steps
 from clampid.auto import auto
 from clampid.diagnose import Diagnosis
+from clampid.diagnosis.look import RATE, look_at
+from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
 from clampid.identify import identify
-from clampid.model import Model
+from clampid.model import Model, load_model, save_model
+from clampid.reopen import reopen
 from clampid.slots import Term
 from clampid.undo import undo
 from experiments.campaign import Campaign
@@ -77,3 +81,42 @@ def test_a_step_of_which_no_row_tells_anything_is_left_out_and_said(arm: Campaig
     model, left_out = add_steps(first, arm, {"poses": [again, gear, again]})
     assert left_out == [("poses", again)]
     assert [r.added for r in model.ledger[1:]] == [("thermal_expansion@link2",), ("gear_eccentricity@joint2",)]
+
+
+def test_a_round_keeps_what_spoke_for_it_and_against_all_else(
+    arm: Campaign, first: Model, mended: tuple[Model, Diagnosis], tmp_path: Path
+):
+    model, found = mended
+    save_model(model, tmp_path / "model.json")
+    rounds = load_model(tmp_path / "model.json").ledger[1:]
+    assert rounds == model.ledger[1:]
+    expansion = next(r for r in rounds if r.added == ("thermal_expansion@link2",)).evidence
+    candidate = next(c for c in found.stages["poses"].candidates if c["effect"] == "thermal_expansion")
+    for key in ("p_value", "p_familywise", "p_held_out", "stability", "confusable_with"):
+        assert expansion[key] == candidate[key]
+    assert expansion["p_familywise"] == 1 / 200
+    # Of its other places the best is the next link, which explains a part of it.
+    other = next(r for r in expansion["rejected"] if r["name"] == "thermal_expansion")
+    assert other["where"] == ["link1"]
+    assert other["explained"] < 0.5 * expansion["explained"]
+    assert other["reason"] == f"explains {100 * other['explained'] / expansion['explained']:.0f} % as much"
+    assert "heldout_rms_after" not in other  # it was not fitted
+    for entry in (r for rnd in rounds for r in rnd.evidence["rejected"]):
+        assert entry["reason"]
+        assert entry["p_familywise"] <= RATE
+
+
+def test_what_was_fitted_and_refused_comes_first_and_once(arm: Campaign, first: Model):
+    opened = reopen(first, arm)
+    look = look_at(opened.refit("poses").estimate, dict(opened.effects), 39, 0)
+    best = look.best()
+    assert best is not None
+    others = evidence_of({"p_value": 1e-9, "parameters": []}, best, look, [])
+    assert others["p_value"] == 1e-9
+    assert "parameters" not in others
+    same = {**others["rejected"][-1], "heldout_rms_after": 1e-4, "reason": "the held-out error does not fall"}
+    rejected = evidence_of({}, best, look, [same])["rejected"]
+    assert rejected[0] == same
+    assert len(rejected) == len(others["rejected"])
+    mine = {(best.candidate.name, p) for p in best.candidate.places}
+    assert not mine & {(r["name"], p) for r in rejected for p in r["where"]}
