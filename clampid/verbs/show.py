@@ -196,10 +196,10 @@ def evidence_words(entry: Round) -> list[str]:
         alike.setdefault(c["effect"], c)  # the closest place of each comes first
     out = []
     if alike:
-        listed = (f"{_label(name, c['where'])} ({_share(c['cos2'])})" for name, c in alike.items())
+        listed = (f"{label_text(name, c['where'])} ({_share(c['cos2'])})" for name, c in alike.items())
         out.append(f"confusable with {', '.join(listed)}; in brackets cos²")
     refused = [r for r in entry.evidence.get("rejected", ()) if "heldout_rms_after" in r]
-    out += [f"refused: {_label(r['name'], r['where'])}: {r['reason']}" for r in refused]
+    out += [f"refused: {label_text(r['name'], r['where'])}: {r['reason']}" for r in refused]
     return out
 
 
@@ -208,17 +208,28 @@ def terms_text(labels: Iterable[str]) -> str:
     places: dict[str, list[str]] = {}
     for effect, _, place in (label.partition("@") for label in labels):
         places.setdefault(effect, []).extend([place] if place else [])
-    return ", ".join(_label(effect, own) for effect, own in places.items())
+    return ", ".join(label_text(effect, own) for effect, own in places.items())
 
 
-def _label(effect: str, places: Sequence[str]) -> str:
-    if len(places) < 2:
-        return "@".join([effect, *places])
-    kinds = {place.rstrip("0123456789") for place in places}
-    if len(kinds) > 1:
-        return f"{effect} at {', '.join(places)}"
-    kind = kinds.pop()
-    return f"{effect} at {kind}s {', '.join(place.removeprefix(kind) for place in places)}"
+def label_text(effect: str, places: Sequence[str]) -> str:
+    """``backlash@joint1``, ``backlash at joints 1, 2``, or the effect alone."""
+    return f"{effect} at {places_text(places)}" if len(places) > 1 else "@".join([effect, *places])
+
+
+def places_text(places: Sequence[str]) -> str:
+    """``joints 1, 3–6``, or each with its own name."""
+    kind = places[0].rstrip("0123456789") if places else ""
+    numbers = [place.removeprefix(kind) for place in places]
+    if len(places) < 2 or not all(number.isdigit() for number in numbers):
+        return ", ".join(places)
+    runs: list[list[int]] = []
+    for number in sorted(map(int, numbers)):
+        if runs and runs[-1][-1] == number - 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    spans = [f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    return f"{kind}s {', '.join(spans)}"
 
 
 def _share(cos2: float) -> str:

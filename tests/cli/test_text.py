@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from clampid.model import Round
+from clampid.verbs.findings import show_diagnosis
+from clampid.verbs.limits import limit_rows, not_testable
 from clampid.verbs.output import Output
 from clampid.verbs.show import show_rounds, terms_text
+from clampid.verbs.units import span
 
 Capture = pytest.CaptureFixture[str]
 
@@ -49,3 +54,61 @@ def test_terms_of_several_places() -> None:
     assert terms_text(["geometry", "backlash@joint1", "base_tilt@base"]) == "geometry, backlash@joint1, base_tilt@base"
     assert terms_text(["a@link2", "b@joint1", "a@link3"]) == "a at links 2, 3, b@joint1"
     assert terms_text(["a@link2", "a@base"]) == "a at link2, base"
+    assert terms_text([f"a@joint{j}" for j in (6, 1, 3, 4, 5)]) == "a at joints 1, 3–6"
+
+
+def limits(name: str, state: str, *limits: tuple[str, float | None], size: float = 1e-4) -> dict[str, Any]:
+    """What a candidate's testability is in the JSON of ``diagnose``."""
+    listed = [{"name": f"{name}.{at}", "limit": value, "unit": "rad", "size": size} for at, value in limits]
+    return {"effect": name, "name": name, "where": [], "state": state, "retained": 0.5, "limits": listed}
+
+
+TESTED = (
+    limits("backlash", "testable", ("gap@joint1", 2e-5), ("gap@joint2", 4e-4)),
+    limits("backlash", "testable", ("gap@joint1", 1e-5)),
+    limits("backlash", "insensitive", ("gap@joint3", None)),
+    limits("backlash", "absorbed", ("gap@joint4", None)),
+    limits("gear_eccentricity", "testable", ("a1@joint1", 3e-5), ("b1@joint1", None), size=1e-3),
+    limits("gear_eccentricity", "weak", ("a1@joint2", 1e-9), ("b1@joint2", 1e-9)),
+    limits("base_tilt", "testable", ("cxx@base", None), ("cxy@base", 1e-3), size=1e-6),
+    limits("payload", "absent", ("m@tool", None)),
+    limits("joint_angle_curve", "absent"),
+)
+
+
+def test_limits_come_by_effect_the_best_seen_first() -> None:
+    assert limit_rows(TESTED) == [
+        ("gear_eccentricity.a1", "joint1", "30 µrad"),
+        ("backlash.gap", "joints 1, 2", "10 – 400 µrad"),
+        ("base_tilt.cxy", "base", "1000 µrad"),
+    ]
+
+
+def test_what_cannot_be_tested_is_named_with_the_reason() -> None:
+    assert not_testable(TESTED) == {
+        "does nothing in these rows": ["payload", "joint_angle_curve"],
+        "the model takes it up": ["backlash@joint4"],
+        "the model takes nearly all of it up": ["gear_eccentricity@joint2"],
+        "only a size that cannot be would show": ["backlash@joint3"],
+    }
+
+
+def test_a_diagnosis_lists_the_limits_that_it_speaks_of(capsys: Capture) -> None:
+    many = [limits(f"effect{k}", "testable", ("p@joint1", 1e-5 * (12 - k))) for k in range(12)]
+    part = {"verdict": "adequate", "unit": "m", "summary": "above the listed limits", "candidates": []}
+    show_diagnosis({"stages": {"poses": {**part, "testability": [*many, *TESTED]}}}, Output())
+    out = capsys.readouterr().out
+    assert "of 15, all in --json" in out
+    rows = [line.split()[0] for line in out.splitlines() if "µrad" in line]
+    assert rows == ["gear_eccentricity.a1", "backlash.gap", *(f"effect{k}.p" for k in range(11, 5, -1))]
+    assert "not testable here: payload, joint_angle_curve (does nothing in these rows); backlash@joint4" in out
+    show_diagnosis({"stages": {"poses": part}}, Output())
+    assert "testable" not in capsys.readouterr().out
+
+
+def test_a_span_has_one_unit() -> None:
+    assert span(1.5e-5, 1.2e-4, "m") == "15 – 120 µm"
+    assert span(3.4e-6, 2.6e-5, "") == "3.4 – 26 ppm"
+    assert span(0.0123, 0.0861, "") == "0.012 – 0.086"
+    assert span(4.4e-12, 4.6e-11, "rad/Nm^3") == "4.4e-12 – 4.6e-11 rad/Nm^3"
+    assert span(0.05, 0.05, "Nm") == "0.050 Nm"

@@ -10,8 +10,10 @@ import pytest
 
 from clampid.add import add_steps
 from clampid.auto import auto
-from clampid.diagnose import Diagnosis
-from clampid.diagnosis.look import RATE, look_at
+from clampid.catalogue import catalogue
+from clampid.diagnose import Diagnosis, diagnose
+from clampid.diagnosis import testability
+from clampid.diagnosis.look import IMPOSSIBLE, RATE, look_at
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
 from clampid.identify import identify
@@ -120,3 +122,26 @@ def test_what_was_fitted_and_refused_comes_first_and_once(arm: Campaign, first: 
     assert len(rejected) == len(others["rejected"])
     mine = {(best.candidate.name, p) for p in best.candidate.places}
     assert not mine & {(r["name"], p) for r in rejected for p in r["where"]}
+
+
+def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, mended: tuple[Model, Diagnosis]):
+    model, found = mended
+    listed = found.stages["poses"].testability
+    active = {(t.effect, t.place) for t in model.stages["poses"].terms}
+    assert not active & {(e["name"], place) for e in listed for place in e["where"]}
+    states = {e["state"] for e in listed}
+    assert {"testable", "insensitive", "absent", "weak"} <= states
+    for entry in listed:
+        told = [limit for limit in entry["limits"] if limit["limit"] is not None]
+        assert bool(told) or entry["state"] != "testable"
+        assert not told or entry["state"] != "insensitive"
+        assert all(0.0 < limit["limit"] <= IMPOSSIBLE * limit["size"] for limit in told)
+    # Springs hid in their residual what a gear of the same arm would be seen by.
+    start = diagnose(identify(arm, (*START, "joint_compliance", "thermal_expansion@link2")), arm).stages["poses"]
+    before = look_at(reopen(identify(arm, START), arm).refit("poses").estimate, catalogue(), 39, 0)
+    hidden = testability.testability_of(before.named, before.named_null, catalogue(), arm.robot)
+    smallest = [
+        min(limit["limit"] for e in several if e["name"] == "gear_eccentricity" for limit in e["limits"])
+        for several in (hidden, start.testability)
+    ]
+    assert smallest[1] < 0.2 * smallest[0]
