@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import StageErrors, noise_floor, stage_errors
+from clampid.accuracy import StageErrors
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.events import event_scores
+from clampid.diagnosis.result import Step
 from clampid.diagnosis.score import score, space_of
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import FittedStage, fit_stage
@@ -25,13 +26,13 @@ from clampid.identify import (
 )
 from clampid.model import Model, Round, StageModel
 from clampid.omission import exported_shift
-from clampid.reopen import reopen
+from clampid.reopen import Reopened, reopen
 from clampid.slots import Layout, Term, find_parameter, parse_term
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
-__all__ = ["Addition", "add"]
+__all__ = ["Addition", "add", "add_steps"]
 
 
 @dataclass(frozen=True)
@@ -94,77 +95,157 @@ def add(
     ModelError
         The model does not fit the campaigns.
     """
-    several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
-    chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
-    opened = reopen(model, several, chosen)
-    effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
-    here = [s for s in stages_of(several) if s in stages]
-    wanted = _parse(terms, effects, layout, here)
-    mended, ledger = dict(stages), list(model.ledger)
-    found: dict[Stage, StageAddition] = {}
-    references: dict[int, Array] = dict(base or {})
-    unmended: StageModel | None = None
-    for stage in here:
-        asked = wanted.get(stage, [])
-        if not asked and not (stage == "poses" and found):
-            continue
-        # Both models are judged by the same rows: with inertia those in acceleration, too.
-        every = (*stages[stage].terms, *asked)
-        moves, rests = has_inertia(every, effects), has_friction_state(every, effects)
-        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
-        before_stages = {s: m for s, m in mended.items() if s != stage}
-        held, told = stages[stage].held_out, stages[stage].told
-        old = fit_stage(rows, effects, stages[stage].terms, before_stages, stages[stage].values(), held, told)
-        new_terms, shapes = _resolved(asked, old, effects)
-        if not new_terms and asked:
+    opened = reopen(model, _several(campaigns), user_effects)
+    here = [s for s in stages_of(opened.campaigns) if s in opened.stages]
+    wanted = _parse(terms, opened.effects, opened.layout, here)
+    mended = _added(opened, {stage: [Step(tuple(asked))] for stage, asked in wanted.items()}, seed)
+    found = {stage: m.addition(opened.effects) for stage, m in mended.items() if m.rounds}
+    for stage, asked in wanted.items():
+        if stage not in found:
             names = ", ".join(t.label for t in asked)
             raise EffectError(f"{stage}: nothing can be told about {names} from these rows, or it is active already")
-        every = (*stages[stage].terms, *new_terms)
-        new = (
-            fit_stage(rows, effects, every, before_stages, {**shapes, **old.model.values()}, held, told)
-            if new_terms
-            else old
-        )
-        # An effect that takes another's place finds its own places.
-        every, new_terms = new.model.terms, [t for t in new.model.terms if t not in stages[stage].terms]
-        verification = verification_rows(several, layout, stage, new.base_reference)
-        # A log's noise is learned from what a model leaves. Both are judged by what the better one leaves: a ripple
-        # that was taken for noise would make the error seem to rise when it is gone.
-        floor = noise_floor(new.estimate.experiment.rows, new.estimate.residual)
-        errors = [stage_errors(f.estimate, rows, held, verification, seed, floor) for f in (old, new)]
-        references |= new.base_reference
-        mended[stage] = new.model
-        if stage == "poses":
-            unmended = old.model
-        labels = tuple(t.label for t in new_terms)
-        if new_terms:
-            found[stage] = StageAddition(_listed(new, new_terms, effects), errors[0], errors[1])
-            evidence = {"heldout_rms_before": errors[0].heldout_rms, "heldout_rms_after": errors[1].heldout_rms}
-            ledger.append(
-                Round(
-                    stage,
-                    tuple(t.label for t in every),
-                    labels,
-                    errors[1].rms,
-                    errors[1].heldout_rms,
-                    errors[1].noise_floor,
-                    evidence,
-                )
-            )
-    sessions = tuple(session_of(c, references.get(s)) for s, c in enumerate(several))
-    result = replace(
-        model,
-        layout=layout,
-        stages=mended,
-        sessions=sessions,
-        ledger=tuple(ledger),
-        user_effects=None if chosen is None else str(chosen),
-    )
-    if "poses" in found and unmended is not None:
-        without = replace(result, stages={**mended, "poses": unmended})
-        shift = exported_shift(without, result, several[0].robot)
+    result = _model_with(opened, mended, user_effects)
+    if "poses" in found:
+        without = result.with_stage(mended["poses"].unmended.model)
+        shift = exported_shift(without, result, opened.campaign.robot)
         found["poses"] = replace(found["poses"], shift=tuple(shift))
     return result, Addition(found)
+
+
+@single_threaded
+def add_steps(
+    model: Model,
+    campaigns: Sequence[Campaign] | Campaign,
+    steps: Mapping[Stage, Sequence[Step]],
+    *,
+    seed: int = 0,
+    user_effects: Path | None = None,
+) -> tuple[Model, list[tuple[Stage, Step]]]:
+    """Add what a diagnosis confirmed, each step as a round of its own in the ledger, on top of those before it.
+
+    Returns
+    -------
+    model, left_out
+        The steps left out are those of which no row tells anything any more, once others have been added.
+
+    Raises
+    ------
+    EffectError
+        An effect needs something of these rows to begin with that they do not have.
+    ModelError
+        The model does not fit the campaigns.
+    """
+    opened = reopen(model, _several(campaigns), user_effects)
+    mended = _added(opened, steps, seed)
+    left_out = [(stage, step) for stage, m in mended.items() for step in m.left_out]
+    return _model_with(opened, mended, user_effects), left_out
+
+
+def _several(campaigns: Sequence[Campaign] | Campaign) -> list[Campaign]:
+    return [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
+
+
+@dataclass(frozen=True)
+class _Mended:
+    """A stage before and after its rounds, with errors; without a round, fitted again to what others have become."""
+
+    unmended: FittedStage
+    fitted: FittedStage
+    before: StageErrors
+    after: StageErrors
+    rounds: tuple[Round, ...]
+    left_out: tuple[Step, ...]
+
+    def addition(self, effects: Mapping[str, Effect]) -> StageAddition:
+        """What was added, and the errors before the first round and after the last."""
+        terms = [t for t in self.fitted.model.terms if t not in self.unmended.model.terms]
+        return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after)
+
+
+def _added(opened: Reopened, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
+    """All rounds of one stage, then those of the next: poses take loads, flanks and springs from the others."""
+    mended: dict[Stage, _Mended] = {}
+    stages = dict(opened.stages)
+    for stage in (s for s in stages_of(opened.campaigns) if s in opened.stages):
+        asked = steps.get(stage, ())
+        if asked or (stage == "poses" and any(m.rounds for m in mended.values())):
+            mended[stage] = _stage_with(opened, stage, asked, stages, seed)
+            stages[stage] = mended[stage].fitted.model
+    return mended
+
+
+def _stage_with(
+    opened: Reopened, stage: Stage, steps: Sequence[Step], stages: Mapping[Stage, StageModel], seed: int
+) -> _Mended:
+    """One stage after one round a step; a round begins with the fit of the one before it, not with one of its own."""
+    effects, model = opened.effects, opened.stages[stage]
+    before = {s: m for s, m in stages.items() if s != stage}
+    held, told = model.held_out, model.told
+
+    def acting(terms: Sequence[Term]) -> tuple[bool, bool]:
+        return has_inertia(terms, effects), has_friction_state(terms, effects)
+
+    def begin(known: StageModel, kind: tuple[bool, bool]) -> tuple[FittedStage, Rows | None, StageErrors]:
+        rows = stage_rows(opened.campaigns, opened.layout, stage, opened.base, accelerating=kind[0], resting=kind[1])
+        fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, told)
+        verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
+        return fitted, verification, fitted.errors(verification, seed)
+
+    kind = acting((*model.terms, *(steps[0].terms if steps else ())))
+    fitted, verification, errors = begin(model, kind)
+    unmended, first = fitted, None
+    rounds: list[Round] = []
+    left_out: list[Step] = []
+    for step in steps:
+        # Both models of a round are judged by the same rows: with inertia those in acceleration, too.
+        wanted = acting((*fitted.model.terms, *step.terms))
+        if wanted != kind:
+            kind = wanted
+            fitted, verification, errors = begin(fitted.model, kind)
+        new_terms, shapes = _resolved(step.terms, fitted, effects)
+        if not new_terms:
+            left_out.append(step)
+            continue
+        old, every = fitted, (*fitted.model.terms, *new_terms)
+        fitted = fit_stage(fitted.rows, effects, every, before, {**shapes, **old.model.values()}, held, told)
+        errors = fitted.errors(verification, seed)
+        # A log's noise is learned from what a model leaves. Both are judged by what the better one leaves: a ripple
+        # that was taken for noise would make the error seem to rise when it is gone.
+        worse = old.errors(verification, seed, fitted.floor)
+        first = first or worse
+        rounds.append(_round(old.model, fitted.model, worse, errors, step.evidence))
+    return _Mended(unmended, fitted, first or errors, errors, tuple(rounds), tuple(left_out))
+
+
+def _round(
+    old: StageModel, new: StageModel, before: StageErrors, after: StageErrors, evidence: Mapping[str, Any]
+) -> Round:
+    """The line of the ledger. An effect that takes another's place finds its own places, so that it is the fit's."""
+    return Round(
+        new.stage,
+        tuple(t.label for t in new.terms),
+        tuple(t.label for t in new.terms if t not in old.terms),
+        after.rms,
+        after.heldout_rms,
+        after.noise_floor,
+        {"heldout_rms_before": before.heldout_rms, "heldout_rms_after": after.heldout_rms, **evidence},
+    )
+
+
+def _model_with(opened: Reopened, mended: Mapping[Stage, _Mended], user_effects: Path | None) -> Model:
+    """The model with its stages mended, and the rounds in its ledger."""
+    references: dict[int, Array] = dict(opened.base or {})
+    for m in mended.values():
+        references |= m.fitted.base_reference
+    model = opened.model
+    return replace(
+        model,
+        layout=opened.layout,
+        stages={**opened.stages, **{stage: m.fitted.model for stage, m in mended.items()}},
+        sessions=tuple(session_of(c, references.get(s)) for s, c in enumerate(opened.campaigns)),
+        ledger=(*model.ledger, *(entry for m in mended.values() for entry in m.rounds)),
+        user_effects=model.user_effects if user_effects is None else str(user_effects),
+    )
 
 
 def _parse(

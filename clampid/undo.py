@@ -9,9 +9,10 @@ from pathlib import Path
 from clampid.catalogue import catalogue
 from clampid.effect import Effect, Stage
 from clampid.fitted_stage import fit_stage
-from clampid.identify import has_inertia, stage_rows
+from clampid.identify import has_friction_state, has_inertia, stage_rows
 from clampid.model import Model, ModelError, Round, StageModel
 from clampid.reopen import reopen
+from clampid.slots import Term
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -49,6 +50,9 @@ def undo(
     opened = reopen(model, several, chosen)
     effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
     mended: dict[Stage, StageModel] = dict(stages)
+    # What the round put in another's place, such as one curve for several joints, stands there again.
+    earlier = next((r for r in reversed(model.ledger[:-1]) if r.stage == last.stage), None)
+    replaced = [] if earlier is None else [label for label in earlier.effects if label not in last.effects]
     again: list[Stage] = [last.stage]
     if last.stage != "poses" and "poses" in mended:
         again.append("poses")
@@ -56,7 +60,10 @@ def undo(
         old = mended[stage]
         gone = set(last.added) if stage == last.stage else set()
         terms = [t for t in old.terms if t.label not in gone]
-        rows = stage_rows(several, layout, stage, base, accelerating=has_inertia(terms, effects))
+        if stage == last.stage:
+            terms += [Term(effect, place or None) for effect, _, place in (label.partition("@") for label in replaced)]
+        moves, rests = has_inertia(terms, effects), has_friction_state(terms, effects)
+        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
         others = {s: m for s, m in mended.items() if s != stage}
         mended[stage] = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.told).model
     own = _still_used(mended, effects)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -10,14 +11,38 @@ from clampid.effect import Stage
 from clampid.fitted_stage import FittedStage
 from clampid.slots import Term
 
-__all__ = ["StageDiagnosis", "Verdict"]
+__all__ = ["StageDiagnosis", "Step", "Verdict"]
 
 Verdict = Literal["adequate", "missing", "ambiguous", "unknown"]
 
 
+@dataclass(frozen=True)
+class Step:
+    """What is added to a stage in one go.
+
+    Attributes
+    ----------
+    terms
+        One effect, at several places where these were tried and confirmed together.
+    evidence
+        For the ledger: what spoke for it, under the names that a candidate of :class:`StageDiagnosis` has.
+    """
+
+    terms: tuple[Term, ...]
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return ", ".join(term.label for term in self.terms)
+
+
 @dataclass
 class StageDiagnosis:
-    """What was found in one stage; :meth:`to_json` gives the contract's form."""
+    """What was found in one stage; :meth:`to_json` gives the contract's form.
+
+    ``steps``: what was confirmed, one after the other, each on top of those before it.
+    """
 
     stage: Stage
     unit: str
@@ -36,8 +61,13 @@ class StageDiagnosis:
     exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
-    added: list[Term] = field(default_factory=list)
+    steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
+
+    @property
+    def added(self) -> list[Term]:
+        """The terms of all steps."""
+        return [term for step in self.steps for term in step.terms]
 
     def ask_for(self, proposed: NextPoses | None) -> None:
         """Set down which poses part the candidates, before what else would, or that none do."""

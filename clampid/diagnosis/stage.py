@@ -16,7 +16,8 @@ from clampid.diagnosis.entries import (
 )
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPoses
-from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.rejected import evidence_of
+from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement
 from clampid.diagnosis.testability import testability_of
@@ -65,14 +66,12 @@ def diagnose_stage(
     first = fitted.estimate
     refused: dict[str, dict[str, Any]] = {}
     look = bench.look(fitted, 0)
-    result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     if look.fires and look.probe is not None:
         result.depends_on = list(look.probe.candidate.depends_on)
     for number in range(1, ROUNDS + 1):
         tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
-        for other in others:
-            entry = entry_of(other.best, look.named_null, effects, held.rms, other.held.rms)
-            refused[other.best.candidate.label] = {**entry, "reason": other.reason}
+        here = {t.best.candidate.label: t.refusal(effects, held.rms) for t in others}
+        refused |= here
         if tried is None:
             break
         if isinstance(tried, Undecided):
@@ -82,12 +81,16 @@ def diagnose_stage(
                 break
             tried = bench.fitted_with(beside, fitted)
         refused.pop(tried.best.candidate.label, None)
-        result.candidates.append(tried.entry(effects, held.rms))
-        result.added += tried.kept
+        entry = tried.entry(effects, held.rms)
+        result.candidates.append(entry)
+        evidence = evidence_of(entry, tried.best, tried.look, list(here.values()))
+        result.steps.append(Step(tuple(tried.kept), evidence))
         result.verdict = "missing"
         fitted, held = tried.fitted, tried.held
         result.after = held.rms
         look = bench.look(fitted, 2 * number)
+    # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
+    result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused.values(), *considered_of(look.named, look.named_null)]
     excess = result.after > FAR_OFF * result.noise_floor
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):

@@ -39,7 +39,9 @@ def testability_of(
 ) -> list[dict[str, Any]]:
     """For each candidate its state and the smallest parameter that is found with 90 % probability.
 
-    A limit larger than anything that the parameter can be is None: no such effect would be seen.
+    A limit larger than anything that the parameter can be is None: no such effect would be seen, and where that is so
+    of all parameters the candidate is ``insensitive`` instead of ``testable``. Beside each limit stands the ``size``
+    that the parameter may reasonably have.
     """
     out, factor = [], {}
     for s in named:
@@ -50,7 +52,9 @@ def testability_of(
         if together and s.freedom:
             information = float(np.sum(s.kept**2 / np.maximum(1.0 - s.kept, 1e-9)))
             name = f"{s.candidate.name}, in assumed sizes"
-            limits.append({"name": name, "limit": float(factor[s.freedom] / np.sqrt(information)), "unit": ""})
+            limits.append(
+                {"name": name, "limit": float(factor[s.freedom] / np.sqrt(information)), "unit": "", "size": 1.0}
+            )
         for slot, unit_limit in zip(s.candidate.slots, s.unit_limit, strict=True):
             if together:
                 break
@@ -58,7 +62,8 @@ def testability_of(
             parameter = parameter_of(slot, effects, robot)
             if limit is not None and limit > IMPOSSIBLE * parameter.size:
                 limit = None
-            limits.append({"name": slot.label, "limit": limit, "unit": parameter.unit})
+            limits.append({"name": slot.label, "limit": limit, "unit": parameter.unit, "size": parameter.size})
         entry = {"effect": s.candidate.family, "name": s.candidate.name, "where": list(s.candidate.places)}
-        out.append({**entry, "state": s.state, "retained": s.retained, "limits": limits})
+        blind = s.state == "testable" and all(limit["limit"] is None for limit in limits)
+        out.append({**entry, "state": "insensitive" if blind else s.state, "retained": s.retained, "limits": limits})
     return out

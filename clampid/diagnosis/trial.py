@@ -120,6 +120,11 @@ class Tried:
             "confusable_with": confusable_with(self.look.named, self.best),
         }
 
+    def refusal(self, effects: dict[str, Effect], before: float) -> dict[str, Any]:
+        """The same of one that is refused, with the reason; its parameters are the score's."""
+        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms)
+        return {**entry, "stability": self.stability, "p_held_out": self.p_held_out, "reason": self.reason}
+
 
 @dataclass(frozen=True)
 class Undecided:
@@ -177,6 +182,7 @@ class Bench:
             return Undecided([best, *rivals], look)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
         along = [self._fitted_along(s, fitted) for s in (best, *variants_of(look.named, best))]
+        first_named = best
         best, trial, kept, new = min(along, key=lambda f: f[3].rms)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
@@ -188,7 +194,7 @@ class Bench:
                 others = {s.candidate.label: s for s in alike if not same_effect(s, best)}
                 return Undecided([best, *others.values()], look)
             reason = "without a fifth of the rows it is not first"
-        return Tried(best, look, trial, kept, new, p_held, again, reason)
+        return Tried(first_named if reason else best, look, trial, kept, new, p_held, again, reason)
 
     def _fitted_along(self, s: Scored, fitted: FittedStage) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
         """A candidate, the fit with it, the terms that pay, and that fit's errors on rows that it has not seen."""

@@ -10,7 +10,16 @@ from clampid.report.limits import detection_limits, exported, shifted
 from clampid.report.style import Table, as_table
 from experiments.metrics import MEANING
 
-__all__ = ["comparison_table", "evidence", "parameters_text", "placing_table"]
+__all__ = [
+    "comparison_table",
+    "confusable_text",
+    "evidence",
+    "filled_table",
+    "p_text",
+    "parameters_text",
+    "places_text",
+    "placing_table",
+]
 
 Json = Mapping[str, Any]
 MOST_CONSIDERED = 12
@@ -37,39 +46,44 @@ def evidence(found: Json, unit: str) -> list[Table]:
     out = []
     rows = [_candidate(c, unit) for c in found.get("candidates") or ()]
     if rows:
-        out.append(_full(_HEADS, rows, "What was found, in the order to add it; held-out errors are cumulative."))
+        out.append(
+            filled_table(_HEADS, rows, "What was found, in the order to add it; held-out errors are cumulative.")
+        )
     looked = _once(found.get("considered") or ())
     if looked:
-        more = f" {len(looked) - MOST_CONSIDERED} more are not shown." if len(looked) > MOST_CONSIDERED else ""
-        rows = [_looked_at(c, unit) for c in looked[:MOST_CONSIDERED]]
-        out.append(_full(_LOOKED, rows, f"Looked at and not confirmed.{more}"))
+        shown = max(MOST_CONSIDERED, sum("reason" in c for c in looked))  # all that were fitted and refused
+        more = f" {len(looked) - shown} more are not shown." if len(looked) > shown else ""
+        rows = [_looked_at(c, unit) for c in looked[:shown]]
+        out.append(filled_table(_LOOKED, rows, f"Looked at and not confirmed.{more}"))
     out += shifted(found.get("omission") or ())
     out += exported(found.get("exported_shift") or ())
     out += detection_limits(found.get("testability") or ())
     return out + _outliers(found.get("outliers") or (), "Nm" if unit == "sigma" else unit)
 
 
-def _full(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Table:
+def filled_table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Table:
     """A table without the columns that hold nothing."""
     kept = [k for k in range(len(heads)) if any(row[k] not in ("", "–") for row in rows)]
     return as_table([heads[k] for k in kept], [[row[k] for k in kept] for row in rows], caption)
 
 
 def _once(considered: Sequence[Json]) -> list[Json]:
-    """Each effect and place once, the most likely of its shapes."""
+    """Each effect and place once, the most likely of its shapes; first those that were fitted and refused."""
     best: dict[tuple[str, str], Json] = {}
     for c in considered:
-        key = (str(c.get("effect")), _places(c))
+        key = (str(c.get("effect")), places_text(c))
         if key not in best or _order(c) < _order(best[key]):
             best[key] = c
     return sorted(best.values(), key=_order)
 
 
-def _order(c: Json) -> tuple[float, float]:
-    return tuple(1.0 if c.get(k) is None else float(c[k]) for k in ("p_familywise", "p_value"))  # type: ignore[return-value]
+def _order(c: Json) -> tuple[bool, float, float]:
+    family, alone = (1.0 if c.get(k) is None else float(c[k]) for k in ("p_familywise", "p_value"))
+    return "reason" not in c, family, alone
 
 
-def _places(c: Json) -> str:
+def places_text(c: Json) -> str:
+    """Where a candidate is."""
     where = c.get("where") or ()
     return where if isinstance(where, str) else ", ".join(map(str, where))
 
@@ -78,26 +92,26 @@ def _candidate(c: Json, unit: str) -> tuple[str, ...]:
     effect = str(c.get("effect", ""))
     return (
         f"{effect} (one of the alternatives)" if c.get("alternative") else effect,
-        _places(c),
-        _p(c.get("p_value")),
-        _p(c.get("p_familywise")),
-        _p(c.get("p_held_out")),
+        places_text(c),
+        p_text(c.get("p_value")),
+        p_text(c.get("p_familywise")),
+        p_text(c.get("p_held_out")),
         error_text(c.get("heldout_rms_before"), unit),
         error_text(c.get("heldout_rms_after"), unit),
         parameters_text([{**p, "name": _short(str(p.get("name", "")), c)} for p in c.get("parameters") or ()]),
-        _confusable(c),
+        confusable_text(c),
     )
 
 
 def _short(name: str, c: Json) -> str:
     """A parameter's name without what its row says already."""
     name = name.removeprefix(f"{c.get('name') or c.get('effect')}.")
-    return name.removesuffix(f"@{_places(c)}")
+    return name.removesuffix(f"@{places_text(c)}")
 
 
 def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
     state = str(c.get("state") or "testable")
-    remarks = [str(c["stand_in"])] if c.get("stand_in") else []
+    remarks = [str(c[key]) for key in ("reason", "stand_in") if c.get(key)]
     if c.get("depends_on"):
         remarks.append(f"depends on {', '.join(map(str, c['depends_on']))}")
     if state != "testable":
@@ -106,23 +120,24 @@ def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
         )
     return (
         str(c.get("effect", "")),
-        _places(c),
-        _p(c.get("p_value")),
-        _p(c.get("p_familywise")),
+        places_text(c),
+        p_text(c.get("p_value")),
+        p_text(c.get("p_familywise")),
         error_text(c.get("heldout_rms_before"), unit),
         error_text(c.get("heldout_rms_after"), unit),
         "; ".join(remarks) or "–",
-        _confusable(c),
+        confusable_text(c),
     )
 
 
-def _confusable(c: Json) -> str:
-    return "; ".join(_other(o) for o in c.get("confusable_with") or ()) or "–"
+def confusable_text(c: Json) -> str:
+    """What shares most of a candidate's columns; variants of one effect at one place once."""
+    return "; ".join(dict.fromkeys(_other(o) for o in c.get("confusable_with") or ())) or "–"
 
 
 def _other(other: Any) -> str:
     if isinstance(other, Mapping):
-        return f"{other.get('effect', '')}{f' @ {_places(other)}' if other.get('where') else ''}"
+        return f"{other.get('effect', '')}{f' @ {places_text(other)}' if other.get('where') else ''}"
     return str(other)
 
 
@@ -144,7 +159,8 @@ def _plain(value: Any) -> str:
     return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 
-def _p(value: Any) -> str:
+def p_text(value: Any) -> str:
+    """A p-value to two digits."""
     if value is None:
         return "–"
     p = float(value)

@@ -23,6 +23,7 @@ from clampid.report.parameters import parameters_section
 from clampid.report.robot3d import robot_section
 from clampid.report.rounds import rounds_section
 from clampid.report.stage_data import stage_data
+from clampid.report.steps import steps_section
 from clampid.report.style import Figure, Section
 from clampid.report.torque import torque_section
 from clampid.report.unknown_shape import unknown_shape_section
@@ -53,6 +54,7 @@ def page(
     sections = [
         measured_section(model, campaign),
         rounds_section(model, first_model, stages),
+        steps_section(model, first_model),
         verdict_section(diagnosis, comparison),
         unknown_shape_section(diagnosis),
         truth_section(truth),

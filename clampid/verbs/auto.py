@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
 from clampid.verbs.inputs import read_checked, split_effects
 from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed
 from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, output_file
+
+if TYPE_CHECKING:
+    from clampid.model import Model
+    from experiments.campaign import Campaign
 
 __all__ = ["auto"]
 
@@ -14,6 +24,14 @@ def auto(
     campaigns: Campaigns,
     output: OutputFile,
     effects: Effects = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.html",
+            help="Write the report, with every step and what was rejected; of several campaigns about the first.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
     json: Json = None,
@@ -22,21 +40,56 @@ def auto(
     """Identify, then diagnose and add until nothing more is confirmed."""
     out = Output(quiet, json)
     output_file(output)
+    if report is not None:
+        output_file(report)
     chosen = split_effects(effects)
 
-    from clampid.auto import auto as find_all
+    from clampid.auto import mend
     from clampid.catalogue import with_user_effects
+    from clampid.identify import identify
     from clampid.model import save_model
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.show import model_json, show_model
 
     with out.working("reading"):
         read = read_checked(campaigns, out)
-    with out.working("identifying, diagnosing, adding"):
-        model, diagnosis = find_all(read, chosen, seed=seed, user_effects=effects_from, progress=out.step)
+    with out.working("identifying the start model"):
+        first = identify(read, chosen, seed=seed, user_effects=effects_from)
+    with out.working("diagnosing, adding"):
+        model, diagnosis = mend(first, read, seed=seed, user_effects=effects_from, progress=out.step)
     save_model(model, output)
     found = diagnosis.to_json()
     show_model(model, with_user_effects(effects_from), out)
     show_diagnosis(found, out)
+    if report is not None:
+        _write_report(report, model, read[0], found, first, seed, effects_from, out)
     out.say(f"model: {output}")
     out.result({"model": str(output), **model_json(model), "diagnosis": found})
+
+
+def _write_report(
+    target: Path,
+    model: Model,
+    campaign: Campaign,
+    diagnosis: Mapping[str, Any],
+    first: Model,
+    seed: int,
+    effects_from: Path | None,
+    out: Output,
+) -> None:
+    """The mended model against one of its campaigns, and the way there from the start model."""
+    from clampid.compare import compare
+    from clampid.report import write_report
+
+    with out.working("comparing and writing the report"):
+        compared = compare(model, campaign, seed=seed, user_effects=effects_from).to_json()
+        write_report(
+            target,
+            model,
+            campaign,
+            comparison=compared,
+            diagnosis=diagnosis,
+            first_model=first,
+            user_effects=effects_from,
+        )
+    out.say(f"report: {target}, about {campaign.name}")

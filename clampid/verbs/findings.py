@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from clampid.verbs.limits import show_limits
 from clampid.verbs.output import Output
 from clampid.verbs.units import error_text, with_error
 
@@ -118,6 +119,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.say(f"  {found['summary']}; to fit it: clampid add {stage}={found['name']} MODEL CAMPAIGN -o MENDED")
         if part.get("depends_on"):
             out.say(f"  the residual depends on {', '.join(part['depends_on'])}")
+        show_limits(part.get("testability") or (), out)
         if part.get("next_measurement"):
             out.say(f"  next measurement: {part['next_measurement']}")
         if part.get("outliers"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     from clampid.effect import Effect
     from clampid.model import Model, Round, StageModel
 
-__all__ = ["model_json", "parameter_rows", "show_drives", "show_model", "show_rounds", "stage_unit"]
+__all__ = [
+    "evidence_words",
+    "model_json",
+    "parameter_rows",
+    "show_drives",
+    "show_model",
+    "show_rounds",
+    "stage_unit",
+    "terms_text",
+]
 
 NOT_KNOWN = "not identifiable from these data"
 ON_BOUND = "on its physical limit: the interval has one side"
@@ -163,14 +172,69 @@ def _pair(value: float, std: float) -> str:
 
 
 def show_rounds(rounds: Iterable[Round], out: Output) -> None:
-    """The ledger as a table."""
-    rows = []
+    """The ledger as a table; where a diagnosis chose a step, by which p, and what else that might have been."""
+    rounds = list(rounds)
+    told = any("p_familywise" in entry.evidence for entry in rounds)
+    rows, notes = [], []
     for k, entry in enumerate(rounds, 1):
         unit = stage_unit(entry.stage)
         errors = (error_text(v, unit) for v in (entry.rms, entry.heldout_rms, entry.noise_floor))
-        what = "+ " + ", ".join(entry.added) if entry.added else ", ".join(entry.effects)
-        rows.append((str(k), entry.stage, what, *errors))
-    out.table("rounds", ("", "stage", "effects", "rms", "held out", "noise floor"), rows, left=3)
+        what = "+ " + terms_text(entry.added) if entry.added else terms_text(entry.effects)
+        p = entry.evidence.get("p_familywise")
+        rows.append((str(k), entry.stage, what, *errors, *(["–" if p is None else f"{p:.2g}"] if told else [])))
+        notes += [f"round {k}: {said}" for said in evidence_words(entry)]
+    columns = ("", "stage", "effects", "rms", "held out", "noise floor", *(["p family"] if told else []))
+    out.table("rounds", columns, rows, left=3)
+    for said in notes:
+        out.say(said)
+
+
+def evidence_words(entry: Round) -> list[str]:
+    """What these data hardly tell a round's effect from, and what was fitted instead of it and refused."""
+    alike: dict[str, Mapping[str, Any]] = {}
+    for c in entry.evidence.get("confusable_with", ()):
+        alike.setdefault(c["effect"], c)  # the closest place of each comes first
+    out = []
+    if alike:
+        listed = (f"{label_text(name, c['where'])} ({_share(c['cos2'])})" for name, c in alike.items())
+        out.append(f"confusable with {', '.join(listed)}; in brackets cos²")
+    refused = [r for r in entry.evidence.get("rejected", ()) if "heldout_rms_after" in r]
+    out += [f"refused: {label_text(r['name'], r['where'])}: {r['reason']}" for r in refused]
+    return out
+
+
+def terms_text(labels: Iterable[str]) -> str:
+    """Terms as one reads them, each effect once: ``backlash at joints 1, 2, base_tilt@base``."""
+    places: dict[str, list[str]] = {}
+    for effect, _, place in (label.partition("@") for label in labels):
+        places.setdefault(effect, []).extend([place] if place else [])
+    return ", ".join(label_text(effect, own) for effect, own in places.items())
+
+
+def label_text(effect: str, places: Sequence[str]) -> str:
+    """``backlash@joint1``, ``backlash at joints 1, 2``, or the effect alone."""
+    return f"{effect} at {places_text(places)}" if len(places) > 1 else "@".join([effect, *places])
+
+
+def places_text(places: Sequence[str]) -> str:
+    """``joints 1, 3–6``, or each with its own name."""
+    kind = places[0].rstrip("0123456789") if places else ""
+    numbers = [place.removeprefix(kind) for place in places]
+    if len(places) < 2 or not all(number.isdigit() for number in numbers):
+        return ", ".join(places)
+    runs: list[list[int]] = []
+    for number in sorted(map(int, numbers)):
+        if runs and runs[-1][-1] == number - 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    spans = [f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    return f"{kind}s {', '.join(spans)}"
+
+
+def _share(cos2: float) -> str:
+    """To two digits, and 1 only where it is aliased."""
+    return "1" if cos2 > 0.999 else f"{min(cos2, 0.99):.2f}"
 
 
 def _bootstrap_json(stage: StageModel) -> dict[str, Any] | None:

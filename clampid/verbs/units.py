@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["error_text", "length", "quantity", "readable", "with_error"]
+__all__ = ["error_text", "length", "quantity", "readable", "span", "with_error"]
 
 _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     # From which size on, factor, symbol: the first that fits.
@@ -61,6 +61,14 @@ def with_error(value: float, std: float, unit: str) -> str:
     """``12.3 ± 0.4 µm``."""
     number, error, symbol = quantity(value, std, unit)
     return f"{number} ± {error} {symbol}".rstrip()
+
+
+def span(low: float, high: float, unit: str) -> str:
+    """``12 – 340 µm``, both to two digits in the unit that suits the larger; one number where they read the same."""
+    factor, symbol = _scale(unit, abs(high)) if unit or abs(high) > 1e-2 else (1e6, "ppm")
+    scaled = (value * factor for value in (low, high))
+    ends = dict.fromkeys(f"{v:.2g}" if abs(v) < 1e-3 else _rounded(v, 2) for v in scaled)
+    return f"{' – '.join(ends)} {symbol}".rstrip()
 
 
 def length(value: float) -> str:

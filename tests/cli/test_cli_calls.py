@@ -60,6 +60,7 @@ def test_version(clampid: Clampid) -> None:
         ("identify {poses} -o .", "expected a file to write to, found a folder"),
         ("identify {whole} -o m.json --effects geometry,backlash", "the campaign has tables of free_air, clamped"),
         ("identify {poses} {whole} -o m.json", "several campaigns are sessions of one robot"),
+        ("auto {poses} -o m.json --report .", "expected a file to write to, found a folder"),
         ("compare none.json {poses}", "none.json: expected a model file, found none"),
         ("compare {poses}/campaign.toml {poses}", "expected a model as JSON"),
         ("compare {model} {poses} --refit elbow", "--refit: expected base, tool or both, found 'elbow'"),

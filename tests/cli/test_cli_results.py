@@ -104,6 +104,30 @@ def test_the_loop_on_one_campaign(clampid: Clampid, poses_only: Path, model: Pat
     assert "<html" in report.read_text()[:2000]
 
 
+def test_auto_reports_every_step_and_what_was_rejected(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
+    model, report = tmp_path / "m.json", tmp_path / "r.html"
+    wanted = ("--effects", "poses=geometry,joint_compliance")
+    ran = clampid("auto", poses_only, *wanted, "-o", model, "--report", report, "--json", tmp_path / "a.json", "-q")
+    assert ran.code == 0, ran.err
+    assert f"report: {report}" in ran.out
+    rounds = clampid("history", model, "--json", "-").json["rounds"]
+    confirmed = [
+        (c["name"], tuple(c["where"]))
+        for c in json.loads((tmp_path / "a.json").read_text())["diagnosis"]["stages"]["poses"]["candidates"]
+        if not c["alternative"]
+    ]
+    steps = rounds[1:]
+    assert len(steps) == len(confirmed) >= 1
+    for (name, where), step in zip(confirmed, steps, strict=True):
+        assert step["added"] == [f"{name}@{place}" for place in where]
+        assert {"p_value", "p_familywise", "p_held_out", "stability", "confusable_with"} <= set(step["evidence"])
+    page = report.read_text(encoding="utf-8")
+    assert "Every step, and what was rejected" in page
+    rejected = [r for step in steps for r in step["evidence"]["rejected"]]
+    assert rejected
+    assert all(r["reason"] in page for r in rejected)
+
+
 @pytest.mark.parametrize("refit", ["base,tool", "base", "tool"])
 def test_compare_with_refit_holds_the_rest_out(refit: str, clampid: Clampid, poses_only: Path, model: Path) -> None:
     ran = clampid("compare", model, poses_only, "--refit", refit, "--json", "-")

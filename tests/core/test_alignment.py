@@ -22,6 +22,7 @@ from clampid.identify import identify
 from clampid.model import Model, load_model, save_model
 from clampid.reopen import reopen
 from clampid.slots import Layout, Slot, slots_of
+from clampid.undo import undo
 from experiments.campaign import Campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot
@@ -188,6 +189,9 @@ def test_adding_it_takes_the_place_of_the_curves(one_disc: Campaign):
     assert added.after.heldout_rms < 1.05 * added.before.heldout_rms
     with pytest.raises(EffectError, match="active already"):
         add(mended, one_disc, ["shared_angle_curve"])
+    back, _ = undo(mended, one_disc)
+    assert {t.label for t in back.stages["poses"].terms} == set(model.ledger[-1].effects)
+    assert back.ledger == model.ledger
 
 
 def test_different_discs_keep_their_own_curves(simulated: Simulated):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.model import Model, Round
-from clampid.report.evidence import evidence, parameters_text
+from clampid.report.evidence import confusable_text, evidence, parameters_text
 from clampid.report.verdict import headline, truth_section, verdict_section
 from clampid.slots import Layout
 
@@ -58,6 +58,26 @@ def test_considered_once_and_empty_columns_left_out():
     assert table.rows[0][3] == "0.40"
     assert table.columns == ("Effect", "At", "p, alone#", "p, family-wise#", "Remark")
     assert table.rows[1][4] == "depends on q3"
+
+
+def test_what_was_refused_stands_first_with_the_reason_and_is_never_cut():
+    looked = [
+        {"effect": f"effect{k}", "where": [], "p_value": 1e-9, "p_familywise": 0.005, "state": "testable"}
+        for k in range(20)
+    ]
+    tried = {"effect": "effect3", "where": [], "p_value": 0.1, "p_familywise": 0.5, "reason": "it does not fall"}
+    (table,) = evidence({"considered": [*looked, tried]}, "m")
+    assert len(table.rows) == 12
+    assert table.rows[0][0] == "effect3"
+    assert table.rows[0][table.columns.index("Remark")] == "it does not fall"
+    assert "8 more are not shown" in table.caption
+    (table,) = evidence({"considered": [{**c, "reason": "no"} for c in looked]}, "m")
+    assert len(table.rows) == 20
+
+
+def test_variants_that_are_confusable_at_one_place_are_named_once():
+    alike = [{"effect": "nonlinear_stiffness", "where": [w]} for w in ("joint1", "joint1", "joint2")]
+    assert confusable_text({"confusable_with": alike}) == "nonlinear_stiffness @ joint1; nonlinear_stiffness @ joint2"
 
 
 def test_limits_and_shifts():

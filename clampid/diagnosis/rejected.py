@@ -1,0 +1,70 @@
+"""What spoke for a confirmed step, and what was rejected beside it and why: for the ledger."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from clampid.diagnosis.entries import considered_of
+from clampid.diagnosis.look import ABLE, RATE, Look
+from clampid.diagnosis.score import Scored
+
+__all__ = ["evidence_of"]
+
+FOR = ("p_value", "p_familywise", "p_held_out", "stability", "explained", "confusable_with")
+ABOUT = (
+    "effect", "name", "where", "p_value", "p_familywise", "p_held_out", "stability", "explained", "heldout_rms_before",
+    "heldout_rms_after", "reason",
+)  # fmt: skip
+
+
+def evidence_of(
+    chosen: Mapping[str, Any], best: Scored, look: Look, refused: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The evidence of a step, under the names that ``diagnose`` has for candidates, and what was rejected.
+
+    Parameters
+    ----------
+    chosen
+        The step as a verdict lists it.
+    best, look
+        The candidate behind it, and the look that found it.
+    refused
+        Candidates that were fitted before it and refused, as a verdict lists them, with the ``reason``.
+    """
+    rejected = [*refused, *_passed_over(best, look)]
+    return {
+        **{key: chosen[key] for key in FOR if key in chosen},
+        "rejected": [{key: entry[key] for key in ABOUT if key in entry} for entry in _once(rejected)],
+    }
+
+
+def _passed_over(best: Scored, look: Look) -> list[dict[str, Any]]:
+    """Of every effect that stood out of the noise, too, the best place that the step does not have."""
+    found: dict[str, Scored] = {}
+    mine = set(best.candidate.terms)
+    for s in sorted((s for s in look.named if s.freedom), key=lambda s: -s.bic):
+        stands_out = s.bic > 0 and look.named_null.p_familywise(s.log_p) <= RATE
+        if stands_out and s.state in (*ABLE, "implausible") and not mine & set(s.candidate.terms):
+            found.setdefault(s.candidate.name, s)
+    entries = considered_of(list(found.values()), look.named_null, len(found))
+    return [
+        {**entry, "reason": _reason(s, best)}
+        for entry, s in zip(entries, sorted(found.values(), key=lambda s: -s.bic), strict=True)
+    ]
+
+
+def _reason(s: Scored, best: Scored) -> str:
+    if s.state == "implausible":
+        return "only of a size or sign that cannot be"
+    if s.explained < best.explained:
+        return f"explains {100.0 * s.explained / best.explained:.0f} % as much"
+    return "explains as much, but so much more of it would be expected by chance"
+
+
+def _once(entries: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Each effect and place once, as it was met first."""
+    first: dict[tuple[Any, ...], Mapping[str, Any]] = {}
+    for entry in entries:
+        first.setdefault((entry["name"], *entry["where"]), entry)
+    return list(first.values())

@@ -1,0 +1,78 @@
+"""Every step that a diagnosis confirmed and the model took, and all that was rejected beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clampid.model import Model, Round
+from clampid.report.display import error_text, number, stage_title
+from clampid.report.evidence import confusable_text, filled_table, p_text, places_text
+from clampid.report.rounds import rounds_of, unit_of
+from clampid.report.stage_data import in_order
+from clampid.report.style import Figure, Section, Table
+
+__all__ = ["steps_section"]
+
+_STEPS = (
+    "Step#",
+    "Added",
+    "p, alone#",
+    "p, family-wise#",
+    "p, held out#",
+    "First in folds#",
+    "Held out before#",
+    "After#",
+    "Confusable with",
+)
+_REJECTED = ("Step#", "Rejected", "At", "p, alone#", "p, family-wise#", "p, held out#", "Held out after#", "Why")
+_NOTE = (
+    "A step is chosen on top of those before it. Rejected are all other effects that stood out of the noise then, each "
+    "at its best place, and what was fitted and refused. Where a large effect is missing, others stand out "
+    "that share a part of its columns; they are gone once it is added. What was looked at after the last step stands "
+    "under the verdict."
+)
+
+
+def steps_section(model: Model, first: Model | None) -> Section | None:
+    """Section "Every step, and what was rejected"; None where no diagnosis chose what was added."""
+    blocks: list[str | Table | Figure] = []
+    for stage in in_order(model.stages):
+        added = [r for r in rounds_of(model, first, stage) if r.added]
+        if any("rejected" in r.evidence for r in added):
+            blocks += [stage_title(stage), *_tables(added, unit_of(stage))]
+    return Section("steps", "Every step, and what was rejected", (), tuple(blocks), (_NOTE,)) if blocks else None
+
+
+def _tables(rounds: Sequence[Round], unit: str) -> list[Table]:
+    steps = [_step(str(k), r, unit) for k, r in enumerate(rounds, 1)]
+    rejected = [_rejection(str(k), e, unit) for k, r in enumerate(rounds, 1) for e in r.evidence.get("rejected", ())]
+    tables = [
+        filled_table(
+            _STEPS, steps, "What was added, step by step. First in folds: how often it is, without a fifth of the rows."
+        )
+    ]
+    return [*tables, filled_table(_REJECTED, rejected, "What was rejected, and why.")] if rejected else tables
+
+
+def _step(count: str, entry: Round, unit: str) -> tuple[str, ...]:
+    found = entry.evidence
+    stable = found.get("stability")
+    return (
+        count,
+        ", ".join(entry.added),
+        *_ps(found),
+        "–" if stable is None else f"{number(100.0 * stable, 2)} %",
+        error_text(found.get("heldout_rms_before"), unit),
+        error_text(found.get("heldout_rms_after"), unit),
+        confusable_text(found),
+    )
+
+
+def _rejection(count: str, found: Mapping[str, Any], unit: str) -> tuple[str, ...]:
+    after = error_text(found.get("heldout_rms_after"), unit)
+    return count, str(found["name"]), places_text(found), *_ps(found), after, str(found["reason"])
+
+
+def _ps(found: Mapping[str, Any]) -> tuple[str, str, str]:
+    return p_text(found.get("p_value")), p_text(found.get("p_familywise")), p_text(found.get("p_held_out"))
