@@ -198,6 +198,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
         told=stage.told,
         by_springs=None if stage.by_springs is None else stage.by_springs[chosen],
+        ranges=stage.ranges,
     )
 
 
