@@ -39,6 +39,7 @@ __all__ = [
     "beyond_rows",
     "doubt",
     "empirical",
+    "place_of",
     "ranges_of",
     "read_ranges",
     "reads_temperature",
@@ -133,7 +134,7 @@ class Ranges:
 
     def distance(self, values: Array) -> Array:
         """By how many widths values ``(…, 3, n)``, angles already turned, are beyond; 0 inside or where not known."""
-        return np.nan_to_num(np.maximum((np.abs(values - self.middle) - self.reach) / self.width, 0.0))
+        return np.asarray(np.fmax((np.abs(values - self.middle) - self.reach) / self.width, 0.0))
 
     def beyond(self, values: Array) -> tuple[Beyond, ...]:
         """What of values ``(3, n)``, angles already turned, is beyond."""
@@ -148,7 +149,7 @@ class Ranges:
         return () if low - margin <= mass <= high + margin else (Beyond("tool mass", "tool", mass, low, high, "kg"),)
 
     def _beyond(self, kind: int, index: int, value: float) -> Beyond:
-        at = f"{'link' if kind == 2 else 'joint'}{index + 1}"
+        at = place_of(kind, index)
         unit = "m" if kind == 0 and self.kinds[index] == "prismatic" else UNITS[kind]
         return Beyond(QUANTITIES[kind], at, value, float(self.lower[kind, index]), float(self.upper[kind, index]), unit)
 
@@ -161,6 +162,11 @@ class Ranges:
             "tool_mass_kg": list(self.tool_mass),
             "joint_kinds": list(self.kinds),
         }
+
+
+def place_of(kind: int, index: int) -> str:
+    """``joint2`` or ``link3``: where the one of :data:`QUANTITIES` is, from 0."""
+    return f"{'link' if kind == 2 else 'joint'}{index + 1}"
 
 
 def read_ranges(data: Mapping[str, Any] | None) -> Ranges | None:
