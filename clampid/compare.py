@@ -19,6 +19,7 @@ from clampid.fitting.fit import fit
 from clampid.identify import TABLES_OF, held_out_folds
 from clampid.model import Model, ModelError, StageModel
 from clampid.placing import placing
+from clampid.ranges import beyond_rows
 from clampid.reopen import Reopened, reopen
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import experiment
@@ -169,9 +170,9 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
             continue
         shown = (rows.table == table) & (fitted if fitted.any() else True)
         chosen = tested & (np.isin(test.table, [table, "verification"]))
-        far = _extrapolated(opened, test, chosen) if stage == "poses" else None
-        out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor, far)
+        out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
         if stage == "poses":
+            out[table] |= _beyond(opened, test, chosen)
             out[table] |= placing(rows, residual, test, test_residual, chosen, sample)
     return out
 
@@ -184,7 +185,6 @@ def _table(
     test_residual: Array,
     chosen: Bools,
     floor: Floor,
-    extrapolated: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     poses = rows.stage == "poses"
     counts = rows.used[:, 0] if poses else rows.used.any(axis=1)
@@ -197,8 +197,6 @@ def _table(
     }
     seen = test.used[:, 0] if poses else test.used.any(axis=1)
     entry["heldout"] = {"rows": int((chosen & seen).sum()), **_numbers(test, test_residual, chosen, floor)}
-    if extrapolated is not None:
-        entry["extrapolated"] = extrapolated
     if not poses:
         entry["per_motor"] = [
             {
@@ -255,10 +253,23 @@ def _refitted(
     estimate = fit(trial, (prior,), dict(zip(slots, values.tolist(), strict=True)))
     residual = predicted(trial.with_rows(rows), estimate.theta)
     floor = noise_floor(rows, residual)
-    far = _extrapolated(opened, rows, out)
-    return _table(rows, residual, ~out, rows, residual, out, floor, far) | placing(
-        rows, residual, rows, residual, out, sample
-    )
+    entry = _table(rows, residual, ~out, rows, residual, out, floor) | _beyond(opened, rows, out)
+    return entry | placing(rows, residual, rows, residual, out, sample)
+
+
+def _beyond(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]:
+    """How many of the held-out rows ask the model for what it was not identified on, and for what.
+
+    Nothing of ranges that the model file does not have, nor of curves that the model does not have.
+    """
+    curves = _extrapolated(opened, rows, chosen)
+    entry: dict[str, Any] = {} if curves is None else {"extrapolated": curves}
+    stage = opened.stages["poses"]
+    if stage.ranges is not None:
+        far, found = beyond_rows(stage.ranges, rows.take(chosen), stage.slots, opened.effects)
+        quantities = [{**one.to_json(), "rows": count} for one, count in found]
+        entry["extrapolating"] = {"rows": int(far.sum()), "of": len(far), "quantities": quantities}
+    return entry
 
 
 def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:

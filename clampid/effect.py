@@ -27,6 +27,7 @@ __all__ = [
 
 Stage = Literal["free_air", "clamped", "poses"]
 Per = Literal["robot", "joint", "link", "target", "session"]
+Within = Literal["q", "torque", "link_temperature"]
 Deviation = Callable[[Any, Any], Any]
 
 WEAK = 10.0  # sizes: a prior that says next to nothing
@@ -261,6 +262,9 @@ class Effect:
         other sweep tells them. Diagnosis tries every time; a fit begins at the likeliest.
     caveat
         What standard errors of its parameters leave out, for people.
+    known_within
+        Of an empirical form per joint or link: the signal inside whose measured range alone the form is known, so that
+        its stated uncertainty grows beyond (:mod:`clampid.ranges`). None of a law.
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
@@ -285,8 +289,14 @@ class Effect:
     event: str | None = None
     meaning: str = field(default="")
     caveat: str = field(default="")
+    known_within: Within | None = None
 
     def __post_init__(self) -> None:
+        if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):
+            raise EffectError(
+                f"effect {self.name}: known_within: expected a signal that it needs and parameters per joint or link, "
+                f"found {self.known_within!r}, needs {', '.join(self.needs)}, parameters per {self.per}"
+            )
         for kind, found, known in (
             ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
@@ -311,6 +321,11 @@ class Effect:
     def again(self) -> Effect:
         """Of an event, the same happening a second time, for which diagnosis looks once the first is known."""
         return replace(self, name=f"second_{self.name}", beyond=self.name, meaning=f"{self.name}, a second time")
+
+    @property
+    def of_session(self) -> bool:
+        """Whether all its amplitudes are of single sessions: it says nothing of others."""
+        return all(p.per == "session" for p in self.parameters if not p.shape)
 
     @cached_property
     def per(self) -> Per:

@@ -28,6 +28,7 @@ from clampid.log_springs import rows_by_springs
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
+from clampid.ranges import ranges_of
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
@@ -183,6 +184,7 @@ def _model_of(
         by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
         told=told,
         lean=estimate.experiment.chain.lean,
+        ranges=ranges_of(fitted, estimate.outliers) if rows.stage == "poses" else None,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
 

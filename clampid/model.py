@@ -18,6 +18,7 @@ import numpy as np
 from clampid.base_names import BaseParameter, base_json, read_base
 from clampid.effect import STAGES, Stage
 from clampid.fitting.bootstrap import Bootstrap
+from clampid.ranges import Ranges, read_ranges
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
 
@@ -79,6 +80,8 @@ class StageModel:
     by_springs
         ``(P, n)``, of ``free_air``: how the parameters follow the springs, see :mod:`clampid.log_springs`; None where
         not known.
+    ranges
+        Of poses: on what they were fitted, see :mod:`clampid.ranges`; None where a model file does not say.
     """
 
     stage: Stage
@@ -96,6 +99,7 @@ class StageModel:
     told: Prior | None = None
     lean: Array | None = None
     by_springs: Array | None = None
+    ranges: Ranges | None = None
 
     @property
     def std(self) -> Array:
@@ -260,6 +264,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "told": None if stage.told is None else _told_json(stage.told),
         "lean_rad": None if stage.lean is None else stage.lean.tolist(),
         "by_springs": None if stage.by_springs is None else stage.by_springs.tolist(),
+        "ranges": None if stage.ranges is None else stage.ranges.to_json(),
     }
 
 
@@ -315,6 +320,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             told=_read_told(part.get("told")),
             lean=None if part.get("lean_rad") is None else np.array(part["lean_rad"], dtype=float),
             by_springs=None if part.get("by_springs") is None else np.array(part["by_springs"], dtype=float),
+            ranges=read_ranges(part.get("ranges")),
         )
     sessions = tuple(
         Session(

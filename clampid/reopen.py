@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -154,7 +155,9 @@ def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> 
     layout = layout_of([campaign])
     stages = {s: _renamed(model.stages[s], session or 0, len(model.sessions), layout) for s in here}
     if session is None or len(model.sessions) > 1:  # sweeps are counted over all sessions
-        stages = {s: _without_events(m, effects) for s, m in stages.items()}
+        stages = {s: _left_out(m, [e for e in effects.values() if e.event is not None]) for s, m in stages.items()}
+    if session is None:  # how another session's base settled says nothing of this one's
+        stages = {s: _left_out(m, [e for e in effects.values() if e.of_session]) for s, m in stages.items()}
     # Stages without a table here still supply loads and flanks.
     stages |= {s: m for s, m in model.stages.items() if s not in stages}
     base = None
@@ -174,7 +177,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
             if not place.startswith(prefix):
                 continue
             place = place.removeprefix(prefix)
-        elif slot.parameter.startswith(("base_", "flange_")) and slot.effect == "geometry":
+        elif re.fullmatch(r"session\d+", place):
             if place != f"session{session + 1}":
                 continue
             place = layout.sessions[0]
@@ -198,17 +201,20 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
         told=stage.told,
         by_springs=None if stage.by_springs is None else stage.by_springs[chosen],
+        lean=stage.lean,
+        ranges=stage.ranges,
     )
 
 
-def _without_events(stage: StageModel, effects: Mapping[str, Effect]) -> StageModel:
-    """Leave out what happened once, in a sweep that is not among the rows, or not with the same number."""
-    keep = np.array([k for k, s in enumerate(stage.slots) if effects[s.effect].event is None], dtype=int)
+def _left_out(stage: StageModel, gone: Sequence[Effect]) -> StageModel:
+    """The stage without some effects: what happened once, or in another session, is not in these rows."""
+    names = {effect.name for effect in gone}
+    keep = np.array([k for k, s in enumerate(stage.slots) if s.effect not in names], dtype=int)
     if len(keep) == len(stage.slots):
         return stage
     return replace(
         stage,
-        terms=tuple(t for t in stage.terms if effects[t.effect].event is None),
+        terms=tuple(t for t in stage.terms if t.effect not in names),
         slots=tuple(stage.slots[k] for k in keep),
         theta=stage.theta[keep],
         covariance=stage.covariance[np.ix_(keep, keep)],

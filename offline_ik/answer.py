@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clampid.ranges import Beyond
 from offline_ik.uncertainty import Uncertainty
 
 __all__ = ["Answer", "Solution"]
@@ -34,6 +35,10 @@ class Solution(NamedTuple):
         KUKA's bits.
     distance
         The largest joint move from the posture at hand, rad.
+    direction
+        ``(n,)``: of each joint's approach, ±1, 0 unknown.
+    extrapolating
+        What is beyond that on which the model was identified.
     """
 
     q: Array
@@ -47,6 +52,7 @@ class Solution(NamedTuple):
     turn: int
     distance: float
     direction: Array
+    extrapolating: tuple[Beyond, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -64,6 +70,7 @@ class Solution(NamedTuple):
             "turn": self.turn,
             "largest_move_rad": self.distance,
             "approach_direction": self.direction.tolist(),
+            "extrapolating": [beyond.to_json() for beyond in self.extrapolating],
         }
 
 

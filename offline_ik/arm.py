@@ -21,6 +21,7 @@ from clampid.catalogue import with_user_effects
 from clampid.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
 from clampid.effect import Effect
 from clampid.model import Model, ModelError, StageModel
+from clampid.ranges import Ranges
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
@@ -87,6 +88,8 @@ class IdentifiedArm:
         ``(4, 4)``: the session's guess of the base in the instrument's frame, without the fitted motion.
     lean
         ``(n, 3)``, rad: what decides on flanks beside friction, see :mod:`clampid.fitting.open_flanks`; None: nothing.
+    ranges
+        What the model was identified on; None: not known.
     """
 
     robot: RobotDescription
@@ -100,6 +103,7 @@ class IdentifiedArm:
     session: int = 0
     reference: Array | None = None
     lean: Array | None = None
+    ranges: Ranges | None = None
 
     @property
     def n(self) -> int:
@@ -305,6 +309,7 @@ def arm_of(
         session,
         model.sessions[session].base_reference,
         stage.lean,
+        stage.ranges,
     )
 
 

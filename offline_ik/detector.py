@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.model import Model, load_model
+from clampid.ranges import Beyond
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 from offline_ik.answer import Answer, Solution
@@ -89,7 +90,7 @@ class Detector:
         """The same at other temperatures ``(n,)``, °C."""
         out = object.__new__(Detector)
         out.__dict__.update(self.__dict__)
-        for derived in ("still", "_still_vector", "_said"):
+        for derived in ("still", "_still_vector", "_said", "_surroundings"):
             out.__dict__.pop(derived, None)
         out.cell = replace(
             self.cell,
@@ -173,7 +174,7 @@ class Detector:
         if choice.kind == "nearest" and roll is not None and self._nearest is not None:
             quick = self._nearest.locate((gamma, delta, r, roll), here, direction, self._still_vector)
             if quick is not None:
-                return self._answer((gamma, delta, r, roll), quick[0], (quick[1],))
+                return self._answer((gamma, delta, r, roll), quick[0], (self._told_outside(self._nearest, quick[1]),))
         rolls = np.array([roll]) if roll is not None else np.arange(ROLLS) * (2 * np.pi / ROLLS) - np.pi
         poses = detector_pose(self.cell.convention, gamma, delta, r, np.asarray(rolls, dtype=np.float64))
         found: list[Solution] = []
@@ -256,7 +257,29 @@ class Detector:
             turn,
             float(np.abs(q - here).max()),
             conditions.direction,
+            self._extrapolating(q),
         )
+
+    def _told_outside(self, nearest: Nearest, solution: Solution) -> Solution:
+        """The solution that was just located by a kernel that knows no ranges; inside these as it came."""
+        outside, beyond = self.propagation.outside, self._extrapolating(solution.q)
+        if outside is None or not beyond:
+            return solution
+        uncertainty = solution.uncertainty
+        if outside.widens(beyond):
+            more = outside.widening(nearest.by_doubted(), solution.q, self.still.link_temperature)
+            uncertainty = uncertainty._replace(covariance=uncertainty.covariance + more)
+        return solution._replace(extrapolating=beyond, uncertainty=uncertainty)
+
+    def _extrapolating(self, q: Array) -> tuple[Beyond, ...]:
+        """What is beyond that on which the model was identified."""
+        outside = self.propagation.outside
+        return () if outside is None else outside.posture(q) + self._surroundings
+
+    @cached_property
+    def _surroundings(self) -> tuple[Beyond, ...]:
+        outside = self.propagation.outside
+        return () if outside is None else outside.surroundings(self.cell.link_temperature)
 
     @cached_property
     def propagation(self) -> Propagation:

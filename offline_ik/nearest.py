@@ -34,16 +34,21 @@ class Nearest:
 
     def __init__(self, ortho: OrthoArm, search: PostureSearch, propagation: Propagation, cell: Cell) -> None:
         solver, covariance = search.solver, propagation.covariance
+        uncertain = np.asarray(covariance.any(axis=0))
+        nothing = np.zeros(0, dtype=np.int64)
+        doubted = nothing if propagation.outside is None else propagation.outside.empirical.parameter
+        uncertain[doubted] = True
         kernel, counting = locate_kernel(
-            solver.arm, ortho, solver.mount, search.lower, search.upper, cell.convention, propagation.mount,
-            np.asarray(covariance.any(axis=0)),
-        )  # fmt: skip
+            solver.arm, ortho, solver.mount, search.lower, search.upper, cell.convention, propagation.mount, uncertain
+        )
         n = solver.arm.n
         self.ortho, self.search, self.propagation, self.n = ortho, search, propagation, n
         self.linkage = None if (solver.linkage == np.eye(n)).all() else solver.linkage
         self.kernel, self.covariance = kernel, np.ascontiguousarray(covariance[np.ix_(counting, counting)])
         self.jacobian, self.half = kernel.out[1].reshape(6, -1), kernel.out[2].reshape(n, 6)
         self.product = np.zeros((6, len(counting)))
+        self.counted = np.isin(doubted, counting)
+        self.doubted = np.searchsorted(counting, doubted[self.counted])
 
     def locate(
         self, asked: tuple[float, float, float, float], here: Array, direction: Direction, still: Array
@@ -87,3 +92,9 @@ class Nearest:
             moved,
             first[approach],
         )
+
+    def by_doubted(self) -> Array:
+        """``(6, E)``: how the pose last located depends on the amplitudes of empirical effects; axes of its answer."""
+        out = np.zeros((6, len(self.counted)))
+        out[:, self.counted] = self.jacobian[:, self.doubted]
+        return out

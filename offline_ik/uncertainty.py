@@ -2,7 +2,8 @@
 
 Radial is along the line from the sample, tangential along the sphere. With the parameters' covariance S and the
 derivative J of the detector's pose by them, cov = J S J'. A joint whose direction of approach is not known may stand on
-either side of its gap and friction: that adds (d/2)(d/2)' with d from one side to the other.
+either side of its gap and friction: that adds (d/2)(d/2)' with d from one side to the other. Beyond what the model was
+identified on, :mod:`clampid.ranges` says what empirical effects add.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from offline_ik.arm import Conditions
+from offline_ik.beyond import outside_of
 from offline_ik.cell import Cell
 from offline_ik.mount import mount_jacobian
 from offline_ik.solver import Solver
@@ -114,6 +116,7 @@ class Propagation:
         arm = solver.arm
         self.solver, self.cell, self.in_base = solver, cell, cell.convention.frame == "base"
         self.mount = mount_jacobian(cell, arm)
+        self.outside = outside_of(arm)
         self.unmounted = solver.mount[:3, :3].T
         # In the robot's own base frame, its place in the room does not matter.
         self.fixed = np.array([not (self.in_base and s.parameter.startswith("base_")) for s in arm.slots], dtype=float)
@@ -145,7 +148,11 @@ class Propagation:
         unknown = 0.5 * (conditions.direction == 0)
         J = (towards.T @ J.reshape(2, 3, -1)).reshape(6, -1)
         half = unknown[:, None] * (spread.reshape(-1, 2, 3) @ towards).reshape(-1, 6)
-        return self.combined(J @ self.covariance @ J.T, half)
+        model = J @ self.covariance @ J.T
+        if self.outside is not None:
+            doubted = self.outside.empirical.parameter
+            model = model + self.outside.widening(J[:, doubted], q, conditions.link_temperature)
+        return self.combined(model, half)
 
     def combined(self, model: Array, half: Array | None) -> Uncertainty:
         """From the share of the parameters ``(6, 6)``, and half the spread ``(n, 6)`` of approaches that are not known.

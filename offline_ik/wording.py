@@ -33,4 +33,5 @@ def _told(solution: Solution) -> dict[str, Any]:
         "largest_move_rad": solution.distance,
         "approach_direction": solution.direction.tolist(),
         "singular": solution.singular,
+        "extrapolating": [beyond.to_json() for beyond in solution.extrapolating],
     }

@@ -27,4 +27,5 @@ EFFECT = Effect(
     equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1, 2",
     source=("UniversalModel",),
     tried="places",
+    known_within="q",
 )

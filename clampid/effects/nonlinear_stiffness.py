@@ -32,4 +32,5 @@ EFFECT = Effect(
     equation="d theta_m = tau_m/k + h tau_m^3",
     source=("Klimchik",),
     beyond="joint_compliance",
+    known_within="torque",
 )

@@ -34,4 +34,5 @@ EFFECT = Effect(
     equation="d theta_m = tau_m/k + a s tanh(tau_m/s)",
     source=("Klimchik",),
     beyond="joint_compliance",
+    known_within="torque",
 )

@@ -22,4 +22,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="d_i(T) = d_i (1 + alpha_i (T_i - T_0))",
     source=("UniversalModel", "VisualInspection"),
+    known_within="link_temperature",
 )

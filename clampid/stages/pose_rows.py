@@ -10,7 +10,7 @@ import numpy as np
 from clampid.slots import Layout
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
 from clampid.stages.rows import Array, Rows
-from clampid.stages.temperatures import temperatures
+from clampid.stages.temperatures import link_recorded, temperatures
 from experiments.campaign import Campaign, Instrument
 from kinematics.poe import forward
 
@@ -127,9 +127,11 @@ def _one(
             "rotation": rotation,
             "base_reference": np.tile(reference, (count, 1, 1)),
             "time": time,
+            "link_recorded": link_recorded(frame, n),
+            "tool_mass": np.full(count, float(campaign.tool.mass)),
             **axes,
         },
-        per_row=("target", "rotation", "base_reference", "time", *axes),
+        per_row=("target", "rotation", "base_reference", "time", "link_recorded", "tool_mass", *axes),
     )
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Bools
 
-__all__ = ["temperatures"]
+__all__ = ["link_recorded", "temperatures"]
 
 
 def temperatures(table: object, n: int) -> dict[str, Array]:
@@ -20,3 +20,11 @@ def temperatures(table: object, n: int) -> dict[str, Array]:
                 values[:, i] = np.nan_to_num(table[column].to_numpy(float) - 20.0)  # type: ignore[index]
         out[f"{kind}_temperature"] = values
     return out
+
+
+def link_recorded(table: object, n: int) -> Bools:
+    """Where a sensor gave a link's temperature ``(N, n)``."""
+    nowhere = np.full(len(table), False)  # type: ignore[arg-type]
+    columns = (f"temp_link{i + 1}_C" for i in range(n))
+    sensors = (np.isfinite(table[c].to_numpy(float)) if c in table.columns else nowhere for c in columns)  # type: ignore[index, attr-defined]
+    return np.column_stack(list(sensors))

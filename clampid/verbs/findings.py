@@ -7,9 +7,9 @@ from typing import Any
 
 from clampid.verbs.limits import show_limits
 from clampid.verbs.output import Output
-from clampid.verbs.units import error_text, with_error
+from clampid.verbs.units import error_text, ranged, with_error
 
-__all__ = ["show_addition", "show_comparison", "show_diagnosis", "where_text"]
+__all__ = ["extrapolating_text", "show_addition", "show_comparison", "show_diagnosis", "where_text"]
 
 MANY = 40  # parameters of one effect at one place, beyond which nobody reads them one by one
 WORDS = {
@@ -39,6 +39,10 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
     columns = ("table", "rows", "rms", "mean", "max", "held out", "rms", "mean", "max", "noise floor")
     out.table("model against measurement", columns, rows)
     for name, table in data["tables"].items():
+        beyond = table.get("extrapolating")
+        if beyond and beyond["rows"]:
+            what = extrapolating_text(beyond["quantities"])
+            out.say(f"{name}: extrapolating: {what}, in {beyond['rows']} of {beyond['of']} held-out rows")
         far = table.get("extrapolated")
         if far and far["share"]:
             joints = ", ".join(f"{joint} {100 * share:.0f} %" for joint, share in far["joints"].items())
@@ -57,6 +61,24 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
         out.say(f"poses: {data['compensation']['summary']}")
     if "drives" in data:
         _show_agreement(data["drives"], out)
+
+
+def extrapolating_text(quantities: Sequence[Mapping[str, Any]]) -> str:
+    """Joint by joint, what of it a model is asked for and how far it was identified on that."""
+    parts: dict[str, list[str]] = {}
+    for found in quantities:
+        value, unit = found["value"], found["unit"]
+        middle = 0.5 * sum(found["identified"])
+        word, edge = ("to", found["identified"][1]) if value > middle else ("from", found["identified"][0])
+        here, known = (ranged(number, unit) for number in (value, edge))
+        parts.setdefault(found["at"], []).append(f"{found['quantity']} {word} {here}, identified {word} {known}")
+    return ", ".join(f"{_place(at)} ({'; '.join(said)})" for at, said in parts.items())
+
+
+def _place(at: str) -> str:
+    """``joint 2`` of ``joint2``."""
+    name = at.rstrip("0123456789")
+    return f"{name} {at.removeprefix(name)}".rstrip()
 
 
 def _show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["error_text", "length", "quantity", "readable", "span", "with_error"]
+__all__ = ["error_text", "length", "quantity", "ranged", "readable", "span", "with_error"]
 
 _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     # From which size on, factor, symbol: the first that fits.
@@ -74,6 +74,17 @@ def span(low: float, high: float, unit: str) -> str:
 def length(value: float) -> str:
     """A length with its unit, for sentences."""
     return readable(value, "m")
+
+
+def ranged(value: float, unit: str) -> str:
+    """An angle, length, torque, temperature or mass, as one compares it with the edge of a range."""
+    factor, symbol, decimals = {
+        "rad": (180 / math.pi, "deg", 1),
+        "m": (1e3, "mm", 1),
+        "degC": (1.0, "degC", 1),
+        "kg": (1.0, "kg", 2),
+    }.get(unit, (1.0, unit, 1))
+    return f"{value * factor:.{decimals}f} {symbol}"
 
 
 def error_text(value: float | None, unit: str) -> str:

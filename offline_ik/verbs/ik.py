@@ -115,5 +115,9 @@ def _show_solution(solution: Solution, out: Output) -> None:
         f"uncertainty (1 σ): {1e6 * u.std_m:.0f} µm ({1e6 * u.tangential_m:.0f} µm = {u.tangential_m / u.pixel:.1f} "
         f"pixels along the sphere), {1e6 * u.std_rad:.0f} µrad"
     )
+    if solution.extrapolating:
+        from clampid.verbs.findings import extrapolating_text
+
+        out.say(f"extrapolating: {extrapolating_text([beyond.to_json() for beyond in solution.extrapolating])}")
     if solution.singular:
         out.warn(f"near a singularity: {', '.join(solution.singular)}")

@@ -50,10 +50,10 @@ def general(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array)
     return position, rotation, jacobian
 
 
-def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -> Rows:
-    count = len(q)
+def campaign_of(arm: IdentifiedArm) -> Campaign:
+    """A campaign without tables on that arm, with its gravity and its tool."""
     declared = Tool(float(arm.tool[0]), arm.tool[1:] / arm.tool[0] if arm.tool[0] else np.zeros(3))
-    campaign = Campaign(
+    return Campaign(
         "",
         None,
         arm.robot,
@@ -64,6 +64,10 @@ def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -
         MappingProxyType({}),
         "",
     )
+
+
+def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -> Rows:
+    count, campaign = len(q), campaign_of(arm)
 
     def each(value: Array) -> Array:
         return np.tile(value, (count, 1))
