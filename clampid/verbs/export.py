@@ -45,6 +45,10 @@ def dh(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="Where to; stdout without it.")
     ] = None,
+    layout: Annotated[
+        Literal["csv", "thesis"],
+        typer.Option(help="CSV for programs, or for readers, as the thesis prints its table: nominal and compensated."),
+    ] = "csv",
     campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
@@ -53,24 +57,28 @@ def dh(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """The compensated Denavit–Hartenberg table with standard errors, as CSV, and what it leaves of the model."""
+    """The compensated Denavit–Hartenberg table with standard errors, and what it leaves of the model."""
     out = Output(quiet, json)
     _writable(output)
 
+    from clampid.described import robot_of
+    from clampid.dh_layout import thesis_layout
     from clampid.export import dh_export
     from clampid.model import load_model
 
+    loaded = load_model(model)
+    nominal = robot_of(loaded, _robot(robot))
     found = dh_export(
-        load_model(model),
+        loaded,
         convention,
         session=session - 1,
-        robot=_robot(robot),
+        robot=nominal,
         temperature=temperature,
         campaign=_read(campaign),
         user_effects=effects_from,
     )
     if output is not None or json != "-":
-        _written(found.text, output)
+        _written(found.text if layout == "csv" else thesis_layout(found, nominal), output)
     _tell("table", found, output, out)
 
 

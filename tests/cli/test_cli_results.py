@@ -131,6 +131,9 @@ def test_exports_tell_programs_what_they_leave(clampid: Clampid, model: Path, po
     assert "backlash" in [entry["effect"] for entry in data["not_in_table"]]
     assert [row["row"] for row in data["rows"]] == ["1", "2", "3", "4", "5", "6", "base", "tool"]
     assert data["measured"]["table"] == "verification"
+    ran = clampid("export", "dh", model, "--layout", "thesis")
+    assert ran.code == 0, ran.err
+    assert ran.out.startswith("| link |  | θ [rad] | d [m] | a [m] | α [rad] | β [rad] |")
     path = tmp_path / "arm.urdf"
     ran = clampid("export", "urdf", model, "-o", path, "--json", tmp_path / "u.json")
     assert ran.code == 0, ran.err
