@@ -10,12 +10,12 @@ import numpy as np
 from clampid.accuracy import predicted
 from clampid.base_names import base_json
 from clampid.consistent import ConsistentArm, consistent_arm
+from clampid.described import robot_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.reopen import reopen
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
-from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 
 __all__ = ["dynamics", "torque_errors"]
@@ -58,7 +58,7 @@ def dynamics(
     stage = model.stages.get("free_air")
     if stage is None or not stage.base:
         raise ModelError("expected a model with gravity identified from free-air or wrist logs, found none to export")
-    nominal = load_robot(model.robot) if robot is None else robot
+    nominal = robot_of(model, robot)
     out: dict[str, Any] = {"robot": model.robot, "base_parameters": [base_json(p) for p in stage.base]}
     if not consistent:
         return out

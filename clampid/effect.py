@@ -325,7 +325,8 @@ class Effect:
     @property
     def of_session(self) -> bool:
         """Whether all its amplitudes are of single sessions: it says nothing of others."""
-        return all(p.per == "session" for p in self.parameters if not p.shape)
+        kinds = {p.per for p in self.parameters if not p.shape}
+        return kinds == {"session"}
 
     @cached_property
     def per(self) -> Per:

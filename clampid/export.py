@@ -1,41 +1,35 @@
 """The compensated robot for others: Denavit–Hartenberg tables with uncertainties, and URDF.
 
-The calibrated chain (see :mod:`clampid.stages.poses`) is::
-
-    x = X_0 M_0 prod_i exp([xi_i] q_i) M_i F
-
-with F the flange's nominal home pose. Moving every M_i through the exponentials behind it gives screws
-xi'_i = Ad(M_1 … M_{i-1}) xi_i and a home pose M_1 … M_n F: a chain as any other. It holds what is static at one
-temperature of all links, 20 °C unless another is stated; effects that depend on posture, load or direction are no part
-of a table (errors of joint angles have a table of their own). Where a linkage couples joints,
-q are the joint values of the chain and not the controller's.
+They hold the calibrated chain (:mod:`clampid.calibrated`): what is static at one temperature of all links, 20 °C unless
+another is stated. Effects that depend on posture, load or direction are no part of them (errors of joint angles have a
+table of their own); what that leaves of the whole model is measured over the workspace and written into the file.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clampid.calibrated import REFERENCE, CalibratedChain, calibrated_chain, sensitivity
 from clampid.catalogue import with_user_effects
 from clampid.curves import angle_errors
+from clampid.described import robot_of
+from clampid.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
 from clampid.model import Model, ModelError, write_text
-from clampid.slots import Slot
-from clampid.stages.pose_kernel import link_points
-from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
-from kinematics.description import load_robot
+from experiments.campaign import Campaign
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
-from kinematics.screws import adjoint, cayley, roll_pitch_yaw, rotation_of, transform
+from kinematics.screws import roll_pitch_yaw, rotation_of, transform
 from kinematics.urdf import read_urdf, write_urdf
 
 if TYPE_CHECKING:
@@ -46,163 +40,161 @@ __all__ = [
     "FRAME_COLUMNS",
     "ROW_COLUMNS",
     "CalibratedChain",
+    "Exported",
+    "ExportedTable",
     "angle_table",
     "calibrated_chain",
+    "dh_export",
     "dh_table",
     "postures",
     "read_dh",
     "sensitivity",
+    "static_table",
     "table_text",
+    "urdf_export",
     "urdf_text",
 ]
 
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 SAID = ("temperature_C", "difference_m")
-COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")), *SAID)
+LEFT = (*(f"left_by_table_{k}_{unit}" for unit in ("m", "rad") for k in ("rms", "max")), "not_in_table")
+COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")), *SAID, *LEFT)
 """Columns of the table; a column that does not belong to a row is empty there."""
 
-REFERENCE = 20.0  # °C, at which links have the length of the geometry
-EXPANSION = "thermal_expansion"
 ANGLES = np.deg2rad(5.0)  # between rows of a table of angle errors
-POSTURES = 200
-STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
 EXACT = 1e-9  # m and rad: what an export may differ from the model, read back
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
-_AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
-@dataclass(frozen=True)
-class CalibratedChain:
-    """The robot as it is: a product of exponentials.
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """A file of the calibrated robot, read back, and what it leaves of the model.
 
     Attributes
     ----------
-    base
-        ``(4, 4)``: the base in the instrument's frame.
-    screws
-        ``(n, 6)``: (omega, v) in the base frame at the zero pose.
-    home
-        ``(4, 4)``: the flange at the zero pose, in the base frame.
+    text
+        The file.
+    temperature
+        Of all links, °C.
+    difference
+        By how much the file, read back, differs at most from the calibrated chain, m.
+    left
+        What it leaves of the whole model over the workspace.
+    measured
+        What it alone leaves of measured points; None without a campaign.
     """
 
-    robot: RobotDescription
-    base: Array
-    screws: Array
-    home: Array
+    text: str
+    temperature: float
+    difference: float
+    left: LeftOut
+    measured: Measured | None
 
-    def flange(self, q: Array) -> Array:
-        """Poses ``(..., 4, 4)`` of the flange in the instrument's frame at joint values ``(..., n)``."""
-        return np.asarray(self.base @ forward(self.screws, self.home, q))
+    @property
+    def said(self) -> tuple[str, ...]:
+        """What it leaves, in sentences."""
+        lines = [str(self.left), f"not in it: {self.left.worth}"]
+        return tuple(lines if self.measured is None else [*lines, f"this alone leaves {self.measured}"])
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs; SI but for the temperatures."""
+        out = {"temperature_C": self.temperature, "difference_m": self.difference, **self.left.to_json()}
+        out["measured"] = None if self.measured is None else self.measured.to_json()
+        return out
 
 
-def calibrated_chain(
+@dataclass(frozen=True, eq=False)
+class ExportedTable(Exported):
+    """A Denavit–Hartenberg table as a file, CSV, and as a frame with the columns :data:`COLUMNS`."""
+
+    convention: Convention
+    table: pd.DataFrame
+
+    def to_json(self) -> dict[str, Any]:
+        """As of any export, and the table row by row."""
+        rows = (row.dropna() for _, row in self.table.drop(columns=[*SAID, *LEFT]).iterrows())
+        return {"convention": self.convention, **super().to_json(), "rows": [row.to_dict() for row in rows]}
+
+
+def dh_export(
     model: Model,
+    convention: Convention,
     *,
     session: int = 0,
     robot: RobotDescription | None = None,
-    theta: Array | None = None,
     temperature: float = REFERENCE,
-) -> CalibratedChain:
-    """The static geometry of a model at one temperature of all links.
+    campaign: Campaign | None = None,
+    user_effects: Path | None = None,
+) -> ExportedTable:
+    """The compensated Denavit–Hartenberg table with standard errors, and what it leaves of the whole model.
+
+    Rows ``1`` … ``n`` have A_i = Rz(sign q_i + theta_offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); rows ``base`` and ``tool``
+    a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame. Where a linkage
+    couples joints, q are the joint values of the chain and not the controller's. Column ``difference_m`` says by how
+    much the table, read back, differs at most from the static chain over the joints' ranges; ``left_by_table_…`` how
+    far the flange of the whole model is from it there, and ``not_in_table`` by which effects.
 
     Parameters
     ----------
+    convention
+        ``hayati`` is exact; ``standard`` loses digits between nearly parallel axes.
     session
         Whose base and flange, from 0.
     robot
         The nominal robot, if the model's name for it is not that of a bundled one.
-    theta
-        Other values for the slots of the stage ``poses``.
     temperature
-        °C; another than 20 needs expansion to have been identified.
+        Of all links, °C; see `calibrated_chain`.
+    campaign
+        That of the session: its declared tool loads the model, and on its measured points it is said what the table
+        alone leaves.
+    user_effects
+        The user's own effects; by default the file that the model names.
 
     Raises
     ------
     ModelError
-        The model has no geometry from a table of poses, no such session, or no expansion for another temperature.
+        The model has no geometry, no expansion for that temperature, or effects that are not known; or the campaign is
+        not that of the session.
+    DHError
+        Standard rows would lose more than a micrometre, or a joint is helical.
     """
-    stage = model.stages.get("poses")
-    if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
-        raise ModelError("expected a model with geometry identified from a table of poses, found none to export")
-    if not 0 <= session < len(model.sessions):
-        raise ModelError(f"session {session + 1}: the model has sessions 1 to {len(model.sessions)}")
-    reference = model.sessions[session].base_reference
-    if reference is None:
-        raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
-    if temperature != REFERENCE and not any(slot.effect == EXPANSION for slot in stage.slots):
-        raise ModelError(
-            f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "
-            f"is that of the temperatures of its poses, exported as {REFERENCE:g} degC"
-        )
-    nominal = load_robot(model.robot) if robot is None else robot
-    values = dict(zip(stage.slots, stage.theta if theta is None else theta, strict=True))
-    here = model.layout.sessions[session]
-
-    def twist(prefix: str, place: str) -> Array:
-        return np.array([values.get(Slot("geometry", prefix + axis, place), 0.0) for axis in _AXES])
-
-    vectors = link_vectors(nominal)
-    base = np.asarray(reference) @ _motion(twist("base_", here), np.zeros(3))
-    moved, screws = np.eye(4), np.empty((nominal.n, 6))
-    for i, pivot in enumerate(link_points(nominal)):
-        screws[i] = adjoint(moved) @ nominal.screws[i]
-        far_end = twist("", f"link{i + 1}")
-        alpha = values.get(Slot(EXPANSION, "alpha", f"link{i + 1}"), 0.0)
-        far_end[3:] += alpha * (temperature - REFERENCE) * vectors[i]
-        if i + 1 == nominal.n:
-            far_end = far_end + twist("flange_", here)
-        moved = moved @ _motion(far_end, pivot)
-    return CalibratedChain(nominal, base, screws, moved @ nominal.flange)
+    nominal = robot_of(model, robot)
+    frame = static_table(model, convention, session=session, robot=nominal, temperature=temperature)
+    table = read_dh(table_text(frame))
+    left, measured = _checked(
+        lambda q: dh_forward(table, q), model, nominal, session, temperature, campaign, user_effects
+    )
+    e = left.error
+    frame[list(LEFT[:-1])] = e.position_rms, e.position_max, e.orientation_rms, e.orientation_max
+    frame[LEFT[-1]] = " ".join(left.effects)
+    difference = float(frame["difference_m"].iloc[0])
+    return ExportedTable(table_text(frame), temperature, difference, left, measured, convention, frame)
 
 
-def _motion(twist: Array, pivot: Array) -> Array:
-    """The small motion x -> pivot + v + C(w)(x - pivot), C Cayley's rotation, as in :mod:`clampid.stages.poses`."""
-    C = cayley(twist[:3])
-    return transform(C, pivot + twist[3:] - C @ pivot)
-
-
-def sensitivity(
+def _checked(
+    form: Flange,
     model: Model,
-    numbers: Callable[[CalibratedChain], Array],
-    *,
-    session: int = 0,
-    robot: RobotDescription | None = None,
-    temperature: float = REFERENCE,
-    difference: Callable[[Array, Array], Array] = np.subtract,
-) -> tuple[Array, Array]:
-    """How numbers of the calibrated chain follow the parameters of the geometry, by central differences.
-
-    Parameters
-    ----------
-    numbers
-        Gives the numbers ``(M,)`` of a chain, SI.
-    session, robot, temperature
-        See `calibrated_chain`.
-    difference
-        Of two results of ``numbers``, where that is more than a subtraction.
-
-    Returns
-    -------
-    tuple of Array
-        Derivatives ``(M, P)`` by the P parameters of ``geometry`` (at another temperature than 20 °C also of the
-        expansion), and these parameters' covariance ``(P, P)``.
-    """
-    stage = model.stages["poses"]
-    warm = (EXPANSION,) if temperature != REFERENCE else ()
-    free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
-    columns = []
-    for k in free:
-        step = STEP * np.eye(len(stage.slots))[k]
-        sides = [
-            numbers(calibrated_chain(model, session=session, robot=robot, theta=theta, temperature=temperature))
-            for theta in (stage.theta + step, stage.theta - step)
-        ]
-        columns.append(difference(sides[0], sides[1]) / (2 * STEP))
-    return np.array(columns).T, stage.covariance[np.ix_(free, free)]
+    robot: RobotDescription,
+    session: int,
+    temperature: float,
+    campaign: Campaign | None,
+    user_effects: Path | None,
+) -> tuple[LeftOut, Measured | None]:
+    """What a form leaves of the whole model, and of measured points where there are any."""
+    measured = None if campaign is None else measured_error(form, model, session, campaign)
+    left = left_out(
+        form, model, robot, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
+    )
+    return left, measured
 
 
-def dh_table(
+def dh_table(model: Model, convention: Convention, **options: Any) -> pd.DataFrame:
+    """The table of :func:`dh_export`, which says the ``options``, as a frame with the columns :data:`COLUMNS`."""
+    return dh_export(model, convention, **options).table
+
+
+def static_table(
     model: Model,
     convention: Convention,
     *,
@@ -210,11 +202,7 @@ def dh_table(
     robot: RobotDescription | None = None,
     temperature: float = REFERENCE,
 ) -> pd.DataFrame:
-    """The compensated Denavit–Hartenberg table with standard errors.
-
-    Rows ``1`` … ``n`` have A_i = Rz(sign q_i + theta_offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); rows ``base`` and ``tool``
-    a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame. Column
-    ``difference_m`` says by how much the table, read back, differs at most from the model over the joints' ranges.
+    """The compensated table as :func:`dh_export` has it, without what it leaves of the whole model.
 
     Parameters
     ----------
@@ -234,7 +222,7 @@ def dh_table(
     DHError
         Standard rows would lose more than a micrometre, or a joint is helical.
     """
-    nominal = load_robot(model.robot) if robot is None else robot
+    nominal = robot_of(model, robot)
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     numbers, signs = _numbers(chain, convention)
 
@@ -310,7 +298,7 @@ def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
     for k, end in enumerate(("base", "tool")):
         part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
         records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
-    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in SAID])
+    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT)])
     return frame.astype({"sign": "Int64"})
 
 
@@ -319,19 +307,6 @@ def _named(columns: tuple[str, ...], numbers: Array, std: Array) -> dict[str, ob
     for column, number, error in zip(columns, numbers.tolist(), std.tolist(), strict=True):
         out |= {column: number, f"std_{column}": error}
     return out
-
-
-def _ranges(robot: RobotDescription) -> tuple[Array, Array]:
-    """Lowest and highest joint values ``(n,)``; half a turn either way where a joint has no limits."""
-    return (
-        np.where(np.isfinite(robot.lower), robot.lower, -np.pi),
-        np.where(np.isfinite(robot.upper), robot.upper, np.pi),
-    )
-
-
-def postures(robot: RobotDescription, count: int = POSTURES, seed: int = 0) -> Array:
-    """Joint values ``(count, n)`` drawn over the whole ranges, rad or m: where an export is held against the model."""
-    return np.random.default_rng(seed).uniform(*_ranges(robot), (count, robot.n))
 
 
 def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> float:
@@ -361,13 +336,13 @@ def angle_table(
     """
     import pandas as pd
 
-    nominal = load_robot(model.robot) if robot is None else robot
+    nominal = robot_of(model, robot)
     stage = model.stages.get("poses")
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none")
     parts = []
     known = with_user_effects(effects_from)
-    for j, (low, high) in enumerate(zip(*_ranges(nominal), strict=True)):
+    for j, (low, high) in enumerate(zip(*ranges(nominal), strict=True)):
         q = np.zeros((round((high - low) / ANGLES) + 1, nominal.n))
         q[:, j] = np.linspace(low, high, len(q))
         found = angle_errors(stage, known, model.layout, nominal, q)
@@ -386,35 +361,62 @@ def angle_table(
     return pd.concat(parts, ignore_index=True)
 
 
-def urdf_text(
-    model: Model, *, session: int = 0, robot: RobotDescription | None = None, temperature: float = REFERENCE
-) -> str:
-    """The calibrated chain as URDF; its frame ``world`` is the instrument's.
+def urdf_export(
+    model: Model,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
+    campaign: Campaign | None = None,
+    user_effects: Path | None = None,
+) -> Exported:
+    """The calibrated chain as URDF, whose frame ``world`` is the instrument's, and what it leaves of the whole model.
 
-    The file says its temperature and by how much it, read back, differs at most from the model over the joints' ranges.
+    The file says its temperature, by how much it, read back, differs at most from the static chain over the joints'
+    ranges, and what it leaves of the whole model there.
+
+    Parameters
+    ----------
+    session, robot, temperature, campaign, user_effects
+        See `dh_export`.
 
     Raises
     ------
     ModelError
-        The model has no geometry, or the file, read back, is not the model.
+        The model has no geometry, or effects that are not known; the campaign is not that of the session; or the file,
+        read back, is not the chain.
     DescriptionError
         A joint is neither revolute nor prismatic.
     """
     import tempfile
 
-    chain = calibrated_chain(model, session=session, robot=robot, temperature=temperature)
+    nominal = robot_of(model, robot)
+    chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.urdf"
         write_text(path, text)
         back = read_urdf(path, "flange")
-    q = postures(chain.robot)
-    difference = float(np.abs(forward(back.screws, back.flange, q) - chain.flange(q)).max())
+
+    def form(q: Array) -> Array:
+        return np.asarray(forward(back.screws, back.flange, q))
+
+    q = postures(nominal)
+    difference = float(np.abs(form(q) - chain.flange(q)).max())
     if not difference <= EXACT:
         raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
+    left, measured = _checked(form, model, nominal, session, temperature, campaign, user_effects)
     head, _, rest = text.partition("\n")
+    found = Exported("", temperature, difference, left, measured)
     said = (
-        f"<!-- clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
-        f"from the model, over {POSTURES} postures in the joints' ranges -->"
+        f"clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
+        f"from the model's static geometry, over {POSTURES} postures in the joints' ranges",
+        *found.said,
     )
-    return f"{head}\n{said}\n{rest}"
+    comments = "\n".join(f"<!-- {line.replace('--', '- -')} -->" for line in said)
+    return replace(found, text=f"{head}\n{comments}\n{rest}")
+
+
+def urdf_text(model: Model, **options: Any) -> str:
+    """The file of :func:`urdf_export`, which says the ``options``."""
+    return urdf_export(model, **options).text

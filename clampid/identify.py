@@ -244,7 +244,8 @@ def identify(
             stages["poses"] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
     sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)
-    return Model(several[0].robot.name, layout, stages, sessions, tuple(ledger), seed, holdout, path, joint)
+    name, file = several[0].robot.name, several[0].robot_file
+    return Model(name, layout, stages, sessions, tuple(ledger), seed, holdout, path, joint, file)
 
 
 def verification_rows(
@@ -281,6 +282,6 @@ def session_of(campaign: Campaign, reference: Array | None) -> Session:
         if columns and temperature is None:
             values = campaign.tables[table][columns].to_numpy(float)
             temperature = (float(np.nanmin(values)), float(np.nanmax(values)))
-    return Session(
-        campaign.name, campaign.fingerprint, reference, tuple(campaign.targets), campaign.tool.mass, temperature
-    )
+    com, gravity = (tuple(np.asarray(v, dtype=float).tolist()) for v in (campaign.tool.com, campaign.gravity))
+    targets, mass = tuple(campaign.targets), campaign.tool.mass
+    return Session(campaign.name, campaign.fingerprint, reference, targets, mass, temperature, com, gravity)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -10,10 +11,10 @@ import numpy as np
 
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
-from clampid.identify import MOSTLY, has_friction_state, has_inertia, held_out_folds
+from clampid.identify import MOSTLY, has_friction_state, has_inertia, held_out_folds, session_of
 from clampid.identify_log import LogStage
 from clampid.layout import layout_of
-from clampid.model import Model, Round, Session
+from clampid.model import Model, Round
 from clampid.slots import Term, parse_term
 from clampid.stages.log_facts import LogPart, steady_share
 from clampid.threads import single_threaded
@@ -101,9 +102,10 @@ def identify_folder(
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
     warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None
-    session = Session(campaign.name, campaign.fingerprint, None, tuple(campaign.targets), campaign.tool.mass, warmth)
+    session = replace(session_of(campaign, None), temperature=warmth)
     source = None if user_effects is None else str(user_effects)
-    return Model(campaign.robot.name, layout, {"free_air": fitted.model}, (session,), (ledger,), seed, holdout, source)
+    name, file = campaign.robot.name, campaign.robot_file
+    return Model(name, layout, {"free_air": fitted.model}, (session,), (ledger,), seed, holdout, source, False, file)
 
 
 def _table(file: Path, name: str, n: int) -> LogTable:

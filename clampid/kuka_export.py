@@ -4,54 +4,37 @@ The form (:mod:`kinematics.kuka`) has 22 of the 30 numbers that six axes and a f
 to axis 1 and parallel to axis 3, and the wrist's axes stay perpendicular and meet: eight numbers that a calibrated arm
 has are lost. The 22 are those that come nearest to the calibrated chain over the joints' ranges, which makes up for a
 part of the eight. What is left is measured at other postures, on the text as it was written and read back, and stands
-in it.
+in it: of the static geometry, which is the form's own fault, and of the whole model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from clampid.export import CalibratedChain, calibrated_chain, postures, sensitivity
+from clampid.calibrated import CalibratedChain, calibrated_chain, sensitivity
+from clampid.described import robot_of
+from clampid.form_error import CHECKED, FormError, LeftOut, form_error, left_out, measured_error, postures
 from clampid.model import Model, ModelError
-from clampid.slots import Slot
 from clampid.stages.rows import Array
-from experiments.campaign import Campaign, target_points
-from experiments.metrics import norm_metrics
-from kinematics.description import load_robot
+from experiments.campaign import Campaign
 from kinematics.kuka import MachineData, forward, frame_numbers, nominal_machine_data
 from kinematics.kuka_text import machine_data_text, read_machine_data
 from kinematics.robot import RobotDescription
 from kinematics.screws import inverse, log_so3
 
-__all__ = ["FormError", "KukaExport", "kuka_machine_data"]
+__all__ = ["KukaExport", "kuka_machine_data"]
 
 LEVER = 0.2  # m, from the flange to a tool's point
-FITTED, CHECKED = 400, 2000  # postures, drawn apart
+FITTED = 400  # postures, drawn apart from those that the error is measured at
 READ_BACK = 1e-8  # m and rad: what the digits of the text may cost
 FRAMES = ("tiroro", "tflwp")
 LENGTHS = ("length_a", "length_b")
 MASTERED = (1, 2, 3, 4)  # joints, from 0; the outer two turn with base and flange, whose frames take them
 WRIST = (0, 1, 2, 5)  # of $TX3P3: X, Y, Z and C; A and B turn with axes 4 and 3, whose mastering takes them
-
-
-@dataclass(frozen=True)
-class FormError:
-    """How far a form is from the calibrated chain, over postures: the flange's position [m] and orientation [rad]."""
-
-    position_rms: float
-    position_max: float
-    orientation_rms: float
-    orientation_max: float
-
-    def __str__(self) -> str:
-        return (
-            f"position rms {1e3 * self.position_rms:.4f} mm, max {1e3 * self.position_max:.4f} mm; "
-            f"orientation rms {1e3 * self.orientation_rms:.4f} mrad, max {1e3 * self.orientation_max:.4f} mrad"
-        )
 
 
 @dataclass(frozen=True)
@@ -67,7 +50,9 @@ class KukaExport:
     left
         What the form alone leaves of the static geometry.
     nominal
-        What the nominal machine data leave, with the best base and flange.
+        What the nominal machine data leave of it, with the best base and flange.
+    whole
+        What these data leave of the whole model.
     measured
         What a controller with these data alone leaves of measured poses, in a sentence; empty without a campaign.
     """
@@ -76,6 +61,7 @@ class KukaExport:
     text: str
     left: FormError
     nominal: FormError
+    whole: LeftOut
     measured: str = ""
 
 
@@ -86,8 +72,8 @@ def kuka_machine_data(
     robot: RobotDescription | None = None,
     temperature: float = 20.0,
     lever: float = LEVER,
-    left_out: Sequence[str] = (),
     campaign: Campaign | None = None,
+    user_effects: Path | None = None,
 ) -> KukaExport:
     """The machine data of a KUKA controller that come nearest to a model, with standard errors.
 
@@ -101,16 +87,17 @@ def kuka_machine_data(
         Of all links, °C; another than 20 needs expansion to have been identified.
     lever
         How far a tool's point is from the flange, m: orientation counts in the fit as what it moves there.
-    left_out
-        Effects of the model that no static geometry holds: they are named in the text.
     campaign
-        That of the session: on its measured points it is said what these data alone leave, deflection included.
+        That of the session: its declared tool loads the model, and on its measured points it is said what these data
+        alone leave, deflection included.
+    user_effects
+        The user's own effects; by default the file that the model names.
 
     Raises
     ------
     ModelError
-        The model has no geometry, or no expansion for that temperature; the campaign is not that of the session; or the
-        text, read back, is not what was fitted.
+        The model has no geometry, no expansion for that temperature, or effects that are not known; the campaign is not
+        that of the session; or the text, read back, is not what was fitted.
     MachineDataError
         The robot has not six joints, or its nominal arm is not ortho-parallel with a central hand.
 
@@ -118,7 +105,7 @@ def kuka_machine_data(
     -----
     Source: KUKA2005 for the form; the fit is least squares over position and ``lever`` times orientation.
     """
-    nominal = load_robot(model.robot) if robot is None else robot
+    nominal = robot_of(model, robot)
     if not 0 < lever < np.inf:
         raise ModelError(f"lever: expected a length above 0 m, found {lever:g}")
     start = nominal_machine_data(nominal)
@@ -128,20 +115,30 @@ def kuka_machine_data(
     fitted = _nearest(start, chain, fit, every=True)
     std = _standard_errors(fitted, model, chain, fit, session, temperature)
     fresh = postures(nominal, CHECKED, seed=1)
-    plain = _error(_nearest(start, chain, fit, every=False), chain, fresh)
+    true = chain.flange(fresh)
+    plain = form_error(true, forward(_nearest(start, chain, fit, every=False), fresh))
     data = read_machine_data(machine_data_text(fitted, std))
     lost = float(np.abs(forward(data, fresh) - forward(fitted, fresh)).max())
     if not lost <= READ_BACK:
         raise ModelError(f"the machine data, read back, differ by {lost:.2g} m from what was written")
-    left = _error(data, chain, fresh)
-    measured = "" if campaign is None else _measured(data, model, session, campaign)
-    said = _header(nominal.name, temperature, (left, plain), left_out, lever)
+    left = form_error(true, forward(data, fresh))
+
+    def form(q: Array) -> Array:
+        return np.asarray(forward(data, q))
+
+    measured = ""
+    if campaign is not None:
+        measured = f"These data alone leave {measured_error(form, model, session, campaign)}"
+    whole = left_out(
+        form, model, nominal, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
+    )
+    said = _header(nominal.name, temperature, (left, plain), whole, lever)
     text = machine_data_text(fitted, std, [*said, *([measured] if measured else []), ""])
-    return KukaExport(data, text, left, plain, measured)
+    return KukaExport(data, text, left, plain, whole, measured)
 
 
 def _header(
-    name: str, temperature: float, errors: tuple[FormError, FormError], left_out: Sequence[str], lever: float
+    name: str, temperature: float, errors: tuple[FormError, FormError], whole: LeftOut, lever: float
 ) -> list[str]:
     """What a reader of the file has to know; ASCII, as a controller's files are."""
     return [
@@ -149,41 +146,17 @@ def _header(
         "Form: KUKA, KR C2 operating handbook, Machine Data (2005): articulated arm #NR, central hand #ZEH.",
         "mm and degrees, with standard errors. A part of $machine.dat, to be put into it by hand.",
         "This form keeps axes 1 and 2 perpendicular, 2 and 3 parallel, and the wrist's axes perpendicular and through",
-        f"one point. What that leaves of the model's flange, at {CHECKED} postures in the joints' ranges, read back:",
+        f"one point. What that leaves of the static flange, at {CHECKED} postures in the joints' ranges, read back:",
         f"  {errors[0]}",
         "What nominal machine data leave, with the best base and flange:",
         f"  {errors[1]}",
         f"Both come nearest for a tool's point {1e3 * lever:g} mm from the flange.",
-        f"In no machine data, and not in these numbers: {', '.join(left_out) or 'nothing of this model'}.",
+        f"In no machine data, and not in these numbers: {whole.worth}.",
+        f"With these, {whole.conditions}:",
+        f"  {whole.error}",
         "$ROBROOT is the robot's base in the instrument's frame. Mastering is the last block: each axis' own $MAMES,",
         "plus what is said there. Axes 1 and 6 keep theirs: $TIRORO and $TFLWP have what turns with them.",
     ]
-
-
-def _measured(data: MachineData, model: Model, session: int, campaign: Campaign) -> str:
-    """How far these data are from the measured points of a session's campaign; of held-out ones, where there are."""
-    if model.sessions[session].fingerprint != campaign.fingerprint:
-        raise ModelError(
-            f"{campaign.name}: expected the campaign that session {session + 1} of the model was fitted on, because "
-            "its base and flange are in the file"
-        )
-    table = "verification" if "verification" in campaign.tables else "poses"
-    frame, n = campaign.tables[table], campaign.robot.n
-    prefix = f"session{session + 1}:" if len(model.sessions) > 1 else ""
-    values = model.stages["poses"].values()
-    shift = np.array(
-        [
-            [values.get(Slot("geometry", f"target_{a}", f"{prefix}{name}"), 0.0) for a in "xyz"]
-            for name in frame["target"]
-        ]
-    )
-    pose = forward(data, frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float))
-    point = np.einsum("nij,nj->ni", pose[:, :3, :3], target_points(campaign, table) + shift) + pose[:, :3, 3]
-    error = norm_metrics(np.linalg.norm(frame[["x_m", "y_m", "z_m"]].to_numpy(float) - point, axis=1))
-    mean, largest = (1e3 * float(error[k] or 0.0) for k in ("P_mean", "P_max"))
-    return (
-        f"These data alone leave of {len(frame)} measured points ({table}): mean {mean:.4f} mm, max {largest:.4f} mm."
-    )
 
 
 def _numbers(data: MachineData) -> Array:
@@ -225,12 +198,6 @@ class _Fit:
     def rows(self, data: MachineData, chain: CalibratedChain) -> Array:
         position, rotation = _differences(data, chain, self.q)
         return np.concatenate([position.ravel(), self.lever * rotation.ravel()])
-
-
-def _error(data: MachineData, chain: CalibratedChain, q: Array) -> FormError:
-    sizes = [np.linalg.norm(part, axis=1) for part in _differences(data, chain, q)]
-    (p_rms, p_max), (r_rms, r_max) = ((float(np.sqrt(np.mean(s**2))), float(s.max())) for s in sizes)
-    return FormError(p_rms, p_max, r_rms, r_max)
 
 
 def _nearest(start: MachineData, chain: CalibratedChain, fit: _Fit, every: bool) -> MachineData:

@@ -40,6 +40,9 @@ class Session:
     base_reference
         ``(4, 4)``: where the instrument sees the nominal base, before the fitted motion of the base; None without
         poses.
+    tool_com, gravity
+        ``(3,)`` each: the declared tool's centre of mass, m, flange frame, and gravity, m/s², base frame; None in
+        models of earlier versions.
     """
 
     name: str
@@ -48,6 +51,8 @@ class Session:
     targets: tuple[str, ...]
     tool_mass: float
     temperature: tuple[float, float] | None = None
+    tool_com: tuple[float, ...] | None = None
+    gravity: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +134,15 @@ class Round:
 
 @dataclass(frozen=True)
 class Model:
-    """What is known of one particular robot; ``joint``: from all tables in one fit, see :mod:`clampid.joint`."""
+    """What is known of one particular robot.
+
+    Attributes
+    ----------
+    joint
+        From all tables in one fit, see :mod:`clampid.joint`.
+    robot_file
+        Where the campaign's description of the robot is; None of a bundled one, and in models of earlier versions.
+    """
 
     robot: str
     layout: Layout
@@ -140,6 +153,7 @@ class Model:
     holdout: float = 0.0
     user_effects: str | None = None
     joint: bool = False
+    robot_file: str | None = None
 
     def with_stage(self, stage: StageModel) -> Model:
         """The same model with one stage replaced."""
@@ -192,23 +206,28 @@ def load_model(path: str | Path) -> Model:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         raise ModelError(f"{path}: expected format = {FORMAT!r}, found {found!r}")
     try:
-        return _with_effects_beside(_from_json(data), Path(path))
+        return _with_files_beside(_from_json(data), Path(path))
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
         raise ModelError(f"{path}: a model with a part missing or spoiled: {type(error).__name__}: {error}") from error
 
 
-def _with_effects_beside(model: Model, path: Path) -> Model:
-    """The same model; a user's effects that are not where it says are looked for beside the model's own file."""
-    if model.user_effects is None or Path(model.user_effects).is_file():
-        return model
-    beside = path.parent / Path(model.user_effects).name
-    return replace(model, user_effects=str(beside)) if beside.is_file() else model
+def _with_files_beside(model: Model, path: Path) -> Model:
+    """The same model; a user's files that are not where it says are looked for beside the model's own file."""
+
+    def found(file: str | None) -> str | None:
+        if file is None or Path(file).is_file():
+            return file
+        beside = path.parent / Path(file).name
+        return str(beside) if beside.is_file() else file
+
+    return replace(model, user_effects=found(model.user_effects), robot_file=found(model.robot_file))
 
 
 def _to_json(model: Model) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "robot": model.robot,
+        "robot_file": model.robot_file,
         "layout": {
             "joints": model.layout.joints,
             "targets": list(model.layout.targets),
@@ -227,6 +246,8 @@ def _to_json(model: Model) -> dict[str, Any]:
                 "targets": list(s.targets),
                 "tool_mass_kg": s.tool_mass,
                 "temperature_C": None if s.temperature is None else list(s.temperature),
+                "tool_com_m": None if s.tool_com is None else list(s.tool_com),
+                "gravity_m_s2": None if s.gravity is None else list(s.gravity),
             }
             for s in model.sessions
         ],
@@ -293,6 +314,10 @@ def _read_told(data: Mapping[str, Any] | None) -> Prior | None:
     return Prior(slots, np.array(data["mean"], dtype=float), covariance)
 
 
+def _vector(data: list[float] | None) -> tuple[float, ...] | None:
+    return None if data is None else tuple(float(v) for v in data)
+
+
 def _from_json(data: Mapping[str, Any]) -> Model:
     layout = data["layout"]
     stages: dict[Stage, StageModel] = {}
@@ -330,6 +355,8 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             targets=tuple(s["targets"]),
             tool_mass=float(s["tool_mass_kg"]),
             temperature=None if s["temperature_C"] is None else (s["temperature_C"][0], s["temperature_C"][1]),
+            tool_com=_vector(s.get("tool_com_m")),
+            gravity=_vector(s.get("gravity_m_s2")),
         )
         for s in data["sessions"]
     )
@@ -360,4 +387,5 @@ def _from_json(data: Mapping[str, Any]) -> Model:
         holdout=float(data["holdout"]),
         user_effects=data["user_effects"],
         joint=bool(data.get("joint", False)),
+        robot_file=data.get("robot_file"),
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.export import FRAME_COLUMNS, ROW_COLUMNS, dh_table
+from clampid.export import FRAME_COLUMNS, ROW_COLUMNS, static_table
 from clampid.model import Model, ModelError
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
@@ -38,7 +38,7 @@ def exported_shift(before: Model, after: Model, robot: RobotDescription) -> list
         errors; empty where the models have no geometry to export.
     """
     try:
-        tables = [dh_table(model, "hayati", robot=robot) for model in (before, after)]
+        tables = [static_table(model, "hayati", robot=robot) for model in (before, after)]
     except (ModelError, DHError):
         return []
     out: list[dict[str, Any]] = []

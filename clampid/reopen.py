@@ -22,7 +22,7 @@ from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 
-__all__ = ["Reopened", "reopen"]
+__all__ = ["Reopened", "effects_of", "reopen"]
 
 
 @dataclass(frozen=True)
@@ -113,11 +113,11 @@ def reopen(model: Model, campaigns: Campaign | Sequence[Campaign], user_effects:
             raise ModelError(
                 f"the model is of the robot {model.robot}, the campaign {campaign.name} of {campaign.robot.name}"
             )
-    effects = _effects_of(model, user_effects)
+    effects = effects_of(model, user_effects)
     return _on_one(model, several[0], effects) if len(several) == 1 else _on_all(model, several, effects)
 
 
-def _effects_of(model: Model, user_effects: Path | None) -> Mapping[str, Effect]:
+def effects_of(model: Model, user_effects: Path | None) -> Mapping[str, Effect]:
     """The catalogue with the user's own, those of the model among them."""
     chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
     effects = with_user_effects(chosen)

@@ -79,6 +79,14 @@ class Campaign:
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
     long: Mapping[str, LongLog] = field(default_factory=dict, repr=False)
 
+    @property
+    def robot_file(self) -> str | None:
+        """Where the robot's description is, if it is none of the bundled ones."""
+        named = str(self.header.get("robot", ""))
+        if self.path is None or Path(named).suffix.lower() not in (".toml", ".urdf"):
+            return None
+        return str((self.path / named).resolve())
+
 
 def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
     """Read a campaign folder and hold it against the contract.

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from clampid.catalogue import with_user_effects
 from clampid.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
+from clampid.described import robot_of
 from clampid.effect import Effect
 from clampid.model import Model, ModelError, StageModel
 from clampid.ranges import Ranges
@@ -26,7 +27,6 @@ from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import link_vectors
-from kinematics.description import load_robot
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import cayley
@@ -280,9 +280,7 @@ def arm_of(
     ModelError
         The model has no poses, no such session, is of another robot, or has effects that are not known.
     """
-    nominal = load_robot(model.robot) if robot is None else robot
-    if nominal.name != model.robot:
-        raise ModelError(f"the model is of the robot {model.robot}, the cell of {nominal.name}")
+    nominal = robot_of(model, robot)
     stage: StageModel | None = model.stages.get("poses")
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none: joint angles need a geometry")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from clampid.described import robot_of
 from clampid.model import Model, load_model
 from clampid.ranges import Beyond
 from kinematics.description import load_robot
@@ -328,7 +329,8 @@ def open_detector(
         The arm is none that can carry a detector: see :class:`Detector`.
     """
     loaded = model if isinstance(model, Model) else load_model(model)
-    described = robot if isinstance(robot, RobotDescription) else load_robot(robot or loaded.robot)
+    given = robot if robot is None or isinstance(robot, RobotDescription) else load_robot(robot)
+    described = robot_of(loaded, given)
     cell = default_cell(described) if cell is None else cell
     placed = cell if isinstance(cell, Cell) else read_cell(cell, described)
     arm = arm_of(

@@ -10,13 +10,14 @@ from clampid.model import Model
 from clampid.report.display import fixed, number
 from clampid.report.style import Section, Table, as_table
 from kinematics.dh_conversion import DHError
+from kinematics.robot import RobotDescription
 
 __all__ = ["dh_section"]
 
 FAR = 100.0  # m: no robot is that long
 
 
-def dh_section(model: Model) -> Section | None:
+def dh_section(model: Model, robot: RobotDescription) -> Section | None:
     """Section "Compensated DH table"; None without poses or without the export."""
     if "poses" not in model.stages:
         return None
@@ -28,15 +29,15 @@ def dh_section(model: Model) -> Section | None:
     reasons: list[str] = []
     for convention in ("hayati", "standard"):
         try:
-            frame = export.dh_table(model, convention)
+            frame = export.static_table(model, convention, robot=robot)
         except DHError as error:
             reasons.append(f"No table in the {convention} convention: {error}")
             continue
         blocks += _tables(frame, convention)
     text = (
         "A_i = Rz(sign·q_i + θ)·Tz(d)·Tx(a)·Rx(α)·Ry(β); base·A_1⋯A_n·tool is the flange in the instrument's frame. It "
-        "holds the geometry only: what depends on load, direction or temperature is not in a DH table. Full precision: "
-        "clampid export dh MODEL.json --convention hayati."
+        "holds the geometry only: what depends on load, direction or temperature is not in a DH table. Full precision, "
+        "and what that leaves of the model over the workspace: clampid export dh MODEL.json --convention hayati."
     )
     return Section("dh", "Compensated DH table", (text, *reasons), tuple(blocks))
 

@@ -65,7 +65,7 @@ def page(
         drives_section(stages.get("clamped")),
         angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
         parameters_section(model, effects),
-        dh_section(model),
+        dh_section(model, campaign.robot),
         origin_section(model, campaign, effects),
     ]
     return render(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from clampid.correlations import SHOWN, STRONG, correlations
 from clampid.effect import Effect
 from clampid.model import Model, StageModel
 from clampid.observability import index_words
-from clampid.report.display import Scale, number, scale_for, stage_title, with_std
+from clampid.report.display import Scale, fixed, number, scale_for, stage_title, with_std
 from clampid.report.stage_data import in_order
 from clampid.report.style import Figure, Section, Table, as_table
 from clampid.slots import find_parameter, on_bound
@@ -41,6 +42,7 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
         if stage_model.observability:
             notes.append(f"{stage_title(stage)}: {index_words(stage_model.observability)}")
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
+        blocks += _correlated(stage_model)
     text = "Value ± one standard error."
     if open_ones:
         text += (
@@ -57,6 +59,20 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
     return Section(
         "model", "The model with standard errors", (text,), tuple(blocks), tuple(notes), "What these data cannot tell"
     )
+
+
+def _correlated(stage: StageModel) -> list[Table]:
+    """The strongest correlations of identified parameters, if any are strong."""
+    found = correlations(stage)
+    if not found:
+        return []
+    which = f"the strongest {SHOWN} of {len(found)}" if len(found) > SHOWN else "all"
+    caption = (
+        f"Correlations of the errors of identified parameters beyond ±{STRONG:g}, {which}: the data tell such two "
+        "better together than each."
+    )
+    rows = [(c.first.label, c.second.label, fixed(c.r, 4)) for c in found[:SHOWN]]
+    return [as_table(("Parameter", "With", "r#"), rows, caption)]
 
 
 def _base(stage: StageModel) -> Table:

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from clampid.verbs.errors import CallError
-from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
-    from clampid.model import Model
+    from clampid.export import Exported
+    from experiments.campaign import Campaign
     from kinematics.robot import RobotDescription
 
 __all__ = ["export"]
@@ -31,6 +32,10 @@ Robot = Annotated[
 Temperature = Annotated[
     float, typer.Option(metavar="DEGC", help="Of all links; another than 20 needs an identified expansion.")
 ]
+Poses = Annotated[
+    Path | None,
+    typer.Option("--campaign", metavar="CAMPAIGN", help="Poses on which to say what the file alone leaves."),
+]
 
 
 @export.command()
@@ -40,27 +45,41 @@ def dh(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="Where to; stdout without it.")
     ] = None,
+    layout: Annotated[
+        Literal["csv", "thesis"],
+        typer.Option(help="CSV for programs, or for readers, as the thesis prints its table: nominal and compensated."),
+    ] = "csv",
+    campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
     robot: Robot = None,
     effects_from: EffectsFrom = None,
+    json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """The compensated Denavit–Hartenberg table with standard errors, as CSV."""
-    out = Output(quiet)
+    """The compensated Denavit–Hartenberg table with standard errors, and what it leaves of the model."""
+    out = Output(quiet, json)
     _writable(output)
 
-    from clampid.export import dh_table, table_text
+    from clampid.described import robot_of
+    from clampid.dh_layout import thesis_layout
+    from clampid.export import dh_export
     from clampid.model import load_model
 
     loaded = load_model(model)
-    _left_out(loaded, effects_from, out)
-    table = dh_table(loaded, convention, session=session - 1, robot=_robot(robot), temperature=temperature)
-    text = table_text(table)
-    if not _written(text, output):
-        return
-    off = float(table["difference_m"].iloc[0])
-    out.say(f"table: {output}; static geometry at {temperature:g} degC, read back within {off:.1e} m of the model")
+    nominal = robot_of(loaded, _robot(robot))
+    found = dh_export(
+        loaded,
+        convention,
+        session=session - 1,
+        robot=nominal,
+        temperature=temperature,
+        campaign=_read(campaign),
+        user_effects=effects_from,
+    )
+    if output is not None or json != "-":
+        _written(found.text if layout == "csv" else thesis_layout(found, nominal), output)
+    _tell("table", found, output, out)
 
 
 @export.command()
@@ -90,24 +109,31 @@ def angles(
 def urdf(
     model: ModelFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.urdf", help="Where to.")],
+    campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
     robot: Robot = None,
     effects_from: EffectsFrom = None,
+    json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """The calibrated chain as URDF; its frame world is the instrument's."""
-    out = Output(quiet)
+    """The calibrated chain as URDF, whose frame world is the instrument's, and what it leaves of the model."""
+    out = Output(quiet, json)
     _writable(output)
 
-    from clampid.export import urdf_text
-    from clampid.model import load_model, write_text
+    from clampid.export import urdf_export
+    from clampid.model import load_model
 
-    loaded = load_model(model)
-    _left_out(loaded, effects_from, out)
-    text = urdf_text(loaded, session=session - 1, robot=_robot(robot), temperature=temperature)
-    write_text(output, text)
-    out.say(f"URDF: {output}; static geometry at {temperature:g} degC, read back and equal to the model")
+    found = urdf_export(
+        load_model(model),
+        session=session - 1,
+        robot=_robot(robot),
+        temperature=temperature,
+        campaign=_read(campaign),
+        user_effects=effects_from,
+    )
+    _written(found.text, output)
+    _tell("URDF", found, output, out)
 
 
 @export.command()
@@ -119,9 +145,7 @@ def kuka(
     lever: Annotated[
         float, typer.Option(metavar="M", help="From the flange to the tool's point, which is to err least.")
     ] = 0.2,
-    campaign: Annotated[
-        Path | None, typer.Option(metavar="CAMPAIGN", help="Poses on which to say what these data alone leave.")
-    ] = None,
+    campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
     robot: Robot = None,
@@ -134,24 +158,23 @@ def kuka(
 
     from clampid.kuka_export import kuka_machine_data
     from clampid.model import load_model
-    from experiments.campaign import read_campaign
 
-    poses = None if campaign is None else read_campaign(campaign)
-    loaded = load_model(model)
     found = kuka_machine_data(
-        loaded,
+        load_model(model),
         session=session - 1,
         robot=_robot(robot),
         temperature=temperature,
         lever=lever,
-        left_out=_left_out(loaded, effects_from, out),
-        campaign=poses,
+        campaign=_read(campaign),
+        user_effects=effects_from,
     )
     if not _written(found.text, output):
         return
     out.say(f"machine data: {output}; static geometry at {temperature:g} degC")
     out.say(f"what this form alone leaves: {found.left}")
     out.say(f"what nominal machine data leave: {found.nominal}")
+    out.say(f"not in it: {found.whole.worth}")
+    out.say(str(found.whole))
     if found.measured:
         out.say(found.measured)
 
@@ -196,16 +219,25 @@ def dynamics(
     out.say(f"dynamics: {output}")
 
 
-def _left_out(model: Model, effects_from: Path | None, out: Output) -> list[str]:
-    """Which effects of the poses a static geometry cannot hold; they are said."""
-    from clampid.catalogue import with_user_effects
+def _read(folder: Path | None) -> Campaign | None:
+    from experiments.campaign import read_campaign
 
-    effects = with_user_effects(effects_from)
-    terms = model.stages["poses"].terms if "poses" in model.stages else ()
-    others = dict.fromkeys(t.effect for t in terms if t.effect not in effects or effects[t.effect].family != "geometry")
-    if others:
-        out.step(f"not in a static geometry, and left to clampid ik: {', '.join(others)}")
-    return list(others)
+    return None if folder is None else read_campaign(folder)
+
+
+def _tell(kind: str, found: Exported, output: Path | None, out: Output) -> None:
+    """What was written and what it leaves; on stderr where the file itself went to stdout."""
+    where = "" if output is None else f"{output}; "
+    first = (
+        f"{kind}: {where}static geometry at {found.temperature:g} degC, read back within {found.difference:.1e} m of "
+        "the model's"
+    )
+    for line in (first, *found.said):
+        if output is None:
+            out.step(line)
+        else:
+            out.say(line)
+    out.result({"file": None if output is None else str(output), **found.to_json()})
 
 
 def _told(found: Mapping[str, Any]) -> list[str]:

@@ -83,6 +83,7 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
             out.say(f"{name}: {index_words(stage.observability)}")
         for sentence in stage.null_directions:
             out.say(f"{name}: {NOT_KNOWN}: {sentence}")
+        _show_correlations(name, stage, out)
         if stage.base:
             title = f"{name}: base parameters of the arm, without the declared tool"
             out.table(title, ("base parameter", "described", "value", "± std", "unit", ""), base_rows(stage.base))
@@ -93,6 +94,19 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
     if model.joint:
         out.say("all tables in one fit, with the parameters that they share")
     show_rounds(model.ledger, out)
+
+
+def _show_correlations(name: str, stage: StageModel, out: Output) -> None:
+    """The strongest correlations of identified parameters; nothing where there are none."""
+    from clampid.correlations import SHOWN, STRONG, correlations
+
+    found = correlations(stage)
+    if not found:
+        return
+    which = f"the strongest {SHOWN} of {len(found)}" if len(found) > SHOWN else f"all {len(found)}"
+    out.say(f"{name}: correlations of identified parameters beyond ±{STRONG:g}, {which}:")
+    rows = [(c.first.label, c.second.label, f"{c.r:+.4f}") for c in found[:SHOWN]]
+    out.table("", ("parameter", "with", "r"), rows, left=2)
 
 
 def bootstrap_words(stage: StageModel) -> str:
@@ -250,6 +264,7 @@ def _bootstrap_json(stage: StageModel) -> dict[str, Any] | None:
 def model_json(model: Model) -> dict[str, Any]:
     """What ``identify`` and ``auto`` tell programs beside the model file."""
     from clampid.base_names import base_json
+    from clampid.correlations import correlations
 
     stages = {}
     for name, stage in model.stages.items():
@@ -260,6 +275,7 @@ def model_json(model: Model) -> dict[str, Any]:
             "parameters": len(stage.slots),
             "not_identifiable": [s.label for s, known in zip(stage.slots, stage.identified, strict=True) if not known],
             "open": list(stage.null_directions),
+            "correlations": [c.to_json() for c in correlations(stage)],
             "observability": dict(stage.observability),
             "bootstrap": _bootstrap_json(stage),
             "base_parameters": [base_json(p) for p in stage.base],

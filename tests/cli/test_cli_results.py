@@ -147,6 +147,28 @@ def test_export_dh_to_stdout_and_to_a_file(clampid: Clampid, model: Path, tmp_pa
     assert path.read_text() == printed.out
 
 
+def test_exports_tell_programs_what_they_leave(clampid: Clampid, model: Path, poses_only: Path, tmp_path: Path) -> None:
+    ran = clampid("export", "dh", model, "--campaign", poses_only, "--json", "-")
+    assert ran.code == 0, ran.err
+    data = ran.json
+    assert 0 < data["left_by_table_m"]["rms"] < data["left_by_table_m"]["max"]
+    assert "backlash" in [entry["effect"] for entry in data["not_in_table"]]
+    assert [row["row"] for row in data["rows"]] == ["1", "2", "3", "4", "5", "6", "base", "tool"]
+    assert data["measured"]["table"] == "verification"
+    ran = clampid("export", "dh", model, "--layout", "thesis")
+    assert ran.code == 0, ran.err
+    assert ran.out.startswith("| link |  | θ [rad] | d [m] | a [m] | α [rad] | β [rad] |")
+    path = tmp_path / "arm.urdf"
+    ran = clampid("export", "urdf", model, "-o", path, "--json", tmp_path / "u.json")
+    assert ran.code == 0, ran.err
+    told = json.loads((tmp_path / "u.json").read_text())
+    assert told["file"] == str(path)
+    assert told["measured"] is None
+    assert told["left_by_table_m"]["max"] == pytest.approx(data["left_by_table_m"]["max"], rel=1e-6)
+    assert f"max {1e3 * told['left_by_table_m']['max']:.4f} mm" in path.read_text()
+    assert f"max {1e3 * told['left_by_table_m']['max']:.4f} mm" in ran.out
+
+
 def test_the_universal_models_cost(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
     call = ("identify", poses_only, "--effects", "poses=geometry", "--cost", "mean-norm")
     ran = clampid(*call, "-o", tmp_path / "m.json", "-q")

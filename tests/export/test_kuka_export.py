@@ -142,8 +142,11 @@ def test_what_the_data_leave_of_measured_points_is_said(make_model: Make) -> Non
 
 def test_every_kuka_arm_is_written(make_model: Make) -> None:
     for name in ("kuka_kr16_2", "kuka_kr30_3"):
-        found = kuka_machine_data(make_model(name), left_out=["backlash"])
+        found = kuka_machine_data(make_model(name))
         assert name in found.text
-        assert "not in these numbers: backlash." in found.text
+        assert f"not in these numbers: {found.whole.worth}." in found.text
+        assert str(found.whole.error) in found.text
+        assert set(found.whole.effects) == {"backlash"}
+        assert found.whole.error.position_rms > found.left.position_rms
         assert found.left.position_rms < found.nominal.position_rms
         assert load_robot(name).n == len(found.data.axis_dir)
