@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from kinematics.poe import joint_transforms
 from offline_ik.errors import CellError
-from offline_ik.shapes import Shape, checked_pairs, distance_of, shapes_of
+from offline_ik.shapes import Shape, carries, checked_pairs, distance_of, shapes_of
 
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
@@ -196,7 +196,10 @@ def move_time(detector: Detector, path: Array, speed: float | None = None) -> fl
 
 
 def check_sample(detector: Detector) -> None:
-    """Refuse a sample that lies in an obstacle or in the robot's own base.
+    """Refuse a sample that lies in an obstacle, in the robot's own base, or in what carries that.
+
+    An upright robot stands on something: the column of its base goes on without end below it, unless an obstacle of the
+    cell reaches its foot and so says what is there.
 
     Raises
     ------
@@ -207,18 +210,31 @@ def check_sample(detector: Detector) -> None:
     at = np.eye(4)
     at[:3, 3] = convention.sample
     place = detector.to_base(at)[:3, 3]
+    told = f"the sample at {np.round(place, 4).tolist()} m (base frame) lies inside"
     point = coal.Sphere(1e-6)
     here = coal.Transform3s(np.eye(3), place.copy())
     inside = {o.name for o in detector.cell.obstacles if o.holds_sample}
-    for shape in shapes_of(detector):
-        if shape.link != 0 or shape.name in inside:
+    for shape in _world(detector).shapes:
+        if shape.kind == "base" and _in_column(detector, shape, place):
+            raise CellError(
+                f"{told} the robot's base or what is below it (within {shape.radius:.3f} m of axis 1); an obstacle "
+                "that reaches the foot of the base says what is there"
+            )
+        if shape.kind != "obstacle" or shape.name in inside:
             continue
         geometry = getattr(shape.geometry, "convex", None) or shape.geometry  # a mesh has no inside, its hull has
         if distance_of(point, here, geometry, shape.at(np.eye(4))) <= 0:
-            raise CellError(
-                f"the sample at {np.round(place, 4).tolist()} m (base frame) lies inside {shape.name}; an obstacle "
-                "that may hold it says holds_sample = true"
-            )
+            raise CellError(f"{told} {shape.name}; an obstacle that may hold it says holds_sample = true")
+
+
+def _in_column(detector: Detector, base: Shape, place: Array) -> bool:
+    """Whether a place ``(3,)`` is in the base, up to the shoulder, or below an upright one that stands on who knows."""
+    gravity = np.asarray(detector.cell.gravity)
+    upright = gravity[2] < -0.5 * np.linalg.norm(gravity)
+    obstacles = (s for s in _world(detector).shapes if s.kind == "obstacle")
+    endless = upright and not any(carries(s, base, detector.cell.clearance) for s in obstacles)
+    lowest, shoulder = -np.inf if endless else 0.0, detector.robot.joints[1].point[2]
+    return bool(np.hypot(*place[:2]) <= base.radius and lowest <= place[2] <= shoulder)
 
 
 @lru_cache(maxsize=8)

@@ -23,7 +23,7 @@ from offline_ik.errors import CellError
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["Shape", "checked_pairs", "distance_of", "shapes_of"]
+__all__ = ["Shape", "carries", "checked_pairs", "distance_of", "shapes_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def checked_pairs(detector: Detector, shapes: list[Shape], lengths: Array) -> It
     base = next(s for s in shapes if s.kind == "base")
     for i, a in enumerate(shapes):
         for b in shapes[i + 1 :]:
-            if a.link == b.link or (a.kind == "obstacle" and b.link == 1 and _carries(a, base, clearance)):
+            if a.link == b.link or (a.kind == "obstacle" and b.link == 1 and carries(a, base, clearance)):
                 continue
             close = float(lengths[a.link : b.link - 1].sum()) < a.radius + b.radius + clearance
             if a.kind == "obstacle" or not close:
@@ -127,7 +127,7 @@ def checked_pairs(detector: Detector, shapes: list[Shape], lengths: Array) -> It
                     yield cut, b
 
 
-def _carries(obstacle: Shape, base: Shape, clearance: float) -> bool:
+def carries(obstacle: Shape, base: Shape, clearance: float) -> bool:
     """Whether the robot stands on an obstacle: it reaches the foot of the base."""
     foot = coal.Cylinder(base.radius, 2e-3)
     still = np.eye(4)

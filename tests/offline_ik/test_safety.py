@@ -179,3 +179,31 @@ def test_a_sample_in_an_obstacle_is_refused_unless_it_may_be_there() -> None:
     with pytest.raises(CellError, match="inside stage"):
         placed(stage)
     assert placed(replace(stage, holds_sample=True)).cell.obstacles[0].holds_sample
+
+
+def about(sample: tuple[float, float, float], *obstacles: Obstacle, **changes: object) -> Detector:
+    cell = placed(*obstacles, **changes).cell
+    return Detector(placed().arm, replace(cell, convention=cell.convention.with_sample(sample)))
+
+
+@pytest.mark.parametrize("height", [0.45, 0.0, -0.3, -5.0])
+def test_a_sample_in_the_robots_column_is_refused(height: float) -> None:
+    with pytest.raises(CellError, match="the robot's base"):
+        about((0.05, 0.0, height))
+
+
+def test_a_sample_under_the_base_is_one_where_the_cell_says_what_is_there() -> None:
+    plate = Obstacle("plate", "box", (0.6, 0.6, 0.1), at(np.array([0.0, 0.0, -0.05])))
+    under = (0.05, 0.0, -0.3)
+    assert about(under, plate).cell.convention.sample == under
+    with pytest.raises(CellError, match="inside plate"):
+        about((0.05, 0.0, -0.05), plate)
+    with pytest.raises(CellError, match="the robot's base"):
+        about((0.05, 0.0, 0.1), plate)
+
+
+def test_under_a_hung_robot_there_is_no_pedestal() -> None:
+    under = (0.05, 0.0, -0.3)
+    assert about(under, gravity=(0.0, 0.0, 9.81)).cell.convention.sample == under
+    with pytest.raises(CellError, match="the robot's base"):
+        about((0.05, 0.0, 0.45), gravity=(0.0, 0.0, 9.81))
