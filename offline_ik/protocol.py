@@ -25,6 +25,7 @@ from offline_ik.pyfai import pyfai_geometry
 from offline_ik.reach import nearest_steps
 from offline_ik.requests import WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
+from offline_ik.ways import Ways, ways_to
 from offline_ik.wording import members_of
 
 __all__ = ["RobotLink", "Session", "Speaker", "Steps"]
@@ -161,11 +162,16 @@ class Speaker:
         if to is not None:
             path = check_path(self.detector, [start, self.detector.check_posture(to, "to")])
             return Told({"path": finite(path.to_json()), "convention": self._convention})
+        ways = self._ways(given, start)
+        told = self._told(finite(ways.to_json()), ways.answer)
+        if given.get("branch") == "all":
+            for solution, way in zip(told.data["solutions"], ways.chosen, strict=True):
+                solution.update(finite(way.to_json()))
+        return told
+
+    def _ways(self, given: Mapping[str, str], start: Array) -> Ways:
         answer = self._located(given, start)
-        data: dict[str, Any] = {}
-        if answer.reachable:
-            data["path"] = finite(check_path(self.detector, [start, answer.solutions[0].q]).to_json())
-        return self._told(data, answer)
+        return ways_to(self.detector, answer, start=start, branch=given.get("branch", "nearest"))
 
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
         told = {**data, "convention": self._convention, **members_of(answer)}
@@ -230,13 +236,11 @@ class Speaker:
         if self.link is None:
             raise RequestError("move: no robot is linked; this server only computes")
         here = self.detector.check_posture(self.link.posture(), "the robot's posture")
-        answer = self._located(given, here)
-        if not answer.reachable:
-            return self._told({"moving": False}, answer)
-        path = check_path(self.detector, [here, answer.solutions[0].q])
-        if path.safe:
-            self.link.move(np.array([answer.solutions[0].q]), self.detector.cell.speed)
-        return self._told({"path": finite(path.to_json()), "moving": path.safe}, answer)
+        ways = self._ways(given, here)
+        safe = bool(ways.chosen) and ways.chosen[0].path.safe
+        if safe:
+            self.link.move(ways.chosen[0].postures, self.detector.cell.speed)
+        return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell

@@ -45,6 +45,26 @@ def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file
     assert data["convention"]["beam"][1] == pytest.approx(np.sqrt(0.5))
 
 
+def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
+    model_file: Path, cell_file: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "ik.json"
+    asked = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.4", "--near=0.5,-0.2,1.2,3,-1.4,0", "--cell", cell_file)
+    done = run("ik", model_file, *asked, "--json", out)
+    assert done.returncode == 0, done.stderr
+    assert "the nearest posture is refused (sample stage" in done.stderr
+    assert "path: safe" in done.stdout
+    data = json.loads(out.read_text(encoding="utf-8"))
+    assert data["path"]["safe"] is True
+    assert "sample stage" in data["refused"][0]["reasons"][0]
+    done = run("ik", model_file, *asked, "--branch", "all", "--approach", "--json", out)
+    assert done.returncode == 0, done.stderr
+    solutions = json.loads(out.read_text(encoding="utf-8"))["solutions"]
+    assert {s["path"]["safe"] for s in solutions} == {True, False}
+    assert all(s["approach"]["gain_m"] > 0 for s in solutions)
+    assert done.stdout.count("path: ") == len(solutions)
+
+
 def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr

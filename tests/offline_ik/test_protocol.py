@@ -139,6 +139,40 @@ def test_a_path_is_checked_along_its_length(speaker: Speaker) -> None:
     assert far["path"]["safe"] is False
 
 
+BESIDE_THE_STAGE = "0.5,-0.2,1.2,3,-1.4,0"  # from here the nearest posture lies behind the sample stage
+
+
+def test_another_posture_is_taken_where_the_nearest_is_refused_and_that_is_said(speaker: Speaker) -> None:
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 from={BESIDE_THE_STAGE}")
+    assert found["path"]["safe"] is True
+    assert "the nearest posture is refused (sample stage" in found["note"]
+    (refused,) = found["refused"]
+    assert "sample stage" in refused["reasons"][0]
+    start = np.array([float(x) for x in BESIDE_THE_STAGE.split(",")])
+    taken, nearest = found["solutions"][0]["q_rad"], refused["q_rad"]
+    assert np.abs(taken - start).max() > np.abs(nearest - start).max()
+    straight = say(speaker, f"path to={','.join(map(str, taken))} from={BESIDE_THE_STAGE}")
+    assert straight["path"]["safe"] is True
+
+
+def test_where_all_postures_are_asked_for_each_way_is_checked(speaker: Speaker) -> None:
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 branch=all from={BESIDE_THE_STAGE}")
+    assert {s["path"]["safe"] for s in found["solutions"]} == {True, False}
+    assert found["path"] == found["solutions"][0]["path"]
+    for solution in found["solutions"]:
+        alone = say(speaker, f"path to={','.join(map(str, solution['q_rad']))} from={BESIDE_THE_STAGE}")
+        assert alone["path"]["safe"] is solution["path"]["safe"]
+
+
+def test_a_branch_that_was_asked_for_is_kept_though_its_way_is_refused(speaker: Speaker) -> None:
+    every = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 branch=all from={BESIDE_THE_STAGE}")["solutions"]
+    bad = next(s for s in every if not s["path"]["safe"])
+    alone = f"S{bad['status']}T{bad['turn']}"
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 branch={alone} from={BESIDE_THE_STAGE}")
+    assert found["path"]["safe"] is False
+    assert np.allclose(found["solutions"][0]["q_rad"], bad["q_rad"], atol=1e-9)
+
+
 def test_temperatures_change_answers_for_all(speaker: Speaker) -> None:
     before = say(speaker, GOOD)["solutions"][0]["q_rad"]
     told = say(speaker, "temperature link=45,45,45,45,45,45")
@@ -196,3 +230,11 @@ def test_the_seam_moves_a_robot_only_where_the_way_is_safe(detector: Detector) -
     assert not arm.told
     say(speaker, "move gamma=30 delta=0.2 r=0.8")
     assert not arm.told
+
+
+def test_a_move_goes_to_the_posture_that_was_found_safe(detector: Detector) -> None:
+    arm = Arm(np.array([float(x) for x in BESIDE_THE_STAGE.split(",")]))
+    found = say(Speaker(detector, arm), "move gamma=0.3 delta=0.2 r=0.4")
+    assert found["moving"] is True
+    assert len(found["refused"]) == 1
+    assert np.allclose(arm.told[0][0], [found["solutions"][0]["q_rad"]], atol=1e-9)
