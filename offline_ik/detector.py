@@ -23,7 +23,7 @@ from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm
 from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
-from offline_ik.errors import DetectorError, TargetError
+from offline_ik.errors import CellError, DetectorError, TargetError
 from offline_ik.mount import identified_mount
 from offline_ik.nearest import Nearest
 from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
@@ -317,4 +317,9 @@ def open_detector(
         session=placed.session,
         user_effects=user_effects,
     )
-    return Detector(arm, placed)
+    try:
+        return Detector(arm, placed)
+    except CellError as error:
+        if isinstance(cell, Cell):
+            raise
+        raise CellError(f"{cell}: {error}") from None

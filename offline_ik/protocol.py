@@ -19,6 +19,7 @@ from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
 from offline_ik.answer import Answer
 from offline_ik.approach import approach_through
+from offline_ik.cell_values import COLDEST, HOTTEST
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.pyfai import pyfai_geometry
@@ -32,7 +33,6 @@ __all__ = ["RobotLink", "Session", "Speaker", "Steps"]
 
 Array = npt.NDArray[np.float64]
 
-ABSOLUTE_ZERO, HOT = -273.15, 200.0  # °C: what a temperature of a robot may be
 Steps = Generator[None, None, bytes]
 """An answer that takes its time: to be advanced until it ends, its value the line."""
 
@@ -220,7 +220,7 @@ class Speaker:
         for name, values in found.items():
             if values is None:
                 continue
-            if len(values) != self.detector.arm.n or not ((values > ABSOLUTE_ZERO) & (values < HOT)).all():
+            if len(values) != self.detector.arm.n or not ((values > COLDEST) & (values < HOTTEST)).all():
                 raise TargetError(f"{name}: expected {self.detector.arm.n} temperatures in degC, found {given[name]}")
         self.detector = self.detector.at_temperature(found["link"], found["motor"])
         return Told(self._temperatures())
