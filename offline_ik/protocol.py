@@ -160,6 +160,9 @@ class Speaker:
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
+            beside = [key for key in given if key not in ("to", "from", "id")]
+            if beside:
+                raise RequestError(f"path: expected to= or a detector position, found to= beside {beside[0]}=")
             path = check_path(self.detector, [start, self.detector.check_posture(to, "to")])
             return Told({"path": finite(path.to_json()), "convention": self._convention})
         ways = self._ways(given, start)
@@ -170,8 +173,8 @@ class Speaker:
         return told
 
     def _ways(self, given: Mapping[str, str], start: Array) -> Ways:
-        answer = self._located(given, start)
-        return ways_to(self.detector, answer, start=start, branch=given.get("branch", "nearest"))
+        branch, approach = given.get("branch", "nearest"), switch(given, "approach")
+        return ways_to(self.detector, self._located(given, start), start=start, branch=branch, approach=approach)
 
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
         told = {**data, "convention": self._convention, **members_of(answer)}

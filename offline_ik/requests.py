@@ -15,11 +15,11 @@ Array = npt.NDArray[np.float64]
 
 WORDS = {
     "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "pyfai"),
-    "path": ("gamma", "delta", "r", "roll", "from", "branch", "to"),
+    "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "to"),
     "stream": ("gamma", "delta", "r", "roll", "dt"),
     "start": ("q",),
     "temperature": ("link", "motor"),
-    "move": ("gamma", "delta", "r", "roll"),
+    "move": ("gamma", "delta", "r", "roll", "approach"),
     "state": (),
     "help": (),
     "quit": (),

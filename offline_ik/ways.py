@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +95,7 @@ def ways_to(
     detector: Detector,
     answer: Answer,
     *,
-    start: Array | None = None,
+    start: Sequence[float] | Array | None = None,
     branch: str = "nearest",
     approach: bool = False,
 ) -> Ways:
@@ -111,9 +112,15 @@ def ways_to(
         allows are tried, the nearest first.
     approach
         Come through an intermediate point, see :mod:`offline_ik.approach`.
+
+    Raises
+    ------
+    TargetError
+        ``start`` is no posture, or ``branch`` no choice.
     """
     if not answer.solutions:
         return Ways(answer, ())
+    start = None if start is None else detector.check_posture(start, "start")
     chosen = tuple(_way(detector, answer, s, start, approach) for s in answer.solutions)
     if branch == "all" or chosen[0].path.safe:
         return Ways(_with(answer, chosen), chosen)

@@ -52,8 +52,7 @@ def ik(
     detector = opened(model, cell, robot, effects_from)
     with out.working("solving"):
         answer = detector.locate(gamma, delta, r, turned, near=here, branch=branch, direction="moved" if here else None)
-        start = None if here is None else detector.check_posture(here)
-        ways = ways_to(detector, answer, start=start, branch=branch, approach=approach)
+        ways = ways_to(detector, answer, start=here, branch=branch, approach=approach)
         answer, data = ways.answer, _data(ways, branch)
     if pyfai and answer.reachable:
         from offline_ik.pyfai import pyfai_geometry

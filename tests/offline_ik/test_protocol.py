@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from offline_ik.detector import Detector
 from offline_ik.protocol import WORDS, Session, Speaker
+from offline_ik.safety import check_path
 
 GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
 
@@ -76,6 +77,8 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
         (b"where gamma=0.3 delta=0.2 r=0.8 branch=best", "expected nearest, all"),
         (b"where gamma=0.3 delta=0.2 r=0.8 approach=maybe", "expected yes or no"),
         (b"path gamma=0.3 delta=0.2 r=0.8", "expected a posture to start from"),
+        (b"path gamma=0.3 delta=0.2 r=0.8 approach=maybe from=0,0,0,0,0,0", "expected yes or no"),
+        (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= beside gamma="),
         (b"start", "expected q="),
         (b"temperature", "expected link="),
         (b"temperature link=1,2", "expected 6 temperatures"),
@@ -137,6 +140,19 @@ def test_a_path_is_checked_along_its_length(speaker: Speaker) -> None:
     through[1] = np.deg2rad(60.0)  # down into the stage and the floor of the limits
     far = say(speaker, f"path to={','.join(map(str, through))}", session)
     assert far["path"]["safe"] is False
+
+
+def test_a_path_with_an_approach_is_checked_on_both_legs(speaker: Speaker) -> None:
+    near = "0.1,-1.2,1.2,0.1,0.4,0"
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.8 approach=yes from={near}")
+    assert found["path"]["safe"] is True
+    through, end = np.array(found["approach"]["through_q_rad"]), np.array(found["solutions"][0]["q_rad"])
+    assert 1e-3 < np.abs(end - through).max() < 0.1
+    legs = [np.array([float(x) for x in near.split(",")]), through, end]
+    whole = check_path(speaker.detector, legs)
+    assert found["path"]["duration_s"] == pytest.approx(whole.duration, rel=1e-9)
+    assert whole.duration > check_path(speaker.detector, legs[::2]).duration
+    assert found["path"]["least_distance_m"] == pytest.approx(whole.clearance, rel=1e-9)
 
 
 BESIDE_THE_STAGE = "0.5,-0.2,1.2,3,-1.4,0"  # from here the nearest posture lies behind the sample stage
@@ -238,3 +254,11 @@ def test_a_move_goes_to_the_posture_that_was_found_safe(detector: Detector) -> N
     assert found["moving"] is True
     assert len(found["refused"]) == 1
     assert np.allclose(arm.told[0][0], [found["solutions"][0]["q_rad"]], atol=1e-9)
+
+
+def test_a_move_with_an_approach_goes_through_its_point(detector: Detector) -> None:
+    arm = Arm(np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0]))
+    found = say(Speaker(detector, arm), "move gamma=0.3 delta=0.2 r=0.8 approach=yes")
+    assert found["moving"] is True
+    through = [found["approach"]["through_q_rad"], found["solutions"][0]["q_rad"]]
+    assert np.allclose(arm.told[0][0], through, atol=1e-9)
