@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
+from offline_ik.assumed import assumed_of
 from offline_ik.cell_values import known, number, numbers, positive, sizes, spread, switch, temperatures, text, whole
 from offline_ik.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
@@ -157,13 +158,7 @@ def default_cell(robot: RobotDescription) -> Cell:
     sample = tuple(np.round(np.array([DEFAULT_X, DEFAULT_Y, DEFAULT_Z]) * reach + [0, 0, shoulder[2]], 3).tolist())
     beam = (math.cos(DEFAULT_AZIMUTH), math.sin(DEFAULT_AZIMUTH), 0.0)
     convention = replace(CONVENTIONS["thesis"], beam=beam, sample=cast(tuple[float, float, float], sample))
-    return Cell(
-        robot.name,
-        convention,
-        np.eye(4),
-        assumed=("convention", "sample", "beam", "detector at the flange", "tool at the flange", "no obstacles",
-                 "gravity", "20 degC"),
-    )  # fmt: skip
+    return Cell(robot.name, convention, np.eye(4), assumed=assumed_of({}, robot))
 
 
 DEFAULT_X, DEFAULT_Y, DEFAULT_Z = 0.8, 0.0, -0.3  # of the reach, from the foot of axis 1 at the shoulder's height
@@ -205,12 +200,6 @@ def _cell(table: Mapping[str, Any], robot: RobotDescription, folder: Path) -> Ce
     parts = {k: known(k, table.get(k, {}), keys) for k, keys in _KEYS.items() if k not in ("", "obstacle")}
     detector, tool, heat, safety = (parts[k] for k in ("detector", "tool", "temperature", "safety"))
     shape, cell, n = parts["robot_shape"], default_cell(robot), robot.n
-    said = {
-        "convention": "name" in parts["convention"], "sample": "sample_m" in parts["convention"],
-        "beam": "beam" in parts["convention"], "detector at the flange": "position_m" in detector,
-        "tool at the flange": "com_m" in tool, "no obstacles": "obstacle" in table, "gravity": "gravity_m_s2" in table,
-        "20 degC": bool(heat),
-    }  # fmt: skip
     size = sizes("detector.size_m", detector["size_m"], 3, HAND) if "size_m" in detector else None
     return replace(
         cell,
@@ -231,7 +220,7 @@ def _cell(table: Mapping[str, Any], robot: RobotDescription, folder: Path) -> Ce
         limit_margin=_limit_margin(safety.get("limit_margin_rad", 0.0), robot),
         speed=positive("safety.speed", safety.get("speed", cell.speed), 1.0, "a share of the greatest speeds"),
         obstacles=_obstacles(table.get("obstacle", []), folder),
-        assumed=tuple(name for name in cell.assumed if not said[name]),
+        assumed=assumed_of(table, robot),
     )
 
 

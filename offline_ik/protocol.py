@@ -233,6 +233,7 @@ class Speaker:
         return {
             "link_C": (still.link_temperature + 20.0).tolist(),
             "motor_C": (still.motor_temperature + 20.0).tolist(),
+            "notes": list(self.detector.notes),
         }
 
     def _move(self, given: Mapping[str, str], session: Session) -> Told:

@@ -87,7 +87,7 @@ class Ways:
         told = self.chosen[0].to_json()
         if self.refused:
             told["refused"] = [{"q_rad": w.solution.q.tolist(), "reasons": list(w.path.reasons)} for w in self.refused]
-            told["note"] = self.instead
+            told["notes"] = [self.instead]
         return told
 
 

@@ -53,18 +53,21 @@ def ik(
     with out.working("solving"):
         answer = detector.locate(gamma, delta, r, turned, near=here, branch=branch, direction="moved" if here else None)
         ways = ways_to(detector, answer, start=here, branch=branch, approach=approach)
-        answer, data = ways.answer, _data(ways, branch)
+        answer, data = ways.answer, _data(ways, branch, detector.notes)
     if pyfai and answer.reachable:
         from offline_ik.pyfai import pyfai_geometry
 
         data["pyfai"] = pyfai_geometry(detector.cell.convention, answer.target).to_json()
+    for note in data["notes"]:
+        out.warn(note)
     _show(ways, out)
     out.result(data)
 
 
-def _data(ways: Ways, branch: str) -> dict[str, Any]:
+def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
     """The JSON; where all postures were asked for, each with the check of the way there."""
     data = ways.answer.to_json() | ways.to_json()
+    data["notes"] = [*notes, *data.get("notes", ())]
     if branch == "all":
         data["solutions"] = [s | way.to_json() for s, way in zip(data["solutions"], ways.chosen, strict=True)]
     return data
@@ -88,8 +91,6 @@ def _show(ways: Ways, out: Output) -> None:
                 f"{1e3 * n['distance_m']:.1f} mm away"
             )
         return
-    if ways.instead is not None:
-        out.warn(ways.instead)
     for way in ways.chosen:
         _show_solution(way.solution, out)
         out.say("path: safe" if way.path.safe else f"path: refused: {'; '.join(way.path.reasons)}")

@@ -46,6 +46,8 @@ def serve(
         detector.warm_up()
     for what in detector.cell.assumed:
         out.warn(f"assumed, for want of a cell that says: {what}")
+    for note in detector.notes:
+        out.warn(note)
     if not is_loopback(host):
         out.warn(f"anyone who reaches {host} can ask, and move a linked robot: there is no password")
     serve_forever(speaker, host, port, out.say)

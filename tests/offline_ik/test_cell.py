@@ -28,7 +28,24 @@ def test_a_cell_is_read(tmp_path: Path) -> None:
     assert cell.convention.sample == (1.4, 0.0, 0.0)
     assert np.allclose(cell.mount[:3, 3], [0, 0, 0.12])
     assert cell.obstacles[0].name == "sample stage"
-    assert cell.assumed == ()
+    assert cell.assumed == (
+        "link radii from the arm's reach", "base radius from the arm's reach", "clearance of 20 mm",
+        "speed of 0.3 of the greatest",
+    )  # fmt: skip
+
+
+def test_a_cell_that_says_everything_leaves_nothing_to_assume(tmp_path: Path) -> None:
+    shape = "[robot_shape]\nradius_m = [0.2, 0.1, 0.1, 0.1, 0.1, 0.1]\nbase_radius_m = 0.2\n"
+    more = CELL + shape + "[safety]\nclearance_m = 0.02\nspeed = 0.3\n"
+    assert read_cell(written(tmp_path, more), ROBOT).assumed == ()
+
+
+def test_a_description_without_gears_or_speeds_is_said() -> None:
+    assert not any("gears" in what or "speed is" in what for what in default_cell(ROBOT).assumed)
+    assumed = default_cell(load_robot("kuka_kr30_3")).assumed
+    assert "motors turn as joints do (no gears are described)" in assumed
+    assert "joints of 180 deg/s where no greatest speed is described" in assumed
+    assert "motors turn as joints do (no gears are described)" in default_cell(load_robot("ur10")).assumed
 
 
 def test_what_nobody_said_is_listed() -> None:

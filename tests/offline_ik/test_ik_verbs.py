@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ik_arms import drawn_model
 
+from clampid.model import save_model
 from offline_ik.detector import open_detector
 
 CLAMPID = Path(sys.executable).parent / "clampid"
@@ -43,6 +45,17 @@ def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file
     assert data["approach"]["gain_m"] > 0
     assert data["pyfai"]["dist"] == pytest.approx(0.8)
     assert data["convention"]["beam"][1] == pytest.approx(np.sqrt(0.5))
+    assert data["notes"] == []
+
+
+def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path) -> None:
+    model, out = tmp_path / "cold.json", tmp_path / "ik.json"
+    save_model(drawn_model(effects=("geometry",)), model)
+    done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)
+    assert done.returncode == 0, done.stderr
+    note = "the model has no effect of the link temperatures: they change nothing"
+    assert note in done.stderr
+    assert json.loads(out.read_text(encoding="utf-8"))["notes"] == [note]
 
 
 def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from ik_arms import drawn_arm
 
 from offline_ik.detector import Detector
 from offline_ik.protocol import WORDS, Session, Speaker
@@ -161,7 +162,7 @@ BESIDE_THE_STAGE = "0.5,-0.2,1.2,3,-1.4,0"  # from here the nearest posture lies
 def test_another_posture_is_taken_where_the_nearest_is_refused_and_that_is_said(speaker: Speaker) -> None:
     found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 from={BESIDE_THE_STAGE}")
     assert found["path"]["safe"] is True
-    assert "the nearest posture is refused (sample stage" in found["note"]
+    assert "the nearest posture is refused (sample stage" in found["notes"][0]
     (refused,) = found["refused"]
     assert "sample stage" in refused["reasons"][0]
     start = np.array([float(x) for x in BESIDE_THE_STAGE.split(",")])
@@ -193,8 +194,21 @@ def test_temperatures_change_answers_for_all(speaker: Speaker) -> None:
     before = say(speaker, GOOD)["solutions"][0]["q_rad"]
     told = say(speaker, "temperature link=45,45,45,45,45,45")
     assert told["link_C"] == pytest.approx([45.0] * 6)
+    assert told["notes"] == []
     after = say(speaker, GOOD)["solutions"][0]["q_rad"]
     assert 1e-7 < np.abs(np.subtract(before, after)).max() < 1e-2
+
+
+def test_a_temperature_that_the_model_makes_nothing_of_is_said(speaker: Speaker, detector: Detector) -> None:
+    told = say(speaker, "temperature motor=45,45,45,45,45,45")
+    assert told["notes"] == ["the model has no effect of the motor temperatures: they change nothing"]
+    assert say(speaker, "state")["notes"] == told["notes"]
+    assert say(Speaker(detector), "state")["notes"] == []
+    cold = Speaker(Detector(drawn_arm(effects=("geometry",)), detector.cell))
+    assert "link temperatures" in say(cold, "state")["notes"][0]
+    q = say(cold, GOOD)["solutions"][0]["q_rad"]
+    say(cold, "temperature link=45,45,45,45,45,45")
+    assert say(cold, GOOD)["solutions"][0]["q_rad"] == q
 
 
 def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
