@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,8 @@ from offline_ik.approach import approach_through
 from offline_ik.cell_values import COLDEST, HOTTEST
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
+from offline_ik.link import RobotLink
+from offline_ik.place import place_of
 from offline_ik.pyfai import pyfai_geometry
 from offline_ik.reach import nearest_steps
 from offline_ik.requests import WORDS, RequestError, number, numbers, parse, switch
@@ -50,26 +52,6 @@ class Told(NamedTuple):
 
     data: dict[str, Any]
     missed: Answer | None = None
-
-
-class RobotLink(Protocol):
-    """What a robot, real or virtual, must offer to be commanded: the one seam where a robot link plugs in."""
-
-    def posture(self) -> Array:
-        """Joint angles now ``(n,)``, rad."""
-        ...
-
-    def move(self, postures: Array, speed: float) -> None:
-        """Begin a move through postures ``(m, n)``, rad, at a share of the greatest speeds; return at once."""
-        ...
-
-    def state(self) -> Mapping[str, Any]:
-        """What the link says of itself, for JSON."""
-        ...
-
-    def stop(self) -> None:
-        """Stop at once."""
-        ...
 
 
 @dataclass
@@ -184,7 +166,9 @@ class Speaker:
         if self.link is not None:
             return self.link.posture()
         if session.here is None:
-            raise TargetError("expected a posture to start from: give from=q1,q2,… or say start q=q1,q2,… first")
+            raise TargetError(
+                "expected a posture to start from: give from=q1,q2,… (at: q=q1,q2,…) or say start q=q1,q2,… first"
+            )
         return session.here
 
     def _start(self, given: Mapping[str, str], session: Session) -> Told:
@@ -236,6 +220,19 @@ class Speaker:
             "notes": list(self.detector.notes),
         }
 
+    def _at(self, given: Mapping[str, str], session: Session) -> Told:
+        """The other way round than ``where``: what a posture means on the sphere."""
+        q = numbers(given, "q")
+        there = self.detector.check_posture(self._posture(session) if q is None else q, "q")
+        place = place_of(self.detector, there, numbers(given, "near"))
+        return Told({"q_rad": there.tolist(), **place.to_json(), "convention": self._convention})
+
+    def _stop(self, given: Mapping[str, str], session: Session) -> Told:
+        if self.link is None:
+            raise RequestError("stop: no robot is linked; there is nothing to stop")
+        self.link.stop()
+        return Told({"link": finite(dict(self.link.state()))})
+
     def _move(self, given: Mapping[str, str], session: Session) -> Told:
         if self.link is None:
             raise RequestError("move: no robot is linked; this server only computes")
@@ -277,7 +274,9 @@ class Speaker:
             "stream": Speaker._stream,
             "start": Speaker._start,
             "temperature": Speaker._temperature,
+            "at": Speaker._at,
             "move": Speaker._move,
+            "stop": Speaker._stop,
             "state": Speaker._state,
             "help": Speaker._help,
             "quit": Speaker._quit,

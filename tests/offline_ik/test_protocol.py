@@ -17,6 +17,7 @@ from offline_ik.detector import Detector
 from offline_ik.protocol import WORDS, Session, Speaker
 from offline_ik.safety import check_path
 
+START = (0.1, -1.2, 1.2, 0.1, 0.4, 0.0)
 GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
 
 
@@ -81,6 +82,11 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
         (b"path gamma=0.3 delta=0.2 r=0.8 approach=maybe from=0,0,0,0,0,0", "expected yes or no"),
         (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= beside gamma="),
         (b"start", "expected q="),
+        (b"at", "expected a posture"),
+        (b"at q=1,2", "expected 6 joint angles"),
+        (b"at q=nan,0,0,0,0,0", "finite"),
+        (b"at q=0,-90,90,0,0,0", "degrees"),
+        (b"stop", "no robot is linked"),
         (b"temperature", "expected link="),
         (b"temperature link=1,2", "expected 6 temperatures"),
         (b"temperature link=1,2,3,4,5,900", "expected 6 temperatures"),
@@ -209,6 +215,44 @@ def test_a_temperature_that_the_model_makes_nothing_of_is_said(speaker: Speaker,
     q = say(cold, GOOD)["solutions"][0]["q_rad"]
     say(cold, "temperature link=45,45,45,45,45,45")
     assert say(cold, GOOD)["solutions"][0]["q_rad"] == q
+
+
+def test_at_is_where_the_other_way_round(speaker: Speaker) -> None:
+    near = "near=0.1,-1.2,1.2,0.1,0.4,0"
+    for asked in ((0.3, 0.2, 0.8, 0.0), (-0.2, 0.5, 0.6, 0.4)):
+        names = dict(zip(("gamma", "delta", "r", "roll"), asked, strict=True))
+        there = say(speaker, f"where {' '.join(f'{k}={v}' for k, v in names.items())} {near}")["solutions"][0]
+        q = ",".join(map(str, there["q_rad"]))
+        back = say(speaker, f"at q={q} {near}")
+        assert [back[k] for k in ("gamma_rad", "delta_rad", "r_m", "roll_rad")] == pytest.approx(asked, abs=1e-8)
+        assert np.abs(back["tilt_rad"]).max() < 1e-8
+        assert back["motor_rad"] == pytest.approx(there["motor_rad"], rel=1e-12)
+        assert back["tangential_std_m"] == pytest.approx(there["tangential_std_m"], rel=1e-5)
+        assert back["radial_std_m"] == pytest.approx(there["radial_std_m"], rel=1e-5)
+        # From the other side the clearances lie on the other flanks.
+        other = say(
+            speaker, f"at q={q} near={','.join(str(2 * a - b) for a, b in zip(there['q_rad'], START, strict=True))}"
+        )
+        assert 1e-7 < abs(other["gamma_rad"] - back["gamma_rad"]) < 1e-2
+
+
+def test_at_tells_a_normal_that_misses_the_sample_and_limits(speaker: Speaker) -> None:
+    q = say(speaker, GOOD)["solutions"][0]["q_rad"]
+    q[4] += 0.1
+    assert np.linalg.norm(say(speaker, f"at q={','.join(map(str, q))}")["tilt_rad"]) > 0.05
+    q[4] = 2.6
+    assert say(speaker, f"at q={','.join(map(str, q))}")["beyond_limits"] == [speaker.detector.robot.joints[4].name]
+    session = Session()
+    say(speaker, f"start q={','.join(map(str, q))}", session)
+    assert say(speaker, "at", session)["q_rad"] == q
+
+
+def test_stop_stops_the_linked_robot(detector: Detector) -> None:
+    arm = Arm(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+    speaker = Speaker(detector, arm)
+    assert say(speaker, "move gamma=0.35 delta=0.2 r=0.8")["moving"] is True
+    assert say(speaker, "stop")["link"] == {"moving": False}
+    assert arm.told == []
 
 
 def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
