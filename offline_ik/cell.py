@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -18,6 +18,8 @@ import numpy.typing as npt
 
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
+from offline_ik.assumed import assumed_of
+from offline_ik.cell_values import known, number, numbers, positive, sizes, spread, switch, temperatures, text, whole
 from offline_ik.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
 
@@ -28,6 +30,14 @@ Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
 
 FORMAT = "clampid-cell/1"
 PIXEL = 55e-6  # m, of the reference robot's detector
+# What the cell file's numbers may be at most: wide of anything real, short of other units.
+HAND = 3.0  # m: what a flange carries, how far it sticks out, a link's radius
+CELL, HALL = 10.0, 100.0  # m: around a robot; around an instrument, and obstacles
+WIDEST = 1.0  # m, of a clearance
+LARGEST_PIXEL = 0.01  # m
+LARGEST_MARGIN = 0.5  # rad
+HEAVIEST = 2000.0  # kg
+WEAKEST, STRONGEST = 9.0, 10.6  # m/s², of gravity
 SHAPES: Mapping[Shape, int] = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2, "mesh": 0}
 _KEYS = {
     "": ("format", "robot", "session", "gravity_m_s2", "convention", "detector", "tool", "temperature", "robot_shape",
@@ -148,13 +158,7 @@ def default_cell(robot: RobotDescription) -> Cell:
     sample = tuple(np.round(np.array([DEFAULT_X, DEFAULT_Y, DEFAULT_Z]) * reach + [0, 0, shoulder[2]], 3).tolist())
     beam = (math.cos(DEFAULT_AZIMUTH), math.sin(DEFAULT_AZIMUTH), 0.0)
     convention = replace(CONVENTIONS["thesis"], beam=beam, sample=cast(tuple[float, float, float], sample))
-    return Cell(
-        robot.name,
-        convention,
-        np.eye(4),
-        assumed=("convention", "sample", "beam", "detector at the flange", "tool at the flange", "no obstacles",
-                 "gravity", "20 degC"),
-    )  # fmt: skip
+    return Cell(robot.name, convention, np.eye(4), assumed=assumed_of({}, robot))
 
 
 DEFAULT_X, DEFAULT_Y, DEFAULT_Z = 0.8, 0.0, -0.3  # of the reach, from the foot of axis 1 at the shoulder's height
@@ -172,7 +176,7 @@ def read_cell(path: str | Path, robot: RobotDescription) -> Cell:
     Raises
     ------
     CellError
-        The file is not there, no TOML, has unknown keys, is of another robot, or puts the sample into an obstacle.
+        The file is not there, no TOML, has unknown keys or values that cannot be meant, or is of another robot.
     """
     path = Path(path)
     try:
@@ -188,56 +192,91 @@ def read_cell(path: str | Path, robot: RobotDescription) -> Cell:
 
 
 def _cell(table: Mapping[str, Any], robot: RobotDescription, folder: Path) -> Cell:
-    _known("", table)
+    known("", table, _KEYS[""])
     if table.get("format") != FORMAT:
         raise CellError(f"format: expected {FORMAT!r}, found {table.get('format')!r}")
     if table.get("robot") != robot.name:
         raise CellError(f"robot: the model is of {robot.name!r}, the cell of {table.get('robot')!r}")
-    parts = {name: table.get(name, {}) for name in _KEYS if name not in ("", "obstacle")}
-    for name, part in parts.items():
-        _known(name, part)
+    parts = {k: known(k, table.get(k, {}), keys) for k, keys in _KEYS.items() if k not in ("", "obstacle")}
     detector, tool, heat, safety = (parts[k] for k in ("detector", "tool", "temperature", "safety"))
-    shape = parts["robot_shape"]
-    cell = default_cell(robot)
-    said = {
-        "convention": "name" in parts["convention"], "sample": "sample_m" in parts["convention"],
-        "beam": "beam" in parts["convention"], "detector at the flange": "position_m" in detector,
-        "tool at the flange": "com_m" in tool, "no obstacles": "obstacle" in table, "gravity": "gravity_m_s2" in table,
-        "20 degC": bool(heat),
-    }  # fmt: skip
-    obstacles = tuple(_obstacle(o, folder) for o in table.get("obstacle", ()))
-    size = _numbers("detector.size_m", detector["size_m"], 3) if "size_m" in detector else None
-    cell = replace(
+    shape, cell, n = parts["robot_shape"], default_cell(robot), robot.n
+    size = sizes("detector.size_m", detector["size_m"], 3, HAND) if "size_m" in detector else None
+    return replace(
         cell,
         convention=_convention(parts["convention"], cell.convention),
-        mount=_pose("detector", detector),
-        gravity=_triple("gravity_m_s2", table.get("gravity_m_s2", cell.gravity)),
-        session=int(_number("session", table.get("session", 1))) - 1,
-        targets={k: _numbers(f"detector.targets_m.{k}", v, 3) for k, v in detector.get("targets_m", {}).items()},
+        mount=_pose("detector", detector, HAND),
+        gravity=_gravity(table["gravity_m_s2"]) if "gravity_m_s2" in table else cell.gravity,
+        session=whole("session", table.get("session", 1)) - 1,
+        targets=_targets(detector.get("targets_m", {})),
         size=None if size is None else (float(size[0]), float(size[1]), float(size[2])),
-        pixel=_positive("detector.pixel_m", detector.get("pixel_m", PIXEL)),
-        tool_mass=_number("tool.mass_kg", tool["mass_kg"]) if "mass_kg" in tool else None,
-        tool_com=_triple("tool.com_m", tool.get("com_m", (0.0, 0.0, 0.0))),
-        link_temperature=_numbers("temperature.link_C", heat["link_C"], robot.n) if "link_C" in heat else None,
-        motor_temperature=_numbers("temperature.motor_C", heat["motor_C"], robot.n) if "motor_C" in heat else None,
-        radius=_numbers("robot_shape.radius_m", shape["radius_m"], robot.n) if "radius_m" in shape else None,
-        base_radius=_positive("base_radius_m", shape["base_radius_m"]) if "base_radius_m" in shape else None,
-        clearance=_number("safety.clearance_m", safety.get("clearance_m", cell.clearance)),
-        limit_margin=_number("safety.limit_margin_rad", safety.get("limit_margin_rad", 0.0)),
-        speed=_positive("safety.speed", safety.get("speed", cell.speed)),
-        obstacles=obstacles,
-        assumed=tuple(name for name in cell.assumed if not said[name]),
+        pixel=positive("detector.pixel_m", detector.get("pixel_m", PIXEL), LARGEST_PIXEL, "metres"),
+        tool_mass=number("tool.mass_kg", tool["mass_kg"], HEAVIEST, "kilograms") if "mass_kg" in tool else None,
+        tool_com=_tool_com(tool.get("com_m", [0.0, 0.0, 0.0])),
+        link_temperature=temperatures("temperature.link_C", heat["link_C"], n) if "link_C" in heat else None,
+        motor_temperature=temperatures("temperature.motor_C", heat["motor_C"], n) if "motor_C" in heat else None,
+        radius=sizes("robot_shape.radius_m", shape["radius_m"], n, HAND) if "radius_m" in shape else None,
+        base_radius=_base_radius(shape),
+        clearance=number("safety.clearance_m", safety.get("clearance_m", cell.clearance), WIDEST, "metres"),
+        limit_margin=_limit_margin(safety.get("limit_margin_rad", 0.0), robot),
+        speed=positive("safety.speed", safety.get("speed", cell.speed), 1.0, "a share of the greatest speeds"),
+        obstacles=_obstacles(table.get("obstacle", []), folder),
+        assumed=assumed_of(table, robot),
     )
-    if cell.speed > 1.0:
-        raise CellError(f"safety.speed: expected a share of the greatest speeds, at most 1, found {cell.speed:g}")
-    return cell
+
+
+def _tool_com(value: Any) -> tuple[float, float, float]:
+    x, y, z = numbers("tool.com_m", value, 3, HAND, "metres").tolist()
+    return x, y, z
+
+
+def _gravity(value: Any) -> tuple[float, float, float]:
+    x, y, z = numbers("gravity_m_s2", value, 3).tolist()
+    length = math.hypot(x, y, z)
+    if not WEAKEST < length < STRONGEST:
+        raise CellError(f"gravity_m_s2: expected a vector of about 9.81 m/s2, found {value!r}, that is {length:g}")
+    return x, y, z
+
+
+def _targets(value: Any) -> Mapping[str, Array]:
+    if not isinstance(value, Mapping):
+        raise CellError(f"detector.targets_m: expected a table NAME = [x, y, z], found {value!r}")
+    points = {k: numbers(f"detector.targets_m.{k}", v, 3, HAND, "metres") for k, v in value.items()}
+    return spread("detector.targets_m", points)
+
+
+def _base_radius(shape: Mapping[str, Any]) -> float | None:
+    if "base_radius_m" not in shape:
+        return None
+    return positive("robot_shape.base_radius_m", shape["base_radius_m"], HAND, "metres")
+
+
+def _limit_margin(value: Any, robot: RobotDescription) -> float:
+    margin = number("safety.limit_margin_rad", value, LARGEST_MARGIN, "radians")
+    for joint in robot.joints:
+        if not joint.upper - joint.lower > 2 * margin:
+            raise CellError(f"safety.limit_margin_rad: {margin:g} rad on both sides leave {joint.name} no range")
+    return margin
+
+
+def _obstacles(value: Any, folder: Path) -> tuple[Obstacle, ...]:
+    if not isinstance(value, list):
+        raise CellError(f"obstacle: expected tables [[obstacle]], found {value!r}")
+    out = tuple(_obstacle(k + 1, part, folder) for k, part in enumerate(value))
+    names = [o.name for o in out]
+    for name in names:
+        if names.count(name) > 1:
+            raise CellError(f"obstacle {name}: expected a name of its own, found {names.count(name)} of it")
+    return out
 
 
 def _convention(part: Mapping[str, Any], default: Convention) -> Convention:
-    name = part.get("name", default.name)
+    name = text("convention.name", part.get("name", default.name))
     if name not in CONVENTIONS:
         raise CellError(f"convention: no convention is called {name!r}; known: {', '.join(CONVENTIONS)}")
     named = CONVENTIONS[name]
+    frame = part.get("frame", named.frame)
+    if "sample_m" in part:
+        numbers("convention.sample_m", part["sample_m"], 3, CELL if frame == "base" else HALL, "metres")
     return replace(
         named,
         order=part.get("order", named.order),
@@ -246,14 +285,14 @@ def _convention(part: Mapping[str, Any], default: Convention) -> Convention:
         beam=part.get("beam", default.beam),
         up=part.get("up", named.up),
         sample=part.get("sample_m", default.sample),
-        frame=part.get("frame", named.frame),
+        frame=frame,
     )
 
 
-def _obstacle(part: Mapping[str, Any], folder: Path) -> Obstacle:
-    _known("obstacle", part)
-    name, shape = str(part.get("name", "obstacle")), part.get("shape")
-    if shape not in SHAPES:
+def _obstacle(count: int, part: Any, folder: Path) -> Obstacle:
+    known("obstacle", part, _KEYS["obstacle"])
+    name, shape = text("obstacle.name", part.get("name", f"obstacle {count}")), part.get("shape")
+    if not isinstance(shape, str) or shape not in SHAPES:
         raise CellError(f"obstacle {name}: expected a shape of {', '.join(SHAPES)}, found {shape!r}")
     file = None
     if shape == "mesh":
@@ -262,59 +301,21 @@ def _obstacle(part: Mapping[str, Any], folder: Path) -> Obstacle:
         file = folder / part["file"]
         if not file.is_file():
             raise CellError(f"obstacle {name}: expected a mesh at {file}, found none")
-    size = _numbers(f"obstacle {name}: size_m", part.get("size_m", ()), SHAPES[cast(Shape, shape)])
-    if (size <= 0).any():
-        raise CellError(f"obstacle {name}: expected positive sizes, found {size.tolist()}")
-    sizes = tuple(size.tolist())
-    return Obstacle(
-        name, cast(Shape, shape), sizes, _pose(f"obstacle {name}", part), file, bool(part.get("holds_sample", False))
-    )
+    kind = cast(Shape, shape)
+    size = sizes(f"obstacle {name}: size_m", part.get("size_m", []), SHAPES[kind], HALL)
+    holds = switch(f"obstacle {name}: holds_sample", part.get("holds_sample", False))
+    return Obstacle(name, kind, tuple(size.tolist()), _pose(f"obstacle {name}", part, HALL), file, holds)
 
 
-def _pose(where: str, part: Mapping[str, Any]) -> Array:
-    """From ``position_m``, ``x`` and ``z``; y follows."""
-    z = _numbers(f"{where}.z", part.get("z", (0.0, 0.0, 1.0)), 3)
-    x = _numbers(f"{where}.x", part.get("x", (1.0, 0.0, 0.0)), 3)
+def _pose(where: str, part: Mapping[str, Any], most: float) -> Array:
+    """From ``position_m``, at most ``most`` off, ``x`` and ``z``; y follows."""
+    z = numbers(f"{where}.z", part.get("z", [0.0, 0.0, 1.0]), 3)
+    x = numbers(f"{where}.x", part.get("x", [1.0, 0.0, 0.0]), 3)
     lengths = np.linalg.norm(x), np.linalg.norm(z)
     if min(lengths) < 1e-9 or abs(float(x @ z)) > 1e-6 * float(lengths[0] * lengths[1]):
         raise CellError(f"{where}: expected x and z perpendicular directions, found {x.tolist()} and {z.tolist()}")
     x, z = x / lengths[0], z / lengths[1]
     out = np.eye(4)
     out[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    out[:3, 3] = _numbers(f"{where}.position_m", part.get("position_m", (0.0, 0.0, 0.0)), 3)
+    out[:3, 3] = numbers(f"{where}.position_m", part.get("position_m", [0.0, 0.0, 0.0]), 3, most, "metres")
     return out
-
-
-def _known(where: str, part: Mapping[str, Any]) -> None:
-    if not isinstance(part, Mapping):
-        raise CellError(f"{where}: expected a table, found {part!r}")
-    for key in part:
-        if key not in _KEYS[where]:
-            raise CellError(f"{where or 'cell'}: the key {key!r} is not known; expected {', '.join(_KEYS[where])}")
-
-
-def _numbers(where: str, value: Sequence[float], count: int) -> Array:
-    try:
-        found = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise CellError(f"{where}: expected {count} numbers, found {value!r}") from None
-    if found.shape != (count,) or not np.isfinite(found).all():
-        raise CellError(f"{where}: expected {count} finite numbers, found {value!r}")
-    return found
-
-
-def _triple(where: str, value: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = _numbers(where, value, 3).tolist()
-    return x, y, z
-
-
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-        raise CellError(f"{where}: expected a number of at least 0, found {value!r}")
-    return float(value)
-
-
-def _positive(where: str, value: Any) -> float:
-    if not _number(where, value) > 0:
-        raise CellError(f"{where}: expected a positive number, found {value!r}")
-    return float(value)

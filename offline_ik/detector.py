@@ -22,10 +22,11 @@ from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 from offline_ik.answer import Answer, Solution
 from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm_of
+from offline_ik.assumed import notes_of
 from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
-from offline_ik.errors import DetectorError, TargetError
+from offline_ik.errors import CellError, DetectorError, TargetError
 from offline_ik.mount import identified_mount
 from offline_ik.nearest import Nearest
 from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
@@ -87,11 +88,16 @@ class Detector:
 
         return Conditions(np.zeros(n), above(cell.link_temperature), above(cell.motor_temperature))
 
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What the cell says and the model makes nothing of."""
+        return notes_of(self.arm, self.cell)
+
     def at_temperature(self, link: Array | None = None, motor: Array | None = None) -> Detector:
         """The same at other temperatures ``(n,)``, °C."""
         out = object.__new__(Detector)
         out.__dict__.update(self.__dict__)
-        for derived in ("still", "_still_vector", "_said", "_surroundings"):
+        for derived in ("still", "notes", "_still_vector", "_said", "_surroundings"):
             out.__dict__.pop(derived, None)
         out.cell = replace(
             self.cell,
@@ -342,4 +348,9 @@ def open_detector(
         session=placed.session,
         user_effects=user_effects,
     )
-    return Detector(arm, placed)
+    try:
+        return Detector(arm, placed)
+    except CellError as error:
+        if isinstance(cell, Cell):
+            raise
+        raise CellError(f"{cell}: {error}") from None

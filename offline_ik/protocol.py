@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,19 +19,22 @@ from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
 from offline_ik.answer import Answer
 from offline_ik.approach import approach_through
+from offline_ik.cell_values import COLDEST, HOTTEST
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
+from offline_ik.link import RobotLink
+from offline_ik.place import place_of
 from offline_ik.pyfai import pyfai_geometry
 from offline_ik.reach import nearest_steps
 from offline_ik.requests import WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
+from offline_ik.ways import Ways, ways_to
 from offline_ik.wording import members_of
 
 __all__ = ["RobotLink", "Session", "Speaker", "Steps"]
 
 Array = npt.NDArray[np.float64]
 
-ABSOLUTE_ZERO, HOT = -273.15, 200.0  # °C: what a temperature of a robot may be
 Steps = Generator[None, None, bytes]
 """An answer that takes its time: to be advanced until it ends, its value the line."""
 
@@ -49,26 +52,6 @@ class Told(NamedTuple):
 
     data: dict[str, Any]
     missed: Answer | None = None
-
-
-class RobotLink(Protocol):
-    """What a robot, real or virtual, must offer to be commanded: the one seam where a robot link plugs in."""
-
-    def posture(self) -> Array:
-        """Joint angles now ``(n,)``, rad."""
-        ...
-
-    def move(self, postures: Array, speed: float) -> None:
-        """Begin a move through postures ``(m, n)``, rad, at a share of the greatest speeds; return at once."""
-        ...
-
-    def state(self) -> Mapping[str, Any]:
-        """What the link says of itself, for JSON."""
-        ...
-
-    def stop(self) -> None:
-        """Stop at once."""
-        ...
 
 
 @dataclass
@@ -159,13 +142,21 @@ class Speaker:
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
+            beside = [key for key in given if key not in ("to", "from", "id")]
+            if beside:
+                raise RequestError(f"path: expected to= or a detector position, found to= beside {beside[0]}=")
             path = check_path(self.detector, [start, self.detector.check_posture(to, "to")])
             return Told({"path": finite(path.to_json()), "convention": self._convention})
-        answer = self._located(given, start)
-        data: dict[str, Any] = {}
-        if answer.reachable:
-            data["path"] = finite(check_path(self.detector, [start, answer.solutions[0].q]).to_json())
-        return self._told(data, answer)
+        ways = self._ways(given, start)
+        told = self._told(finite(ways.to_json()), ways.answer)
+        if given.get("branch") == "all":
+            for solution, way in zip(told.data["solutions"], ways.chosen, strict=True):
+                solution.update(finite(way.to_json()))
+        return told
+
+    def _ways(self, given: Mapping[str, str], start: Array) -> Ways:
+        branch, approach = given.get("branch", "nearest"), switch(given, "approach")
+        return ways_to(self.detector, self._located(given, start), start=start, branch=branch, approach=approach)
 
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
         told = {**data, "convention": self._convention, **members_of(answer)}
@@ -175,7 +166,9 @@ class Speaker:
         if self.link is not None:
             return self.link.posture()
         if session.here is None:
-            raise TargetError("expected a posture to start from: give from=q1,q2,… or say start q=q1,q2,… first")
+            raise TargetError(
+                "expected a posture to start from: give from=q1,q2,… (at: q=q1,q2,…) or say start q=q1,q2,… first"
+            )
         return session.here
 
     def _start(self, given: Mapping[str, str], session: Session) -> Told:
@@ -214,7 +207,7 @@ class Speaker:
         for name, values in found.items():
             if values is None:
                 continue
-            if len(values) != self.detector.arm.n or not ((values > ABSOLUTE_ZERO) & (values < HOT)).all():
+            if len(values) != self.detector.arm.n or not ((values > COLDEST) & (values < HOTTEST)).all():
                 raise TargetError(f"{name}: expected {self.detector.arm.n} temperatures in degC, found {given[name]}")
         self.detector = self.detector.at_temperature(found["link"], found["motor"])
         return Told(self._temperatures())
@@ -224,19 +217,31 @@ class Speaker:
         return {
             "link_C": (still.link_temperature + 20.0).tolist(),
             "motor_C": (still.motor_temperature + 20.0).tolist(),
+            "notes": list(self.detector.notes),
         }
+
+    def _at(self, given: Mapping[str, str], session: Session) -> Told:
+        """The other way round than ``where``: what a posture means on the sphere."""
+        q = numbers(given, "q")
+        there = self.detector.check_posture(self._posture(session) if q is None else q, "q")
+        place = place_of(self.detector, there, numbers(given, "near"))
+        return Told({"q_rad": there.tolist(), **place.to_json(), "convention": self._convention})
+
+    def _stop(self, given: Mapping[str, str], session: Session) -> Told:
+        if self.link is None:
+            raise RequestError("stop: no robot is linked; there is nothing to stop")
+        self.link.stop()
+        return Told({"link": finite(dict(self.link.state()))})
 
     def _move(self, given: Mapping[str, str], session: Session) -> Told:
         if self.link is None:
             raise RequestError("move: no robot is linked; this server only computes")
         here = self.detector.check_posture(self.link.posture(), "the robot's posture")
-        answer = self._located(given, here)
-        if not answer.reachable:
-            return self._told({"moving": False}, answer)
-        path = check_path(self.detector, [here, answer.solutions[0].q])
-        if path.safe:
-            self.link.move(np.array([answer.solutions[0].q]), self.detector.cell.speed)
-        return self._told({"path": finite(path.to_json()), "moving": path.safe}, answer)
+        ways = self._ways(given, here)
+        safe = bool(ways.chosen) and ways.chosen[0].path.safe
+        if safe:
+            self.link.move(ways.chosen[0].postures, self.detector.cell.speed)
+        return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell
@@ -269,7 +274,9 @@ class Speaker:
             "stream": Speaker._stream,
             "start": Speaker._start,
             "temperature": Speaker._temperature,
+            "at": Speaker._at,
             "move": Speaker._move,
+            "stop": Speaker._stop,
             "state": Speaker._state,
             "help": Speaker._help,
             "quit": Speaker._quit,

@@ -15,11 +15,13 @@ Array = npt.NDArray[np.float64]
 
 WORDS = {
     "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "pyfai"),
-    "path": ("gamma", "delta", "r", "roll", "from", "branch", "to"),
+    "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "to"),
     "stream": ("gamma", "delta", "r", "roll", "dt"),
     "start": ("q",),
     "temperature": ("link", "motor"),
-    "move": ("gamma", "delta", "r", "roll"),
+    "at": ("q", "near"),
+    "move": ("gamma", "delta", "r", "roll", "approach"),
+    "stop": (),
     "state": (),
     "help": (),
     "quit": (),

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from kinematics.poe import joint_transforms
-from offline_ik.cell import Obstacle, reach_of
 from offline_ik.errors import CellError
+from offline_ik.shapes import Shape, carries, checked_pairs, distance_of, shapes_of
 
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
@@ -30,9 +30,6 @@ __all__ = ["PathReport", "check_path", "check_sample", "move_time"]
 
 Array = npt.NDArray[np.float64]
 
-RADII = (0.11, 0.10, 0.065, 0.07, 0.05, 0.04, 0.035)
-"""Of the reach: base and links 1 to 6, a little more than what arms of this kind have."""
-BASE_HEIGHT = 0.6  # of the shoulder's
 FINEST = 1e-4  # of a move: what is nearer than the clearance plus this much of the move is refused
 
 
@@ -77,18 +74,6 @@ class PathReport:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class _Shape:
-    """A body: which link carries it (0: the world or the base), where on it, and how far its points are from axes."""
-
-    name: str
-    link: int
-    geometry: Any
-    pose: Array
-    extent: float  # of its own, from its link's joint, m
-    radius: float = 0.0  # what it needs around its link, m
-
-
 class _World:
     """All shapes of a detector's cell and the pairs of them that may not touch."""
 
@@ -97,25 +82,13 @@ class _World:
         robot = detector.robot
         points = np.array([*(j.point for j in robot.joints), robot.flange[:3, 3]])
         self.lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)  # (n,)
-        self.shapes = [*(_obstacle(o) for o in detector.cell.obstacles), *_links(detector, points)]
-        pairs = [(a, b) for i, a in enumerate(self.shapes) for b in self.shapes[i + 1 :]]
-        self.pairs = [pair for pair in pairs if not self._may_touch(*pair)]
+        shapes = shapes_of(detector)
+        self.pairs = list(checked_pairs(detector, shapes, self.lengths))
+        self.shapes = list(dict.fromkeys([*shapes, *(a for a, _ in self.pairs)]))  # some are cut back for a pair
         # How far a unit of each joint can move points of each shape (shapes, n), m/rad.
         self.levers = {id(s): self._lever(s) for s in self.shapes}
 
-    def _may_touch(self, a: _Shape, b: _Shape) -> bool:
-        """Whether a pair is not checked: fixed to each other, or so close along the arm that they touch by design.
-
-        What links that are joined by a short one may do to each other is what joint limits are for.
-        """
-        if a.link == b.link:
-            return True
-        if a.link == 0 and a.name != "base":
-            return b.link == 1  # the robot stands on its pedestal
-        between = float(self.lengths[a.link : b.link - 1].sum())
-        return between < a.radius + b.radius + self.detector.cell.clearance
-
-    def _lever(self, shape: _Shape) -> Array:
+    def _lever(self, shape: Shape) -> Array:
         out = np.zeros(len(self.lengths))
         for k in range(shape.link):
             out[k] = self.lengths[k : shape.link - 1].sum() + shape.extent
@@ -125,15 +98,10 @@ class _World:
         """Of every pair ``(pairs,)`` at a posture ``(n,)``; negative: overlapping, m."""
         robot = self.detector.robot
         G = joint_transforms(robot.screws, np.asarray(robot.linkage) @ q)
-        placed = {}
-        for shape in self.shapes:
-            T = G[shape.link] @ shape.pose
-            placed[id(shape)] = coal.Transform3s(T[:3, :3].copy(), T[:3, 3].copy())
-        request = coal.DistanceRequest()
-        out = np.empty(len(self.pairs))
-        for k, (a, b) in enumerate(self.pairs):
-            out[k] = coal.distance(a.geometry, placed[id(a)], b.geometry, placed[id(b)], request, coal.DistanceResult())
-        return out
+        placed = {id(shape): shape.at(G[shape.link]) for shape in self.shapes}
+        return np.array(
+            [distance_of(a.geometry, placed[id(a)], b.geometry, placed[id(b)]) for a, b in self.pairs], dtype=float
+        )
 
     def motion(self, step: Array) -> Array:
         """How far the shapes of every pair ``(pairs,)`` can come nearer in a step ``(n,)`` of the joints, m."""
@@ -182,7 +150,7 @@ class _Worst:
         self.world, self.allowed = world, allowed
         self.clearance, self.between, self.at, self.base = np.inf, ("", ""), 0.0, np.inf
         self.hit: tuple[str, str] | None = None
-        self._forearm = np.array([a.name == "base" and b.link in (4, 5) for a, b in world.pairs], dtype=bool)
+        self._forearm = np.array([a.kind == "base" and b.link in (4, 5) for a, b in world.pairs], dtype=bool)
 
     def leg(self, start: Array, end: Array, number: int) -> None:
         whole = self.world.motion(end - start)
@@ -228,7 +196,10 @@ def move_time(detector: Detector, path: Array, speed: float | None = None) -> fl
 
 
 def check_sample(detector: Detector) -> None:
-    """Refuse a sample that lies in an obstacle or in the robot's own base.
+    """Refuse a sample that lies in an obstacle, in the robot's own base, or in what carries that.
+
+    An upright robot stands on something: the column of its base goes on without end below it, unless an obstacle of the
+    cell reaches its foot and so says what is there.
 
     Raises
     ------
@@ -239,78 +210,33 @@ def check_sample(detector: Detector) -> None:
     at = np.eye(4)
     at[:3, 3] = convention.sample
     place = detector.to_base(at)[:3, 3]
+    told = f"the sample at {np.round(place, 4).tolist()} m (base frame) lies inside"
     point = coal.Sphere(1e-6)
     here = coal.Transform3s(np.eye(3), place.copy())
-    fixed = [s for s in _world(detector).shapes if s.link == 0]
     inside = {o.name for o in detector.cell.obstacles if o.holds_sample}
-    for shape in fixed:
-        if shape.name in inside:
-            continue
-        there = coal.Transform3s(shape.pose[:3, :3].copy(), shape.pose[:3, 3].copy())
-        geometry = getattr(shape.geometry, "convex", None) or shape.geometry  # a mesh has no inside, its hull has
-        if coal.distance(point, here, geometry, there, coal.DistanceRequest(), coal.DistanceResult()) <= 0:
+    for shape in _world(detector).shapes:
+        if shape.kind == "base" and _in_column(detector, shape, place):
             raise CellError(
-                f"the sample at {np.round(place, 4).tolist()} m (base frame) lies inside {shape.name}; an obstacle "
-                "that may hold it says holds_sample = true"
+                f"{told} the robot's base or what is below it (within {shape.radius:.3f} m of axis 1); an obstacle "
+                "that reaches the foot of the base says what is there"
             )
+        if shape.kind != "obstacle" or shape.name in inside:
+            continue
+        geometry = getattr(shape.geometry, "convex", None) or shape.geometry  # a mesh has no inside, its hull has
+        if distance_of(point, here, geometry, shape.at(np.eye(4))) <= 0:
+            raise CellError(f"{told} {shape.name}; an obstacle that may hold it says holds_sample = true")
+
+
+def _in_column(detector: Detector, base: Shape, place: Array) -> bool:
+    """Whether a place ``(3,)`` is in the base, up to the shoulder, or below an upright one that stands on who knows."""
+    gravity = np.asarray(detector.cell.gravity)
+    upright = gravity[2] < -0.5 * np.linalg.norm(gravity)
+    obstacles = (s for s in _world(detector).shapes if s.kind == "obstacle")
+    endless = upright and not any(carries(s, base, detector.cell.clearance) for s in obstacles)
+    lowest, shoulder = -np.inf if endless else 0.0, detector.robot.joints[1].point[2]
+    return bool(np.hypot(*place[:2]) <= base.radius and lowest <= place[2] <= shoulder)
 
 
 @lru_cache(maxsize=8)
 def _world(detector: Detector) -> _World:
     return _World(detector)
-
-
-def _links(detector: Detector, points: Array) -> list[_Shape]:
-    robot, cell = detector.robot, detector.cell
-    n, reach = robot.n, reach_of(robot)
-    guessed = np.interp(np.linspace(0, 1, n + 1), np.linspace(0, 1, len(RADII)), RADII) * reach
-    radii = guessed[1:] if cell.radius is None else cell.radius
-    base = float(guessed[0]) if cell.base_radius is None else cell.base_radius
-    height = max(BASE_HEIGHT * abs(float(points[1][2])), 1e-3)
-    out = [_Shape("base", 0, coal.Cylinder(base, height), _placed(np.array([0, 0, height / 2])), 0.0, base)]
-    for k in range(n):
-        vector = points[k + 1] - points[k]
-        length = float(np.linalg.norm(vector))
-        if length < 1e-6:
-            continue
-        pose = _placed(0.5 * (points[k] + points[k + 1]), vector / length)
-        own = float(radii[k])
-        out.append(_Shape(f"link {k + 1}", k + 1, coal.Capsule(own, length), pose, length + own, own))
-    if cell.size is not None:
-        x, y, z = cell.size
-        pose = np.asarray(robot.flange) @ detector.solver.mount
-        pose = pose @ _placed(np.array([0, 0, -0.5 * z]))
-        extent = float(np.linalg.norm(pose[:3, 3] - points[n - 1]) + 0.5 * np.linalg.norm(cell.size))
-        out.append(_Shape("detector", n, coal.Box(x, y, z), pose, extent))
-    return out
-
-
-def _obstacle(obstacle: Obstacle) -> _Shape:
-    match obstacle.shape:
-        case "box":
-            geometry = coal.Box(*obstacle.size)
-        case "cylinder":
-            geometry = coal.Cylinder(*obstacle.size)
-        case "capsule":
-            geometry = coal.Capsule(*obstacle.size)
-        case "sphere":
-            geometry = coal.Sphere(*obstacle.size)
-        case "mesh":
-            try:
-                geometry = coal.MeshLoader().load(str(obstacle.file), np.ones(3))
-                geometry.buildConvexHull(True, "Qt")
-            except (RuntimeError, ValueError) as error:
-                why = " ".join(str(error).partition("message:")[2].split()) or str(error)
-                raise CellError(f"obstacle {obstacle.name}: {obstacle.file} is no mesh: {why}") from None
-    return _Shape(obstacle.name, 0, geometry, np.asarray(obstacle.pose), 0.0)
-
-
-def _placed(middle: Array, z: Array | None = None) -> Array:
-    """A pose at ``middle`` with its z axis along ``z``."""
-    out = np.eye(4)
-    out[:3, 3] = middle
-    if z is not None:
-        x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
-        x /= np.linalg.norm(x)
-        out[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    return out

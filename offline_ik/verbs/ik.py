@@ -12,8 +12,8 @@ from clampid.verbs.output import Output
 from offline_ik.verbs.options import CellFile, Robot, numbers, opened
 
 if TYPE_CHECKING:
-    from offline_ik.answer import Answer, Solution
-    from offline_ik.detector import Detector
+    from offline_ik.answer import Solution
+    from offline_ik.ways import Ways
 
 __all__ = ["ik"]
 
@@ -44,6 +44,7 @@ def ik(
     out = Output(quiet, json)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
     from offline_ik.coordinates import check_target
+    from offline_ik.ways import ways_to
 
     turned = None if roll == "free" else (numbers("--roll", roll) or [0.0])[0]
     check_target(gamma, delta, r, turned or 0.0)
@@ -51,37 +52,29 @@ def ik(
     detector = opened(model, cell, robot, effects_from)
     with out.working("solving"):
         answer = detector.locate(gamma, delta, r, turned, near=here, branch=branch, direction="moved" if here else None)
-        data, answer = _data(detector, answer, here, approach)
+        ways = ways_to(detector, answer, start=here, branch=branch, approach=approach)
+        answer, data = ways.answer, _data(ways, branch, detector.notes)
     if pyfai and answer.reachable:
         from offline_ik.pyfai import pyfai_geometry
 
         data["pyfai"] = pyfai_geometry(detector.cell.convention, answer.target).to_json()
-    _show(answer, data, out)
+    for note in data["notes"]:
+        out.warn(note)
+    _show(ways, out)
     out.result(data)
 
 
-def _data(
-    detector: Detector, answer: Answer, here: list[float] | None, approach: bool
-) -> tuple[dict[str, Any], Answer]:
-    """The JSON, with the check of the way there and the approach where there is one."""
-    from offline_ik.approach import approach_through
-    from offline_ik.safety import check_path
-
-    way: list[Any] = [] if here is None else [detector.check_posture(here)]
-    approached = None
-    if approach and answer.reachable:
-        approached = approach_through(detector, answer, near=here)
-        answer = approached.answer
-        way.append(approached.through)
-    data = answer.to_json()
-    if approached is not None:
-        data["approach"] = approached.to_json()
-    if answer.reachable:
-        data["path"] = check_path(detector, [*way, answer.solutions[0].q]).to_json()
-    return data, answer
+def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
+    """The JSON; where all postures were asked for, each with the check of the way there."""
+    data = ways.answer.to_json() | ways.to_json()
+    data["notes"] = [*notes, *data.get("notes", ())]
+    if branch == "all":
+        data["solutions"] = [s | way.to_json() for s, way in zip(data["solutions"], ways.chosen, strict=True)]
+    return data
 
 
-def _show(answer: Answer, data: dict[str, Any], out: Output) -> None:
+def _show(ways: Ways, out: Output) -> None:
+    answer = ways.answer
     convention = answer.convention
     out.say(
         f"convention: {convention['name']}, {convention['order']}, beam {convention['beam']}, "
@@ -98,12 +91,11 @@ def _show(answer: Answer, data: dict[str, Any], out: Output) -> None:
                 f"{1e3 * n['distance_m']:.1f} mm away"
             )
         return
-    for solution in answer.solutions:
-        _show_solution(solution, out)
-    path = data["path"]
-    out.say("path: safe" if path["safe"] else f"path: refused: {'; '.join(path['reasons'])}")
-    if "approach" in data:
-        out.say(f"approach through a point, gain {1e6 * data['approach']['gain_m']:.0f} µm")
+    for way in ways.chosen:
+        _show_solution(way.solution, out)
+        out.say("path: safe" if way.path.safe else f"path: refused: {'; '.join(way.path.reasons)}")
+        if way.approach is not None:
+            out.say(f"approach through a point, gain {1e6 * way.approach.gain:.0f} µm")
 
 
 def _show_solution(solution: Solution, out: Output) -> None:

@@ -13,12 +13,12 @@ from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, opened
 
 if TYPE_CHECKING:
-    from offline_ik.protocol import RobotLink
+    from offline_ik.link import RobotLink
 
 __all__ = ["LINKS", "serve"]
 
 LINKS = "clampid.robot_links"
-"""Entry points that make a :class:`offline_ik.protocol.RobotLink` from HOST and PORT: ``connect(host, port)``."""
+"""Entry points that make a :class:`offline_ik.link.RobotLink` from HOST and PORT: ``connect(host, port)``."""
 
 
 def serve(
@@ -46,6 +46,8 @@ def serve(
         detector.warm_up()
     for what in detector.cell.assumed:
         out.warn(f"assumed, for want of a cell that says: {what}")
+    for note in detector.notes:
+        out.warn(note)
     if not is_loopback(host):
         out.warn(f"anyone who reaches {host} can ask, and move a linked robot: there is no password")
     serve_forever(speaker, host, port, out.say)

@@ -1,4 +1,7 @@
-"""The examples of the documentation run: every python and console block of a page, in order, in one folder."""
+"""The examples of the documentation run: every python and console block of a page, in order, in one folder.
+
+A file that a page prints lies in that folder, too, if a remark before it names it.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-# An optional remark before a block: "not run: …" leaves it out, "first: …" is run before it.
+# An optional remark before a block: "not run: …" leaves it out, "first: …" is run before it, "file: …" writes it there.
 BLOCK = re.compile(
-    r"(?:<!--(?P<remark>[^>]*?)-->\n)?```(?P<kind>python|console)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
+    r"(?:<!--(?P<remark>[^>]*?)-->\n)?```(?P<kind>python|console|toml)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
 )
 
 
@@ -34,6 +37,10 @@ def blocks(page: Path) -> list[Block]:
         remark = (match["remark"] or "").strip()
         line = content[: match.start("text")].count("\n") + 1
         if remark.startswith("not run") or (page.name == "README.md" and "make demo" in match["text"]):
+            continue
+        if match["kind"] == "toml":
+            if remark.startswith("file:"):
+                found.append(Block(remark.removeprefix("file:").strip(), match["text"], line))
             continue
         if remark.startswith("first:"):
             found.append(Block("console", f"$ {remark.removeprefix('first:').strip()}", line))
@@ -65,6 +72,9 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         where = f"{page.name}:{block.line}"
         if block.kind == "python":
             exec(compile("\n" * (block.line - 1) + block.text, str(page), "exec"), names)
+            continue
+        if block.kind != "console":
+            Path(block.kind).write_text(block.text, encoding="utf-8")
             continue
         script = "set -euo pipefail\n" + commands(block.text)
         done = subprocess.run(

@@ -215,7 +215,7 @@ def test_a_posture_that_is_none_is_refused(detector: Detector, near: list[float]
 def test_a_sample_inside_the_pedestal_is_refused() -> None:
     model = drawn_model()
     cell = default_cell(load_robot(model.robot))
-    with pytest.raises(CellError, match="inside base"):
+    with pytest.raises(CellError, match="inside the robot's base"):
         open_detector(model, replace(cell, convention=cell.convention.with_sample([0.0, 0.0, 0.1])))
 
 

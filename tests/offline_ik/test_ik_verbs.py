@@ -13,7 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ik_arms import drawn_model
 
+from clampid.model import save_model
 from offline_ik.detector import open_detector
 
 CLAMPID = Path(sys.executable).parent / "clampid"
@@ -43,6 +45,37 @@ def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file
     assert data["approach"]["gain_m"] > 0
     assert data["pyfai"]["dist"] == pytest.approx(0.8)
     assert data["convention"]["beam"][1] == pytest.approx(np.sqrt(0.5))
+    assert data["notes"] == []
+
+
+def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path) -> None:
+    model, out = tmp_path / "cold.json", tmp_path / "ik.json"
+    save_model(drawn_model(effects=("geometry",)), model)
+    done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)
+    assert done.returncode == 0, done.stderr
+    note = "the model has no effect of the link temperatures: they change nothing"
+    assert note in done.stderr
+    assert json.loads(out.read_text(encoding="utf-8"))["notes"] == [note]
+
+
+def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
+    model_file: Path, cell_file: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "ik.json"
+    asked = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.4", "--near=0.5,-0.2,1.2,3,-1.4,0", "--cell", cell_file)
+    done = run("ik", model_file, *asked, "--json", out)
+    assert done.returncode == 0, done.stderr
+    assert "the nearest posture is refused (sample stage" in done.stderr
+    assert "path: safe" in done.stdout
+    data = json.loads(out.read_text(encoding="utf-8"))
+    assert data["path"]["safe"] is True
+    assert "sample stage" in data["refused"][0]["reasons"][0]
+    done = run("ik", model_file, *asked, "--branch", "all", "--approach", "--json", out)
+    assert done.returncode == 0, done.stderr
+    solutions = json.loads(out.read_text(encoding="utf-8"))["solutions"]
+    assert {s["path"]["safe"] for s in solutions} == {True, False}
+    assert all(s["approach"]["gain_m"] > 0 for s in solutions)
+    assert done.stdout.count("path: ") == len(solutions)
 
 
 def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:

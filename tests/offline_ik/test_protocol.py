@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from ik_arms import drawn_arm
 
 from offline_ik.detector import Detector
 from offline_ik.protocol import WORDS, Session, Speaker
+from offline_ik.safety import check_path
 
+START = (0.1, -1.2, 1.2, 0.1, 0.4, 0.0)
 GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
 
 
@@ -76,7 +79,14 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
         (b"where gamma=0.3 delta=0.2 r=0.8 branch=best", "expected nearest, all"),
         (b"where gamma=0.3 delta=0.2 r=0.8 approach=maybe", "expected yes or no"),
         (b"path gamma=0.3 delta=0.2 r=0.8", "expected a posture to start from"),
+        (b"path gamma=0.3 delta=0.2 r=0.8 approach=maybe from=0,0,0,0,0,0", "expected yes or no"),
+        (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= beside gamma="),
         (b"start", "expected q="),
+        (b"at", "expected a posture"),
+        (b"at q=1,2", "expected 6 joint angles"),
+        (b"at q=nan,0,0,0,0,0", "finite"),
+        (b"at q=0,-90,90,0,0,0", "degrees"),
+        (b"stop", "no robot is linked"),
         (b"temperature", "expected link="),
         (b"temperature link=1,2", "expected 6 temperatures"),
         (b"temperature link=1,2,3,4,5,900", "expected 6 temperatures"),
@@ -139,12 +149,110 @@ def test_a_path_is_checked_along_its_length(speaker: Speaker) -> None:
     assert far["path"]["safe"] is False
 
 
+def test_a_path_with_an_approach_is_checked_on_both_legs(speaker: Speaker) -> None:
+    near = "0.1,-1.2,1.2,0.1,0.4,0"
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.8 approach=yes from={near}")
+    assert found["path"]["safe"] is True
+    through, end = np.array(found["approach"]["through_q_rad"]), np.array(found["solutions"][0]["q_rad"])
+    assert 1e-3 < np.abs(end - through).max() < 0.1
+    legs = [np.array([float(x) for x in near.split(",")]), through, end]
+    whole = check_path(speaker.detector, legs)
+    assert found["path"]["duration_s"] == pytest.approx(whole.duration, rel=1e-9)
+    assert whole.duration > check_path(speaker.detector, legs[::2]).duration
+    assert found["path"]["least_distance_m"] == pytest.approx(whole.clearance, rel=1e-9)
+
+
+BESIDE_THE_STAGE = "0.5,-0.2,1.2,3,-1.4,0"  # from here the nearest posture lies behind the sample stage
+
+
+def test_another_posture_is_taken_where_the_nearest_is_refused_and_that_is_said(speaker: Speaker) -> None:
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 from={BESIDE_THE_STAGE}")
+    assert found["path"]["safe"] is True
+    assert "the nearest posture is refused (sample stage" in found["notes"][0]
+    (refused,) = found["refused"]
+    assert "sample stage" in refused["reasons"][0]
+    start = np.array([float(x) for x in BESIDE_THE_STAGE.split(",")])
+    taken, nearest = found["solutions"][0]["q_rad"], refused["q_rad"]
+    assert np.abs(taken - start).max() > np.abs(nearest - start).max()
+    straight = say(speaker, f"path to={','.join(map(str, taken))} from={BESIDE_THE_STAGE}")
+    assert straight["path"]["safe"] is True
+
+
+def test_where_all_postures_are_asked_for_each_way_is_checked(speaker: Speaker) -> None:
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 branch=all from={BESIDE_THE_STAGE}")
+    assert {s["path"]["safe"] for s in found["solutions"]} == {True, False}
+    assert found["path"] == found["solutions"][0]["path"]
+    for solution in found["solutions"]:
+        alone = say(speaker, f"path to={','.join(map(str, solution['q_rad']))} from={BESIDE_THE_STAGE}")
+        assert alone["path"]["safe"] is solution["path"]["safe"]
+
+
+def test_a_branch_that_was_asked_for_is_kept_though_its_way_is_refused(speaker: Speaker) -> None:
+    every = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 branch=all from={BESIDE_THE_STAGE}")["solutions"]
+    bad = next(s for s in every if not s["path"]["safe"])
+    alone = f"S{bad['status']}T{bad['turn']}"
+    found = say(speaker, f"path gamma=0.3 delta=0.2 r=0.4 branch={alone} from={BESIDE_THE_STAGE}")
+    assert found["path"]["safe"] is False
+    assert np.allclose(found["solutions"][0]["q_rad"], bad["q_rad"], atol=1e-9)
+
+
 def test_temperatures_change_answers_for_all(speaker: Speaker) -> None:
     before = say(speaker, GOOD)["solutions"][0]["q_rad"]
     told = say(speaker, "temperature link=45,45,45,45,45,45")
     assert told["link_C"] == pytest.approx([45.0] * 6)
+    assert told["notes"] == []
     after = say(speaker, GOOD)["solutions"][0]["q_rad"]
     assert 1e-7 < np.abs(np.subtract(before, after)).max() < 1e-2
+
+
+def test_a_temperature_that_the_model_makes_nothing_of_is_said(speaker: Speaker, detector: Detector) -> None:
+    told = say(speaker, "temperature motor=45,45,45,45,45,45")
+    assert told["notes"] == ["the model has no effect of the motor temperatures: they change nothing"]
+    assert say(speaker, "state")["notes"] == told["notes"]
+    assert say(Speaker(detector), "state")["notes"] == []
+    cold = Speaker(Detector(drawn_arm(effects=("geometry",)), detector.cell))
+    assert "link temperatures" in say(cold, "state")["notes"][0]
+    q = say(cold, GOOD)["solutions"][0]["q_rad"]
+    say(cold, "temperature link=45,45,45,45,45,45")
+    assert say(cold, GOOD)["solutions"][0]["q_rad"] == q
+
+
+def test_at_is_where_the_other_way_round(speaker: Speaker) -> None:
+    near = "near=0.1,-1.2,1.2,0.1,0.4,0"
+    for asked in ((0.3, 0.2, 0.8, 0.0), (-0.2, 0.5, 0.6, 0.4)):
+        names = dict(zip(("gamma", "delta", "r", "roll"), asked, strict=True))
+        there = say(speaker, f"where {' '.join(f'{k}={v}' for k, v in names.items())} {near}")["solutions"][0]
+        q = ",".join(map(str, there["q_rad"]))
+        back = say(speaker, f"at q={q} {near}")
+        assert [back[k] for k in ("gamma_rad", "delta_rad", "r_m", "roll_rad")] == pytest.approx(asked, abs=1e-8)
+        assert np.abs(back["tilt_rad"]).max() < 1e-8
+        assert back["motor_rad"] == pytest.approx(there["motor_rad"], rel=1e-12)
+        assert back["tangential_std_m"] == pytest.approx(there["tangential_std_m"], rel=1e-5)
+        assert back["radial_std_m"] == pytest.approx(there["radial_std_m"], rel=1e-5)
+        # From the other side the clearances lie on the other flanks.
+        other = say(
+            speaker, f"at q={q} near={','.join(str(2 * a - b) for a, b in zip(there['q_rad'], START, strict=True))}"
+        )
+        assert 1e-7 < abs(other["gamma_rad"] - back["gamma_rad"]) < 1e-2
+
+
+def test_at_tells_a_normal_that_misses_the_sample_and_limits(speaker: Speaker) -> None:
+    q = say(speaker, GOOD)["solutions"][0]["q_rad"]
+    q[4] += 0.1
+    assert np.linalg.norm(say(speaker, f"at q={','.join(map(str, q))}")["tilt_rad"]) > 0.05
+    q[4] = 2.6
+    assert say(speaker, f"at q={','.join(map(str, q))}")["beyond_limits"] == [speaker.detector.robot.joints[4].name]
+    session = Session()
+    say(speaker, f"start q={','.join(map(str, q))}", session)
+    assert say(speaker, "at", session)["q_rad"] == q
+
+
+def test_stop_stops_the_linked_robot(detector: Detector) -> None:
+    arm = Arm(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+    speaker = Speaker(detector, arm)
+    assert say(speaker, "move gamma=0.35 delta=0.2 r=0.8")["moving"] is True
+    assert say(speaker, "stop")["link"] == {"moving": False}
+    assert arm.told == []
 
 
 def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
@@ -196,3 +304,19 @@ def test_the_seam_moves_a_robot_only_where_the_way_is_safe(detector: Detector) -
     assert not arm.told
     say(speaker, "move gamma=30 delta=0.2 r=0.8")
     assert not arm.told
+
+
+def test_a_move_goes_to_the_posture_that_was_found_safe(detector: Detector) -> None:
+    arm = Arm(np.array([float(x) for x in BESIDE_THE_STAGE.split(",")]))
+    found = say(Speaker(detector, arm), "move gamma=0.3 delta=0.2 r=0.4")
+    assert found["moving"] is True
+    assert len(found["refused"]) == 1
+    assert np.allclose(arm.told[0][0], [found["solutions"][0]["q_rad"]], atol=1e-9)
+
+
+def test_a_move_with_an_approach_goes_through_its_point(detector: Detector) -> None:
+    arm = Arm(np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0]))
+    found = say(Speaker(detector, arm), "move gamma=0.3 delta=0.2 r=0.8 approach=yes")
+    assert found["moving"] is True
+    through = [found["approach"]["through_q_rad"], found["solutions"][0]["q_rad"]]
+    assert np.allclose(arm.told[0][0], through, atol=1e-9)

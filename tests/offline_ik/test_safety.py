@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from ik_arms import drawn_arm
 
+from kinematics.description import load_robot
+from offline_ik.arm import nominal_arm
 from offline_ik.cell import Cell, Obstacle, default_cell
 from offline_ik.detector import Detector
 from offline_ik.errors import CellError
@@ -22,6 +24,12 @@ def placed(*obstacles: Obstacle, **changes: object) -> Detector:
     arm = drawn_arm(effects=("geometry",))
     cell: Cell = replace(default_cell(arm.robot), obstacles=obstacles, size=(0.2, 0.2, 0.1), **changes)  # type: ignore[arg-type]
     return Detector(arm, cell)
+
+
+def holding(size: tuple[float, float, float], ahead: float, **changes: object) -> Detector:
+    """A detector with its plane ``ahead`` of the flange, m."""
+    cell = replace(placed().cell, mount=at(np.array([0.0, 0.0, ahead])), size=size, **changes)  # type: ignore[arg-type]
+    return Detector(placed().arm, cell)
 
 
 def at(point: np.ndarray) -> np.ndarray:
@@ -102,6 +110,52 @@ def test_the_arm_does_not_fold_into_itself() -> None:
     assert all(name.startswith(("link", "base", "detector")) for name in report.between)
 
 
+@pytest.mark.parametrize(
+    ("size", "radius", "bent", "safe"),
+    [
+        (0.2, None, 1.5, True),
+        (0.2, None, 2.2, False),  # the capsule of the forearm by 9 mm
+        (0.5, None, 1.5, True),
+        (0.5, 0.01, 2.2, False),  # a forearm of 1 cm, too
+        (0.2, 0.01, 2.2, True),
+    ],
+)
+def test_the_wrist_does_not_fold_the_detector_into_the_forearm(
+    size: float, radius: float | None, bent: float, safe: bool
+) -> None:
+    thin = {} if radius is None else {"radius": np.array([0.1, 0.1, 0.1, radius, 0.01, 0.01])}
+    detector = holding((size, size, 0.1), 0.12, **thin)
+    straight = np.array([0.0, -1.2, 1.2, 0.0, 0.0, 0.0])
+    report = check_path(detector, [straight, straight + np.array([0, 0, 0, 0, bent, 0])])
+    assert report.safe is safe, report.reasons
+    assert safe or report.between == ("link 4", "detector")
+
+
+@pytest.mark.parametrize("name", ["abb_irb1200_5_09", "kuka_kr16_2", "kuka_kr20_r1810", "staubli_tx40"])
+def test_a_detector_close_to_the_wrist_is_kept_off_the_forearm_only_where_the_wrist_bends(name: str) -> None:
+    robot = load_robot(name)
+    reach = float(np.linalg.norm(robot.flange[:3, 3] - np.asarray(robot.joints[5].point)))
+    cell = replace(default_cell(robot), size=(6 * reach, 6 * reach, 0.9 * reach))
+    detector = Detector(nominal_arm(robot), cell)
+    straight = np.zeros(6)  # of every description here
+    assert check_path(detector, straight).safe
+    bent = straight + np.array([0.0, 0.0, 0.0, 0.0, 0.9 * detector.upper[4], 0.0])
+    assert "detector" in check_path(detector, bent).between
+    assert not check_path(detector, bent).safe
+
+
+def test_a_wall_beside_the_first_link_is_checked_and_what_the_robot_stands_on_is_not() -> None:
+    upright = np.array([0.0, -np.pi / 2, 0.3, 0.0, 0.5, 0.0])
+    turned = upright + np.array([-np.pi / 2, 0, 0, 0, 0, 0])  # axis 1 points down: the shoulder goes to +y
+    pedestal = Obstacle("pedestal", "box", (0.6, 0.6, 0.5), at(np.array([0.0, 0.0, -0.25])))
+    assert check_path(placed(pedestal), [upright, turned]).safe
+    wall = Obstacle("wall", "box", (1.0, 0.02, 0.3), at(np.array([0.0, 0.28, 0.25])))
+    assert check_path(placed(pedestal, wall), upright).safe
+    report = check_path(placed(pedestal, wall), [upright, turned])
+    assert not report.safe
+    assert report.between == ("wall", "link 1")
+
+
 def test_a_limit_and_a_number_that_is_none_are_named() -> None:
     detector = placed()
     beyond = END.copy()
@@ -125,3 +179,31 @@ def test_a_sample_in_an_obstacle_is_refused_unless_it_may_be_there() -> None:
     with pytest.raises(CellError, match="inside stage"):
         placed(stage)
     assert placed(replace(stage, holds_sample=True)).cell.obstacles[0].holds_sample
+
+
+def about(sample: tuple[float, float, float], *obstacles: Obstacle, **changes: object) -> Detector:
+    cell = placed(*obstacles, **changes).cell
+    return Detector(placed().arm, replace(cell, convention=cell.convention.with_sample(sample)))
+
+
+@pytest.mark.parametrize("height", [0.45, 0.0, -0.3, -5.0])
+def test_a_sample_in_the_robots_column_is_refused(height: float) -> None:
+    with pytest.raises(CellError, match="the robot's base"):
+        about((0.05, 0.0, height))
+
+
+def test_a_sample_under_the_base_is_one_where_the_cell_says_what_is_there() -> None:
+    plate = Obstacle("plate", "box", (0.6, 0.6, 0.1), at(np.array([0.0, 0.0, -0.05])))
+    under = (0.05, 0.0, -0.3)
+    assert about(under, plate).cell.convention.sample == under
+    with pytest.raises(CellError, match="inside plate"):
+        about((0.05, 0.0, -0.05), plate)
+    with pytest.raises(CellError, match="the robot's base"):
+        about((0.05, 0.0, 0.1), plate)
+
+
+def test_under_a_hung_robot_there_is_no_pedestal() -> None:
+    under = (0.05, 0.0, -0.3)
+    assert about(under, gravity=(0.0, 0.0, 9.81)).cell.convention.sample == under
+    with pytest.raises(CellError, match="the robot's base"):
+        about((0.05, 0.0, 0.45), gravity=(0.0, 0.0, 9.81))

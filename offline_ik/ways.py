@@ -1,0 +1,163 @@
+"""The ways to the postures of an answer, checked: every one where all are asked for, or the nearest that is safe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from offline_ik.approach import Approach, approach_through
+from offline_ik.branches import parse_choice
+from offline_ik.safety import PathReport, check_path
+
+if TYPE_CHECKING:
+    from offline_ik.answer import Answer, Solution
+    from offline_ik.detector import Detector
+
+__all__ = ["Way", "Ways", "ways_to"]
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Way:
+    """A move to one posture.
+
+    Attributes
+    ----------
+    solution
+        Where it ends; solved for the approach, where there is one.
+    path
+        What its check found.
+    approach
+        Through which point it comes; None: straight.
+    """
+
+    solution: Solution
+    path: PathReport
+    approach: Approach | None = None
+
+    @property
+    def postures(self) -> Array:
+        """What to move through ``(m, n)``, rad, without where it begins."""
+        end = self.solution.q
+        return np.array([end] if self.approach is None else [self.approach.through, end])
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: ``path``, and ``approach`` where there is one."""
+        told: dict[str, Any] = {} if self.approach is None else {"approach": self.approach.to_json()}
+        return {**told, "path": self.path.to_json()}
+
+
+@dataclass(frozen=True)
+class Ways:
+    """What became of the ways to an answer's postures.
+
+    Attributes
+    ----------
+    answer
+        With the postures of ``chosen``.
+    chosen
+        One for each posture, in the same order; none where the position is not reachable.
+    refused
+        Postures that were checked and refused, and for which another stands or which would have been no better.
+    """
+
+    answer: Answer
+    chosen: tuple[Way, ...]
+    refused: tuple[Way, ...] = ()
+
+    @property
+    def instead(self) -> str | None:
+        """What to say where the posture at the head is not the nearest, or no other one is safe either."""
+        if not self.refused:
+            return None
+        if self.chosen[0].path.safe:
+            why = "; ".join(self.refused[0].path.reasons)
+            return f"the nearest posture is refused ({why}); this is the nearest of those that are safe"
+        return f"none of the {1 + len(self.refused)} postures is safe; this is the nearest"
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: of the posture at the head, and what was refused."""
+        if not self.chosen:
+            return {}
+        told = self.chosen[0].to_json()
+        if self.refused:
+            told["refused"] = [{"q_rad": w.solution.q.tolist(), "reasons": list(w.path.reasons)} for w in self.refused]
+            told["notes"] = [self.instead]
+        return told
+
+
+def ways_to(
+    detector: Detector,
+    answer: Answer,
+    *,
+    start: Sequence[float] | Array | None = None,
+    branch: str = "nearest",
+    approach: bool = False,
+) -> Ways:
+    """Check the ways to the postures of an answer.
+
+    Parameters
+    ----------
+    answer
+        As :meth:`offline_ik.detector.Detector.locate` gave it for ``branch``, from ``start``.
+    start
+        ``(n,)``: where the move begins, rad; without it only the places are checked.
+    branch
+        ``all``: every posture is checked. Otherwise the first; where it is refused the other postures that the branch
+        allows are tried, the nearest first.
+    approach
+        Come through an intermediate point, see :mod:`offline_ik.approach`.
+
+    Raises
+    ------
+    TargetError
+        ``start`` is no posture, or ``branch`` no choice.
+    """
+    if not answer.solutions:
+        return Ways(answer, ())
+    start = None if start is None else detector.check_posture(start, "start")
+    chosen = tuple(_way(detector, answer, s, start, approach) for s in answer.solutions)
+    if branch == "all" or chosen[0].path.safe:
+        return Ways(_with(answer, chosen), chosen)
+    refused = list(chosen[:1])
+    for solution in _others(detector, answer, start, branch):
+        way = _way(detector, answer, solution, start, approach)
+        if way.path.safe:
+            return Ways(_with(answer, (way,)), (way,), tuple(refused))
+        refused.append(way)
+    return Ways(_with(answer, chosen), chosen, tuple(refused[1:]))
+
+
+def _with(answer: Answer, ways: tuple[Way, ...]) -> Answer:
+    return answer._replace(solutions=tuple(way.solution for way in ways))
+
+
+def _way(detector: Detector, answer: Answer, solution: Solution, start: Array | None, approach: bool) -> Way:
+    begin = [] if start is None else [start]
+    if not approach:
+        return Way(solution, check_path(detector, [*begin, solution.q]))
+    through = approach_through(detector, answer._replace(solutions=(solution,)), near=start)
+    end = through.answer.solutions[0]
+    return Way(end, check_path(detector, [*begin, through.through, end.q]), through)
+
+
+def _others(detector: Detector, answer: Answer, start: Array | None, branch: str) -> list[Solution]:
+    """The postures beside the first one that the branch allows, the nearest first."""
+    gamma, delta, r = (answer.asked[name] for name in ("gamma_rad", "delta_rad", "r_m"))
+    if gamma is None or delta is None or r is None:  # of an answer, none is
+        return []
+    first, choice = answer.solutions[0], parse_choice(branch)
+    every = detector.locate(
+        gamma, delta, r, first.roll, near=start, branch="all", direction=None if start is None else "moved",
+        nearest=False,
+    )  # fmt: skip
+    ortho, linkage = detector.solver.ortho, detector.solver.linkage
+    return [s for s in every.solutions if choice.allows(ortho, linkage @ s.q) and np.abs(s.q - first.q).max() > SAME]
+
+
+SAME = 1e-4  # rad: another flank of the same posture
