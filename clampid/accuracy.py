@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from clampid.fitting.descent import newton_step
+from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
@@ -177,13 +178,15 @@ def stage_errors(
 ) -> StageErrors:
     """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation.
 
-    ``floor``: where a better model of the same rows knows their noise; else it is the estimate's own.
+    Single rows of a verification table that are wrong do not count, as in a fit. ``floor``: where a better model of the
+    same rows knows their noise; else it is the estimate's own.
     """
     fitted = estimate.experiment.rows
     floor = floor or noise_floor(fitted, estimate.residual)
     count = len(estimate.slots)
     if verification is not None:
-        test, residual = verification, predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
+        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
+        test = without_outlying(verification, residual)
     elif held and any(held):
         test = rows.take(np.flatnonzero(rows.in_folds(held)))
         residual = predicted(estimate.experiment.with_rows(test), estimate.theta[:count])

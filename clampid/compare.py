@@ -15,7 +15,7 @@ from clampid.compensation import Compensation, compensation_of
 from clampid.curves import angle_errors, shared_curve
 from clampid.effect import Stage
 from clampid.fitted_stage import fit_stage
-from clampid.fitting.fit import fit
+from clampid.fitting.fit import fit, without_outlying
 from clampid.identify import TABLES_OF, held_out_folds
 from clampid.model import Model, ModelError, StageModel
 from clampid.placing import placing
@@ -156,7 +156,8 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     test, test_residual = rows, residual
     verification = opened.verification() if stage == "poses" else None
     if verification is not None:
-        test, test_residual = verification, predicted(trial.with_rows(verification), model.theta)
+        test_residual = predicted(trial.with_rows(verification), model.theta)
+        test = without_outlying(verification, test_residual)
         tested = np.ones(len(test), dtype=bool)
     elif opened.session is None or any(held):
         tested = ~fitted
@@ -197,6 +198,8 @@ def _table(
     }
     seen = test.used[:, 0] if poses else test.used.any(axis=1)
     entry["heldout"] = {"rows": int((chosen & seen).sum()), **_numbers(test, test_residual, chosen, floor)}
+    if wrong := [int(row) for row in test.row[chosen & ~seen & (test.table == "verification")]]:
+        entry["heldout"]["outliers"] = wrong
     if not poses:
         entry["per_motor"] = [
             {

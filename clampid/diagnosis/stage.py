@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from clampid.accuracy import noise_floor
+import numpy as np
+
+from clampid.accuracy import noise_floor, predicted
 from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.entries import (
     considered_of,
@@ -23,9 +25,10 @@ from clampid.diagnosis.separators import separating_measurement
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Refit, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
-from clampid.diagnosis.words import omission_of, outliers_of, summary_of
+from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
+from clampid.fitting.fit import without_outlying
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Rows
 
@@ -58,9 +61,12 @@ def diagnose_stage(
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
+    result.outliers = outliers_of(fitted.estimate)
+    if verification is not None:
+        verification, wrong = _without_wrong_rows(fitted.estimate, verification)
+        result.outliers += wrong
     bench = Bench(effects, refit, verification, floor, seed, flips)
     result.noise_floor = floor.norm if stage == "poses" else 1.0
-    result.outliers = outliers_of(fitted.estimate)
     held = bench.held_out(fitted)
     result.before = result.after = held.rms
     first = fitted.estimate
@@ -129,6 +135,14 @@ def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) 
     result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
     if look.fires and look.probe is not None:
         result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
+
+
+def _without_wrong_rows(estimate: Estimate, verification: Rows) -> tuple[Rows, list[dict[str, Any]]]:
+    """A verification table without single rows that are wrong, and these rows."""
+    residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[: len(estimate.slots)])
+    kept = without_outlying(verification, residual)
+    bad = np.any(verification.used & ~kept.used, axis=1)
+    return kept, listed_outliers(verification, residual, bad)
 
 
 def _something_left(look: Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:

@@ -10,21 +10,22 @@ import numpy as np
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, find_parameter
+from clampid.stages.rows import Array, Bools, Rows
 
-__all__ = ["omission_of", "outliers_of", "summary_of"]
+__all__ = ["listed_outliers", "omission_of", "outliers_of", "summary_of"]
 
 
 def outliers_of(estimate: Estimate) -> list[dict[str, Any]]:
     """The rows that the fit has rejected, and the size of their residual: m of a point, Nm over all motors."""
-    rows = estimate.experiment.rows
+    return listed_outliers(estimate.experiment.rows, estimate.residual, estimate.outliers)
+
+
+def listed_outliers(rows: Rows, residual: Array, bad: Bools) -> list[dict[str, Any]]:
+    """Rows marked ``(N,)``, and the size of their residual ``(N, m)``: m of a point, Nm over all motors."""
     width = 3 if rows.stage == "poses" else rows.robot.n
     return [
-        {
-            "table": str(rows.table[i]),
-            "row": int(rows.row[i]),
-            "size": float(np.linalg.norm(estimate.residual[i, :width])),
-        }
-        for i in np.flatnonzero(estimate.outliers)
+        {"table": str(rows.table[i]), "row": int(rows.row[i]), "size": float(np.linalg.norm(residual[i, :width]))}
+        for i in np.flatnonzero(bad)
     ]
 
 

@@ -18,7 +18,7 @@ from clampid.stages.clamped import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Rows
 
-__all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit"]
+__all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit", "outlying", "without_outlying"]
 
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
@@ -55,7 +55,7 @@ def fit(
     theta = _kept_first(experiment, theta, model, precision, mean)
     estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
     for _ in range(OUTLIER_PASSES if reject else 0):
-        bad = _outliers(experiment.rows, estimate.residual) & ~rejected
+        bad = outlying(experiment.rows, estimate.residual) & ~rejected
         if not bad.any() or (bad | rejected).mean() > OUTLIER_SHARE:
             break
         rejected |= bad
@@ -137,7 +137,7 @@ def _absorbed(estimate: Estimate) -> Array | None:
     return np.asarray(jacobian @ root)
 
 
-def _outliers(rows: Rows, residual: Array) -> Bools:
+def outlying(rows: Rows, residual: Array) -> Bools:
     """Rows far beyond what a clean table would show; scales are medians, so that the outliers do not set them.
 
     Outliers are single rows. Where most rows of a block of a sweep are off, something has happened there: with 5 % of
@@ -158,3 +158,15 @@ def _outliers(rows: Rows, residual: Array) -> Bools:
     if rows.stage == "clamped":
         out &= np.bincount(rows.unit, out)[rows.unit] <= BLOCK_ROWS // 2
     return out
+
+
+def without_outlying(rows: Rows, residual: Array) -> Rows:
+    """Rows that no fit has seen, those that are wrong no longer used: as in a fit, if they are not too many for that.
+
+    Parameters
+    ----------
+    residual
+        ``(N, m)``: of the prediction.
+    """
+    bad = outlying(rows, residual)
+    return rows.without(bad) if bad.any() and bad.mean() <= OUTLIER_SHARE else rows
