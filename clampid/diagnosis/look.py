@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.diagnosis.candidates import Candidate, columns_of, named_candidates
+from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
@@ -62,7 +63,12 @@ class Look:
 
 
 def look_at(
-    estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate] = ()
+    estimate: Estimate,
+    effects: dict[str, Effect],
+    flips: int,
+    seed: int,
+    granted: Sequence[Candidate] = (),
+    block: int = 1,
 ) -> Look:
     """Score both dictionaries on what a fit leaves, with their nulls.
 
@@ -72,8 +78,10 @@ def look_at(
         How many sign flips make a null, and their stream; the probes' is the next one.
     granted
         Candidates that are not fitted, and what they could explain is no evidence of anything else.
+    block
+        Of poses: how many consecutive visits the null flips together.
     """
-    space = space_of(estimate).beside(columns_of(estimate, granted))
+    space = space_of(estimate, blocks_of_visits(estimate.experiment.rows, block)).beside(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
@@ -143,7 +151,7 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
         if other.bic < best.bic - SAME:
             continue  # what needs more numbers explains what the simpler one does, and is no rival for it
         if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
-            found.setdefault((other.candidate.name, other.candidate.places), other)
+            found.setdefault((other.candidate.family, other.candidate.places), other)
     kept = [
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
     ]

@@ -61,6 +61,7 @@ class StageDiagnosis:
     exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
+    warnings: list[str] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
 
@@ -90,6 +91,7 @@ class StageDiagnosis:
             "depends_on": self.depends_on,
             "shape": self.shape,
             "outliers": self.outliers,
+            "warnings": self.warnings,
             "next_measurement": self.next_measurement,
             "next_poses": None if self.next_poses is None else self.next_poses.to_json(),
             "omission": self.omission,

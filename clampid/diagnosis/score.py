@@ -230,8 +230,8 @@ def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
     return log_tail(np.asarray(explained) * (2.0 * mean / variance), 2.0 * mean**2 / variance)
 
 
-def space_of(estimate: Estimate) -> Space:
-    """The residual and absorbed span of an estimate."""
+def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
+    """The residual and absorbed span of an estimate; ``unit`` ``(N,)``: what the null flips, else the rows' own."""
     white = estimate.whitened
     size = estimate.experiment.sizes()
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
@@ -246,7 +246,7 @@ def space_of(estimate: Estimate) -> Space:
     basis = np.asarray(Q, dtype=float)[:, : int(np.sum(size_R > 1e-10 * size_R.max(initial=0.0)))]
     residual = residual - basis @ (basis.T @ residual)
     count = len(white.residual)
-    unit = estimate.experiment.rows.unit[white.entry]
+    unit = (estimate.experiment.rows.unit if unit is None else unit)[white.entry]
     units = np.r_[unit, unit.max(initial=0) + 1 + np.arange(len(root))]
     freedom = max(count - basis.shape[1], 1)
     scale = float(np.sqrt(residual @ residual / freedom))

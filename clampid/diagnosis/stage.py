@@ -9,6 +9,7 @@ import numpy as np
 
 from clampid.accuracy import noise_floor, predicted
 from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
+from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
     considered_of,
     entry_of,
@@ -58,6 +59,33 @@ def diagnose_stage(
     propose
         Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
     """
+    result = _looked_through(fitted, effects, refit, verification, seed, flips, propose, 1)
+    if result.stage != "poses" or result.fitted is None:
+        return result
+    drift = drift_of(result.fitted.estimate)
+    if drift is None:
+        return result
+    if drift.block > 1:  # once more, now that it is known how long what is left goes on
+        result = _looked_through(fitted, effects, refit, verification, seed, flips, propose, drift.block)
+    if result.verdict == "unknown" and not result.depends_on:
+        result.depends_on = ["time"]
+        result.summary = summary_of(result)
+    result.warnings.append(drift.sentence)
+    result.summary = f"{result.summary} {drift.sentence}"
+    return result
+
+
+def _looked_through(
+    fitted: FittedStage,
+    effects: dict[str, Effect],
+    refit: Refit,
+    verification: Rows | None,
+    seed: int,
+    flips: int,
+    propose: Propose | None,
+    block: int,
+) -> StageDiagnosis:
+    """One diagnosis; ``block``: how many consecutive visits of poses are one to its tests."""
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
@@ -65,7 +93,7 @@ def diagnose_stage(
     if verification is not None:
         verification, wrong = _without_wrong_rows(fitted.estimate, verification)
         result.outliers += wrong
-    bench = Bench(effects, refit, verification, floor, seed, flips)
+    bench = Bench(effects, refit, verification, floor, seed, flips, block)
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     held = bench.held_out(fitted)
     result.before = result.after = held.rms

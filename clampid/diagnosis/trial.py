@@ -11,6 +11,7 @@ import numpy as np
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
+from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of, variants_of
 from clampid.diagnosis.score import Scored, canonical
@@ -46,6 +47,8 @@ class HeldOut:
         What noise alone leaves.
     noise
         Of the estimate's own residuals.
+    block
+        Of poses: how many consecutive visits are one to a test.
     """
 
     rms: float
@@ -53,6 +56,7 @@ class HeldOut:
     residual: Array
     floor: Floor
     noise: Noise
+    block: int = 1
 
     @property
     def squares(self) -> Array:
@@ -73,14 +77,14 @@ class HeldOut:
         everywhere lowers by more than that noise, and for whitened ones, which see what is brief. The noise is to be
         that of the larger model: what an effect leaves in a model without it looks like noise that lasts.
         """
-        p = held_out_p(self.squares, other.squares, self.rows.unit, seed)
+        p = held_out_p(self.squares, other.squares, blocks_of_visits(self.rows, self.block), seed)
         if self.rows.stage == "poses":
             return p
         white = held_out_p(self.white_squares(noise), other.white_squares(noise), self.rows.unit, seed)
         return min(2.0 * min(p, white), 1.0)
 
 
-def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int) -> HeldOut:
+def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int, block: int = 1) -> HeldOut:
     """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds."""
     count = len(estimate.slots)
     if verification is not None:
@@ -88,7 +92,7 @@ def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: 
         rows, residual = verification, predicted(trial, estimate.theta[:count])
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
-    return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise)
+    return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise, block)
 
 
 @dataclass(frozen=True)
@@ -144,14 +148,15 @@ class Bench:
     floor: Floor
     seed: int
     flips: int
+    block: int = 1
 
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
-        return look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted)
+        return look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's errors on rows that it has not seen."""
-        return held_out(fitted.estimate, self.verification, self.floor, self.seed)
+        return held_out(fitted.estimate, self.verification, self.floor, self.seed, self.block)
 
     def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.

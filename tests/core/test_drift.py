@@ -1,0 +1,65 @@
+"""Noise that goes on from visit to visit raises a warning, and independent noise does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clampid.diagnose import diagnose
+from clampid.diagnosis.drift import blocks_of_visits, drift_of
+from clampid.identify import identify
+from clampid.reopen import reopen
+from experiments.campaign import Campaign
+
+NOISE = 6e-5  # m
+
+
+def drifting(campaign: Campaign, correlation: float, seed: int) -> Campaign:
+    """The campaign with a wandering instrument: AR(1) from visit to visit, by coordinate."""
+    rng = np.random.default_rng(seed)
+    table = campaign.tables["poses"].copy()
+    time = table.groupby(["pose", "visit"])["time_s"].transform("mean").to_numpy()
+    times, visit = np.unique(time, return_inverse=True)
+    wander, now = np.zeros((len(times), 3)), rng.normal(size=3)
+    for k in range(len(times)):
+        now = correlation * now + np.sqrt(1 - correlation**2) * rng.normal(size=3)
+        wander[k] = now
+    table[["x_m", "y_m", "z_m"]] += NOISE * wander[visit]
+    return replace(campaign, tables={**campaign.tables, "poses": table})
+
+
+def clean(simulated, seed: int) -> Campaign:
+    return simulated(seed=seed, poses=150, tables=("poses",), robot="ur10")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_wandering_noise_is_warned_of(simulated, seed: int):
+    campaign = drifting(clean(simulated, seed), 0.9, seed)
+    verdict = diagnose(identify([campaign]), campaign).stages["poses"]
+    assert "second run in another order" in verdict.warnings[0]
+    assert verdict.summary.endswith(verdict.warnings[0])
+
+
+def test_independent_noise_is_not(simulated):
+    """Of forty fits one in a hundred may: at most three."""
+    warned = 0
+    for seed in range(1, 5):
+        base = clean(simulated, seed)
+        for k in range(10):
+            campaign = drifting(base, 0.0, 100 * seed + k)
+            warned += drift_of(reopen(identify([campaign]), campaign).refit("poses").estimate) is not None
+    assert warned <= 3
+
+
+def test_blocks_are_consecutive_visits(simulated):
+    campaign = clean(simulated, 1)
+    rows = reopen(identify([campaign]), campaign).rows("poses")
+    block = blocks_of_visits(rows, 5)
+    for b in np.unique(block)[:-1]:
+        assert len(np.unique(rows.unit[block == b])) == 5
+    time = rows.constants["time"]
+    ends = [(time[block == b].min(), time[block == b].max()) for b in np.unique(block)]
+    assert all(a[1] < b[0] for a, b in zip(ends[:-1], ends[1:], strict=True))
+    assert blocks_of_visits(rows, 1) is rows.unit
