@@ -168,11 +168,20 @@ def _normal(J: Array, r: Array) -> tuple[Array, Array]:
 
 
 def stage_errors(
-    estimate: Estimate, rows: Rows, held: Sequence[Sequence[int]], verification: Rows | None, seed: int
+    estimate: Estimate,
+    rows: Rows,
+    held: Sequence[Sequence[int]],
+    verification: Rows | None,
+    seed: int,
+    floor: Floor | None = None,
 ) -> StageErrors:
-    """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation."""
+    """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation.
+
+    ``floor``: what torques are measured in, so that models can be compared; the estimate's own by default.
+    """
     fitted = estimate.experiment.rows
-    floor = noise_floor(fitted, estimate.residual)
+    if floor is None:
+        floor = noise_floor(fitted, estimate.residual)
     count = len(estimate.slots)
     if verification is not None:
         test, residual = verification, predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])

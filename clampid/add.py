@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import StageErrors
+from clampid.accuracy import Floor, StageErrors
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.result import Step
@@ -189,11 +189,12 @@ def _stage_with(
         rows = stage_rows(opened.campaigns, opened.layout, stage, opened.base, accelerating=kind[0], resting=kind[1])
         fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, told)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
-        return fitted, verification, fitted.errors(verification, seed)
+        return fitted, verification, fitted.errors(verification, seed, floor)
 
+    floor: Floor | None = None  # of all rounds that of the first fit: what is missing looks like noise in part
     kind = acting((*model.terms, *(steps[0].terms if steps else ())))
     fitted, verification, errors = begin(model, kind)
-    unmended, first = fitted, errors
+    unmended, first, floor = fitted, errors, fitted.floor
     rounds: list[Round] = []
     left_out: list[Step] = []
     for step in steps:
@@ -209,7 +210,7 @@ def _stage_with(
         old, worse = fitted.model, errors
         every = (*old.terms, *new_terms)
         fitted = fit_stage(fitted.rows, effects, every, before, {**shapes, **old.values()}, held, told)
-        errors = fitted.errors(verification, seed)
+        errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out))
 

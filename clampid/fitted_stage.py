@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from clampid.accuracy import StageErrors, stage_errors
+from clampid.accuracy import Floor, StageErrors, noise_floor, stage_errors
 from clampid.agreement import Agreement
 from clampid.base_parameters import base_parameters
 from clampid.begin import begun
@@ -57,9 +57,14 @@ class FittedStage:
     contradicted: tuple[Agreement, ...] = ()
     universal: Mapping[str, Any] | None = None
 
-    def errors(self, verification: Rows | None, seed: int) -> StageErrors:
-        """Errors on fitted and held-out rows."""
-        return stage_errors(self.estimate, self.rows, self.model.held_out, verification, seed)
+    def errors(self, verification: Rows | None, seed: int, floor: Floor | None = None) -> StageErrors:
+        """Errors on fitted and held-out rows; torques in units of ``floor``, by default of this fit's own noise."""
+        return stage_errors(self.estimate, self.rows, self.model.held_out, verification, seed, floor)
+
+    @property
+    def floor(self) -> Floor:
+        """What noise alone leaves."""
+        return noise_floor(self.estimate.experiment.rows, self.estimate.residual)
 
     @property
     def evidence(self) -> dict[str, Any]:
