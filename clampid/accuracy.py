@@ -178,11 +178,12 @@ def stage_errors(
 ) -> StageErrors:
     """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation.
 
-    Single rows of a verification table that are wrong do not count, as in a fit. ``floor``: where a better model of the
-    same rows knows their noise; else it is the estimate's own.
+    Single rows of a verification table that are wrong do not count, as in a fit. ``floor``: what torques are measured
+    in, so that models can be compared; the estimate's own by default.
     """
     fitted = estimate.experiment.rows
-    floor = floor or noise_floor(fitted, estimate.residual)
+    if floor is None:
+        floor = noise_floor(fitted, estimate.residual)
     count = len(estimate.slots)
     if verification is not None:
         residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import StageErrors
+from clampid.accuracy import Floor, StageErrors
 from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.result import Step
@@ -189,11 +189,12 @@ def _stage_with(
         rows = stage_rows(opened.campaigns, opened.layout, stage, opened.base, accelerating=kind[0], resting=kind[1])
         fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, told)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
-        return fitted, verification, fitted.errors(verification, seed)
+        return fitted, verification, fitted.errors(verification, seed, floor)
 
+    floor: Floor | None = None  # of all rounds that of the first fit: what is missing looks like noise in part
     kind = acting((*model.terms, *(steps[0].terms if steps else ())))
     fitted, verification, errors = begin(model, kind)
-    unmended, first = fitted, None
+    unmended, first, floor = fitted, errors, fitted.floor
     rounds: list[Round] = []
     left_out: list[Step] = []
     for step in steps:
@@ -206,15 +207,12 @@ def _stage_with(
         if not new_terms:
             left_out.append(step)
             continue
-        old, every = fitted, (*fitted.model.terms, *new_terms)
-        fitted = fit_stage(fitted.rows, effects, every, before, {**shapes, **old.model.values()}, held, told)
-        errors = fitted.errors(verification, seed)
-        # A log's noise is learned from what a model leaves. Both are judged by what the better one leaves: a ripple
-        # that was taken for noise would make the error seem to rise when it is gone.
-        worse = old.errors(verification, seed, fitted.floor)
-        first = first or worse
-        rounds.append(_round(old.model, fitted.model, worse, errors, step.evidence))
-    return _Mended(unmended, fitted, first or errors, errors, tuple(rounds), tuple(left_out))
+        old, worse = fitted.model, errors
+        every = (*old.terms, *new_terms)
+        fitted = fit_stage(fitted.rows, effects, every, before, {**shapes, **old.values()}, held, told)
+        errors = fitted.errors(verification, seed, floor)
+        rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
+    return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out))
 
 
 def _round(

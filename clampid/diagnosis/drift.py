@@ -46,7 +46,8 @@ class Drift:
         """For people."""
         return (
             f"What is left goes on from visit to visit (correlation {self.correlation:.2f}): robot or instrument have "
-            "drifted. What depends on time or temperature cannot be told from that without a second run in another order."
+            "drifted. What depends on time or temperature cannot be told from that without a second run in another "
+            "order."
         )
 
 

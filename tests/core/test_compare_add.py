@@ -13,6 +13,7 @@ from clampid.compare import compare
 from clampid.effect import EffectError
 from clampid.identify import identify
 from clampid.model import Model, ModelError
+from clampid.reopen import reopen
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]
@@ -163,6 +164,17 @@ def test_add_in_torques(torques: Campaign, torque_model: Model):
     stage = addition.to_json()["stages"]["free_air"]
     assert stage["unit"] == "sigma"
     assert stage["heldout_rms_after"] < stage["heldout_rms_before"]
+
+
+def test_errors_before_and_after_are_in_the_same_unit(torques: Campaign):
+    """A friction that is missing looks like noise in part: by its own noise, each model's error is another's number."""
+    first = identify(torques, {"free_air": ("gravity", "coulomb_friction")})
+    mended, addition = add(first, torques, ["free_air=viscous_friction"])
+    before, after = (reopen(model, torques).refit("free_air") for model in (first, mended))
+    stage = addition.stages["free_air"]
+    assert stage.before.heldout_rms == pytest.approx(first.ledger[-1].heldout_rms, rel=1e-5)
+    assert stage.after.heldout_rms == pytest.approx(after.errors(None, 0, before.floor).heldout_rms, rel=1e-5)
+    assert after.errors(None, 0).heldout_rms > 1.005 * stage.after.heldout_rms
 
 
 def test_add_without_a_place_goes_wherever_it_can_be_told(eccentric: Campaign, eccentric_model: Model):
