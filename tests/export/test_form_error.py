@@ -7,6 +7,7 @@ import io
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -116,9 +117,22 @@ def test_links_have_the_temperatures_of_the_session(make_model: Make) -> None:
     assert "24 to 30 degC" in str(found)
 
 
-def test_what_is_the_instruments_is_not_the_robots(make_model: Make) -> None:
-    model = with_slots(make_model(ROBOT, size=0.0), {Slot("instrument_scale", "s", "instrument"): 1e-3})
-    found = left(model)
+OWN = """
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+EFFECT = Effect(
+    name="refraction", family="instrument_scale", acts={"measurement": lambda p, x: rows(p.a * x.q[0], 0, 0)},
+    parameters=(Parameter("a", "m", 1e-3, meaning="by the angle of joint 1"),), needs=("q",), stages=("poses",),
+    equation="dx = a q_1", source=("ISO9283",), at="instrument",
+)
+"""
+
+
+def test_what_is_the_instruments_is_not_the_robots(make_model: Make, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    slots = {Slot("instrument_scale", "s", "instrument"): 1e-3, Slot("refraction", "a", "instrument"): 1e-3}
+    found = left(with_slots(make_model(ROBOT, size=0.0), slots), user_effects=tmp_path / "own.py")
     assert found.error.position_max < 1e-12
     assert set(found.effects) == {"backlash"}
 
