@@ -7,15 +7,18 @@ import io
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from clampid.catalogue import catalogue
+from clampid.effect import Effect
 from clampid.export import calibrated_chain, dh_export, read_dh, urdf_export
 from clampid.form_error import CHECKED, LeftOut, form_error, left_out, postures
 from clampid.model import Model, ModelError
-from clampid.slots import Layout, Slot, Term
+from clampid.slots import Layout, Slot, Term, find_parameter, slots_of
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign, Instrument, Tool
 from experiments.plans.press import holding_torque
@@ -114,11 +117,45 @@ def test_links_have_the_temperatures_of_the_session(make_model: Make) -> None:
     assert "24 to 30 degC" in str(found)
 
 
-def test_what_is_the_instruments_is_not_the_robots(make_model: Make) -> None:
-    model = with_slots(make_model(ROBOT, size=0.0), {Slot("instrument_scale", "s", "instrument"): 1e-3})
-    found = left(model)
+OWN = """
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+EFFECT = Effect(
+    name="refraction", family="instrument_scale", acts={"measurement": lambda p, x: rows(p.a * x.q[0], 0, 0)},
+    parameters=(Parameter("a", "m", 1e-3, meaning="by the angle of joint 1"),), needs=("q",), stages=("poses",),
+    equation="dx = a q_1", source=("ISO9283",), at="instrument",
+)
+"""
+
+
+def test_what_is_the_instruments_is_not_the_robots(make_model: Make, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    slots = {Slot("instrument_scale", "s", "instrument"): 1e-3, Slot("refraction", "a", "instrument"): 1e-3}
+    found = left(with_slots(make_model(ROBOT, size=0.0), slots), user_effects=tmp_path / "own.py")
     assert found.error.position_max < 1e-12
     assert set(found.effects) == {"backlash"}
+
+
+ROBOTS_OWN = [e for e in catalogue().values() if "poses" in e.stages and set(e.acts) - {"measurement"}]
+
+
+@pytest.mark.parametrize("effect", [e for e in ROBOTS_OWN if e.name != "geometry"], ids=lambda e: e.name)
+def test_every_effect_of_poses_counts(effect: Effect, make_model: Make) -> None:
+    """At its usual size, on an arm with springs through which loads act: it is worth something, and no nan."""
+    bare = make_model(ROBOT, size=0.0)
+    known, there = {effect.name: effect}, set(bare.stages["poses"].slots)
+    slots = {Slot("joint_compliance", "c", f"joint{i + 1}"): 1e-5 for i in range(6)}
+    for slot in slots_of(effect, bare.layout, "poses"):
+        parameter = find_parameter(slot, known)
+        slots[slot] = parameter.start if parameter.shape else parameter.size
+    model = with_slots(bare, {s: v for s, v in slots.items() if s not in there})
+    values = np.array([slots.get(s, 0.0) for s in model.stages["poses"].slots])
+    model = model.with_stage(replace(model.stages["poses"], theta=values))
+    model = replace(model, sessions=(replace(model.sessions[0], tool_mass=10.0, temperature=(20.0, 25.0)),))
+    found = left(model)
+    assert 0.0 < found.effects[effect.name] < 0.1
+    assert found.error.position_rms >= 0.5 * max(found.effects.values())
 
 
 def test_a_later_session_has_its_own_base_and_tool(make_model: Make) -> None:
