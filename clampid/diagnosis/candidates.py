@@ -78,7 +78,10 @@ class Candidate:
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
-    """Every effect that acts in this stage, at every place where it is not active yet; no events."""
+    """Every effect that acts in this stage, at every place where it is not active yet; no events.
+
+    What refines another effect is looked for where that is: a spring that hardens where there is a spring.
+    """
     active = {(s.effect, s.place) for s in estimate.slots}
     layout = estimate.experiment.rows.layout
     out = []
@@ -91,10 +94,11 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             if not any(name == effect.name for name, _ in active):
                 out.append(Term(effect.name, None if effect.per != "robot" else effect.at))
             continue
+        there = effect.beyond if effect.beyond and effects[effect.beyond].per == effect.per else None
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.experiment.stage)
-            if (effect.name, p) not in active
+            if (effect.name, p) not in active and (there is None or (there, p) in active)
         ]
     return out
 

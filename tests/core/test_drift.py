@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -61,5 +62,5 @@ def test_blocks_are_consecutive_visits(simulated):
         assert len(np.unique(rows.unit[block == b])) == 5
     time = rows.constants["time"]
     ends = [(time[block == b].min(), time[block == b].max()) for b in np.unique(block)]
-    assert all(a[1] < b[0] for a, b in zip(ends[:-1], ends[1:], strict=True))
+    assert all(a[1] < b[0] for a, b in pairwise(ends))
     assert blocks_of_visits(rows, 1) is rows.unit
