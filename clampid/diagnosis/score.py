@@ -45,6 +45,7 @@ __all__ = [
 
 ABSORBED = 1e-6
 WEAK = 0.05
+HELD_OPEN = 4.0  # an error twice as large as the prior: it was held, and is open
 SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
 SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
 TINY = 1e-290  # a smaller tail than this may have underflowed
@@ -234,10 +235,11 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     """The residual and absorbed span of an estimate; ``unit`` ``(N,)``: what the null flips, else the rows' own."""
     white = estimate.whitened
     size = estimate.experiment.sizes()
-    values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
+    precision = _opened(estimate)
+    values, vectors = np.linalg.eigh(precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size  # root' root = precision
     # A weak prior is no measurement: a tool mounted half a turn from where the description has it is no residual.
-    weak = 1.0 / np.sqrt(np.diag(estimate.prior_precision)) >= (1.0 - 1e-9) * WEAK_PRIOR * size
+    weak = 1.0 / np.sqrt(np.diag(precision)) >= (1.0 - 1e-9) * WEAK_PRIOR * size
     residual = np.r_[white.residual, root @ np.where(weak, 0.0, estimate.prior_mean - estimate.theta)]
     jacobian = np.vstack([white.jacobian, root])
     norms = np.linalg.norm(jacobian, axis=0)
@@ -252,6 +254,20 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     scale = float(np.sqrt(residual @ residual / freedom))
     told = np.linalg.norm(vectors[~weak], axis=0)
     return Space(residual, basis, units, max(scale, 1e-12), freedom, count, told)
+
+
+def _opened(estimate: Estimate) -> Array:
+    """The prior's precision ``(P, P)``, of what a fit has held that of its error instead.
+
+    A friction is held where flanks tell it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
+    error: what it would explain then is no evidence of anything else.
+    """
+    precision = estimate.prior_precision.copy()
+    variance = np.diag(estimate.covariance)
+    held = np.flatnonzero(variance * np.diag(precision) > HELD_OPEN)
+    precision[held, :] = precision[:, held] = 0.0
+    precision[held, held] = 1.0 / variance[held]
+    return precision
 
 
 def log_tail(x: Array | float, freedom: float) -> Array:

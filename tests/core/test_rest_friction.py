@@ -10,6 +10,7 @@ import pytest
 from virtual_arms import ARMS, arm
 
 import clampid.fitting.rest_friction
+from clampid.diagnosis.score import space_of
 from clampid.fitting.rest_friction import _cost, _Profile
 from clampid.fitting.solve import solve
 from clampid.identify import identify
@@ -73,3 +74,24 @@ def test_a_profile_is_what_fits_with_the_friction_held_there():
     lost = _cost(found) - _cost(estimate)
     assert lost > 20.0
     assert profile.cost[at] - profile.cost[best] == pytest.approx(lost, rel=0.1, abs=3.0)
+
+
+def test_what_a_held_friction_may_be_is_no_evidence(simulated):
+    """Its column is the fit's own to the score test, although the search held it."""
+    campaign = simulated(seed=2, poses=150, tables=("free_air", "wrist", "poses"))
+    estimate = reopen(identify([campaign]), campaign).refit("poses").estimate
+    held = [
+        k
+        for k, slot in enumerate(estimate.slots)
+        if slot.effect == "wrist_coupling_friction" and estimate.std[k] ** 2 * estimate.prior_precision[k, k] > 4.0
+    ]
+    space, open_ = space_of(estimate), 0
+    for k in held:
+        column = np.zeros(len(space.residual))
+        column[: space.rows] = estimate.whitened.jacobian[:, k]
+        left, size = column - space.basis @ (space.basis.T @ column), float(np.linalg.norm(column))
+        assert np.linalg.norm(left) < 0.99 * size
+        if size * estimate.std[k] > 10.0:  # standard deviations that it may explain
+            open_ += 1
+            assert np.linalg.norm(left) < 0.2 * size
+    assert open_
