@@ -265,6 +265,8 @@ class Effect:
     known_within
         Of an empirical form per joint or link: the signal inside whose measured range alone the form is known, so that
         its stated uncertainty grows beyond (:mod:`clampid.ranges`). None of a law.
+    without
+        A recorded signal that tells the same better: diagnosis looks for it only at places that have none of it.
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
@@ -283,6 +285,7 @@ class Effect:
     beyond: str | None = None
     tried: Literal["places", "together", "both", "jointly"] = "both"
     revealed_by: str | None = None
+    without: str | None = None
     holds_weight: bool = False
     sized_by: str | None = None
     aligns: str | None = None
@@ -300,7 +303,7 @@ class Effect:
         for kind, found, known in (
             ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
-            ("signal", self.needs, tuple(SIGNALS)),
+            ("signal", (*self.needs, *((self.without,) if self.without else ())), tuple(SIGNALS)),
             ("stage", self.stages, STAGES),
         ):
             for name in found:

@@ -98,9 +98,19 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.experiment.stage)
-            if (effect.name, p) not in active and (there is None or (there, p) in active)
+            if (effect.name, p) not in active
+            and (there is None or (there, p) in active)
+            and not _recorded(estimate, effect.without, p)
         ]
     return out
+
+
+def _recorded(estimate: Estimate, signal: str | None, place: str) -> bool:
+    """Whether a signal varies at a joint or link; at none does the signal that is not asked for."""
+    if signal is None:
+        return False
+    number = int(place.lstrip("abcdefghijklmnopqrstuvwxyz")) - 1
+    return bool(np.ptp(estimate.experiment.rows.signals[signal][:, number]) > 0.0)
 
 
 def named_candidates(

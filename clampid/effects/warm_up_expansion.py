@@ -27,4 +27,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="d_i(t) = d_i (1 + a_i (1 - exp(-t/tau_i)))",
     source=("UniversalModel", "XCTDrift"),
+    without="link_temperature",
 )

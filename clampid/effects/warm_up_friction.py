@@ -32,4 +32,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = (f_v w + f_c sign(w)) (1 - exp(-t/tau))",
     source=("Bittencourt2010",),
+    without="motor_temperature",
 )
