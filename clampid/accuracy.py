@@ -187,7 +187,7 @@ def stage_errors(
     count = len(estimate.slots)
     if verification is not None:
         residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
-        test = without_outlying(verification, residual)
+        test = without_outlying(verification, residual, fitted, estimate.residual)
     elif held and any(held):
         test = rows.take(np.flatnonzero(rows.in_folds(held)))
         residual = predicted(estimate.experiment.with_rows(test), estimate.theta[:count])

@@ -157,7 +157,7 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     verification = opened.verification() if stage == "poses" else None
     if verification is not None:
         test_residual = predicted(trial.with_rows(verification), model.theta)
-        test = without_outlying(verification, test_residual)
+        test = without_outlying(verification, test_residual, rows, residual)
         tested = np.ones(len(test), dtype=bool)
     elif opened.session is None or any(held):
         tested = ~fitted

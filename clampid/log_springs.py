@@ -22,7 +22,7 @@ from clampid.fitting.log_sample import sampled_columns, sampled_postures, sample
 from clampid.fitting.moments import Moments
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
-from clampid.stages.loads import declared_weight, gravity_regressors, weight_stiffness
+from clampid.stages.loads import described_weight, gravity_regressors, weight_stiffness
 from clampid.stages.log_design import LogDesign
 from clampid.stages.log_facts import LogPart
 from clampid.stages.rows import Array
@@ -109,7 +109,7 @@ def log_by_springs(
     for part in parts:
         here = np.flatnonzero((row >= before) & (row < before + part.table.rows))
         campaign = part.campaign
-        found = spring_torques(campaign.robot, declared_weight(campaign), np.asarray(campaign.gravity), q[here])
+        found = spring_torques(campaign.robot, described_weight(campaign), np.asarray(campaign.gravity), q[here])
         torques[here] = found[np.arange(len(here)), motor[here]]
         before += part.table.rows
     if not torques.any():

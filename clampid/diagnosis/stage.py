@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import noise_floor, predicted
+from clampid.accuracy import noise_floor
 from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
@@ -29,7 +29,6 @@ from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
-from clampid.fitting.fit import without_outlying
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Rows
 
@@ -90,9 +89,6 @@ def _looked_through(
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
     result.outliers = outliers_of(fitted.estimate)
-    if verification is not None:
-        verification, wrong = _without_wrong_rows(fitted.estimate, verification)
-        result.outliers += wrong
     bench = Bench(effects, refit, verification, floor, seed, flips, block)
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     held = bench.held_out(fitted)
@@ -126,8 +122,12 @@ def _looked_through(
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused.values(), *considered_of(look.named, look.named_null)]
+    tested = None if verification is None else held.rows
+    if verification is not None:
+        wrong = np.any(verification.used & ~held.rows.used, axis=1)
+        result.outliers += listed_outliers(verification, held.residual, wrong)
     excess = result.after > FAR_OFF * result.noise_floor
-    if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, verification, seed)):
+    if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, tested, seed)):
         _unknown(result, look, fitted.estimate, seed)
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
@@ -163,14 +163,6 @@ def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) 
     result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
     if look.fires and look.probe is not None:
         result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
-
-
-def _without_wrong_rows(estimate: Estimate, verification: Rows) -> tuple[Rows, list[dict[str, Any]]]:
-    """A verification table without single rows that are wrong, and these rows."""
-    residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[: len(estimate.slots)])
-    kept = without_outlying(verification, residual)
-    bad = np.any(verification.used & ~kept.used, axis=1)
-    return kept, listed_outliers(verification, residual, bad)
 
 
 def _something_left(look: Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:

@@ -17,6 +17,7 @@ from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of, variant
 from clampid.diagnosis.score import Scored, canonical
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
+from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
@@ -77,7 +78,8 @@ class HeldOut:
         everywhere lowers by more than that noise, and for whitened ones, which see what is brief. The noise is to be
         that of the larger model: what an effect leaves in a model without it looks like noise that lasts.
         """
-        p = held_out_p(self.squares, other.squares, blocks_of_visits(self.rows, self.block), seed)
+        both = (self.rows.used & other.rows.used).any(axis=1)  # single wrong rows are each fit's own finding
+        p = held_out_p(both * self.squares, both * other.squares, blocks_of_visits(self.rows, self.block), seed)
         if self.rows.stage == "poses":
             return p
         white = held_out_p(self.white_squares(noise), other.white_squares(noise), self.rows.unit, seed)
@@ -88,8 +90,8 @@ def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: 
     """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds."""
     count = len(estimate.slots)
     if verification is not None:
-        trial = estimate.experiment.with_rows(verification)
-        rows, residual = verification, predicted(trial, estimate.theta[:count])
+        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
+        rows = without_outlying(verification, residual, estimate.experiment.rows, estimate.residual)
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
     return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise, block)

@@ -22,6 +22,7 @@ __all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit", "o
 
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
+BEYOND = 1.5  # of the farthest row that a fit has kept
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 CROSSING_PASSES = 2
 FIRST = 0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
@@ -160,13 +161,23 @@ def outlying(rows: Rows, residual: Array) -> Bools:
     return out
 
 
-def without_outlying(rows: Rows, residual: Array) -> Rows:
-    """Rows that no fit has seen, those that are wrong no longer used: as in a fit, if they are not too many for that.
+def without_outlying(rows: Rows, residual: Array, fitted: Rows, left: Array) -> Rows:
+    """Pose rows that no fit has seen, those that are wrong no longer used: as in a fit, if they are not too many.
+
+    What a model lacks shows in such rows more than in those that were fitted. So they are wrong only if they are
+    clearly farther off than any row that the fit has kept.
 
     Parameters
     ----------
-    residual
-        ``(N, m)``: of the prediction.
+    residual, left
+        ``(N, m)`` and ``(M, m)``: of the prediction, and of the fitted rows.
     """
-    bad = outlying(rows, residual)
+    known = fitted.used[:, :3].all(axis=1)
+    most = BEYOND * float(_distance(fitted, left)[known].max(initial=0.0))
+    bad = outlying(rows, residual) & (_distance(rows, residual) > most)
     return rows.without(bad) if bad.any() and bad.mean() <= OUTLIER_SHARE else rows
+
+
+def _distance(rows: Rows, residual: Array) -> Array:
+    """How far points are off ``(N,)``, in the instrument's standard deviations."""
+    return np.asarray(np.linalg.norm(rows.in_noise_axes(residual)[:, :3] / rows.sigma[:, :3], axis=1))

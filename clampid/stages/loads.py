@@ -18,6 +18,7 @@ from kinematics.robot import RobotDescription
 __all__ = [
     "bearing_signals",
     "declared_weight",
+    "described_weight",
     "flange_to_base",
     "gravity_regressors",
     "gravity_signals",
@@ -59,6 +60,13 @@ def declared_weight(campaign: Campaign) -> Array:
     """(m, m c) of described or usual links with the declared tool on the last ``(4n,)``, base axes at the zero pose."""
     robot, declared = campaign.robot, campaign.tool
     return add_tool(gravity_parameters(links_of(robot)), robot.flange, declared.mass, declared.com)
+
+
+def described_weight(campaign: Campaign) -> Array:
+    """The same of what is described only: of links of unknown weight nothing, instead of what is usual."""
+    robot, declared = campaign.robot, campaign.tool
+    phi = gravity_parameters(robot.links) if robot.has_masses else np.zeros(4 * robot.n)
+    return add_tool(phi, robot.flange, declared.mass, declared.com)
 
 
 def weight_stiffness(robot: RobotDescription, phi: Array, gravity: npt.ArrayLike, q: Array) -> Array:

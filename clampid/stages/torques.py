@@ -13,7 +13,7 @@ import numpy as np
 from clampid.chain import Chain
 from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
-from clampid.stages.loads import declared_weight, gravity_signals, inertial_signals, weight_rate
+from clampid.stages.loads import described_weight, gravity_signals, inertial_signals, weight_rate
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
 from clampid.stages.presliding import friction_states
 from clampid.stages.rows import Array, Integers, Rows
@@ -113,7 +113,7 @@ def torque_rows(
             "log_row": np.arange(len(run)),
             "offset_keys": standing_joints(facts, layout.wrist),
             "gravity": np.array([campaign.gravity for campaign in campaigns], dtype=float),
-            "weight": np.array([declared_weight(campaign) for campaign in campaigns]),
+            "weight": np.array([described_weight(campaign) for campaign in campaigns]),
         },
         per_row=("time", "run", "log_row"),
     )

@@ -162,7 +162,7 @@ KINDS: dict[str, Kind] = {
     "backlash": Kind(hide_backlash, "joint", ("clamped", *POSES), _inner),
     "joint_compliance": Kind(hide_compliance, "joint", ("clamped", *POSES), _loaded),
     "gear_eccentricity": Kind(hide_eccentricity, "joint", POSES),
-    "motor_eccentricity": Kind(hide_resolver, "joint", POSES, _inner),
+    "motor_eccentricity": Kind(hide_resolver, "joint", ("clamped", *POSES), _inner),
     "encoder_disc": Kind(hide_disc, "joints", POSES),
     "different_encoder_discs": Kind(hide_discs, "joints", POSES),
     "thermal_expansion": Kind(hide_expansion, "link", POSES, _long),
