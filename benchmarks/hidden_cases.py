@@ -238,8 +238,10 @@ def left_of(estimate: Estimate, change: np.ndarray) -> np.ndarray:
     """What a fit leaves of a change ``(N, m)`` of its measurements, to first order."""
     _, jacobian = estimate.experiment.residual(estimate.theta)
     white = estimate.noise.whiten(estimate.experiment.rows, change, jacobian)
-    J = white.jacobian
     size = estimate.experiment.sizes()
-    A = (J.T @ J + estimate.prior_precision) * np.outer(size, size)
-    step = size * np.linalg.lstsq(A, size * (J.T @ white.residual), rcond=None)[0]
+    values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    # By the rows themselves: in the normal equations what geometry nearly cannot tell, such as a scale, looks as if left.
+    A = np.vstack([white.jacobian * size, root])
+    step = size * np.linalg.lstsq(A, np.r_[white.residual, np.zeros(len(root))], rcond=None)[0]
     return np.asarray(change - jacobian @ step)
