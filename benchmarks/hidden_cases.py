@@ -32,6 +32,7 @@ STANDARD: Mapping[Stage, tuple[str, ...]] = {
     "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
     "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
 }
+LARGEST = 100.0  # of the virtual robot's own sizes: nothing is hidden that is larger
 CLOSE, STEPS = 0.03, 4  # a size is met to 3 %, or as well as four steps of the secant reach
 
 Alter = Callable[[Plant, float], Plant]
@@ -225,7 +226,7 @@ class Bench:
             if abs(found / size - 1) < CLOSE or found < 1e-6:
                 break
             # Sizes grow at most linearly; one that no longer grows has met a limit of the physics.
-            m *= float(np.clip(size / found, 0.02, 10.0))
+            m = min(m * float(np.clip(size / found, 0.02, 10.0)), LARGEST)
             found = self.size(name, m)
             if abs(found - size) < abs(best[1] - size):
                 best = (m, found)
@@ -241,7 +242,7 @@ def left_of(estimate: Estimate, change: np.ndarray) -> np.ndarray:
     size = estimate.experiment.sizes()
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    # By the rows themselves: in the normal equations what geometry nearly cannot tell, such as a scale, looks as if left.
+    # By the rows themselves: in normal equations what geometry hardly tells, as of a scale, looks as if it were left.
     A = np.vstack([white.jacobian * size, root])
     step = size * np.linalg.lstsq(A, np.r_[white.residual, np.zeros(len(root))], rcond=None)[0]
     return np.asarray(change - jacobian @ step)
