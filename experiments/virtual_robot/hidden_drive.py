@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -48,26 +49,27 @@ def hide_compliance(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gen
 
 def hide_eccentricity(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Let a joint's angle err once and, less, twice per revolution, with random phases."""
-    a, b = rng.uniform(0, 2 * np.pi, 2)
-    shape = np.array([np.cos(a), np.sin(a), 0.6 * np.cos(b), 0.6 * np.sin(b)])
-
-    def wavy(p: Plant, terms: Array) -> Plant:
-        return replace(p, drive=replace(p.drive, eccentricity=plus(p.drive.eccentricity, i, terms)))
-
-    terms = m * SMALL * s.factor(lambda p: wavy(p, SMALL * shape)) * shape
-    return wavy(plant, terms), named(("sin_q_rad", "cos_q_rad", "sin_2q_rad", "cos_2q_rad"), terms)
+    return _with_waves(plant, i, m, s, rng, "eccentricity", "q")
 
 
 def hide_resolver(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Let a joint's angle err once and, less, twice per revolution of its motor, with random phases."""
+    return _with_waves(plant, i, m, s, rng, "resolver", "motor")
+
+
+def _with_waves(
+    plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator, field: str, angle: str
+) -> tuple[Plant, Numbers]:
     a, b = rng.uniform(0, 2 * np.pi, 2)
     shape = np.array([np.cos(a), np.sin(a), 0.6 * np.cos(b), 0.6 * np.sin(b)])
 
     def wavy(p: Plant, terms: Array) -> Plant:
-        return replace(p, drive=replace(p.drive, resolver=plus(p.drive.resolver, i, terms)))
+        changed: dict[str, Any] = {field: plus(getattr(p.drive, field), i, terms)}
+        return replace(p, drive=replace(p.drive, **changed))
 
     terms = m * SMALL * s.factor(lambda p: wavy(p, SMALL * shape)) * shape
-    return wavy(plant, terms), named(("sin_motor_rad", "cos_motor_rad", "sin_2motor_rad", "cos_2motor_rad"), terms)
+    names = (f"sin_{angle}_rad", f"cos_{angle}_rad", f"sin_2{angle}_rad", f"cos_2{angle}_rad")
+    return wavy(plant, terms), named(names, terms)
 
 
 def hide_disc(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
