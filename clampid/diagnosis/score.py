@@ -26,6 +26,7 @@ from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.evidence import of_size
 from clampid.fitting.solve import Estimate
+from clampid.stages.experiment import HELD
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = [
@@ -263,8 +264,9 @@ def _opened(estimate: Estimate) -> Array:
     error: what it would explain then is no evidence of anything else.
     """
     precision = estimate.prior_precision.copy()
-    variance = np.diag(estimate.covariance)
-    held = np.flatnonzero(variance * np.diag(precision) > HELD_OPEN)
+    variance, tight = np.diag(estimate.covariance), (HELD * estimate.experiment.sizes()) ** -2.0
+    open_ = (variance * tight > HELD_OPEN) & ~estimate.experiment.held()
+    held = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
     precision[held, :] = precision[:, held] = 0.0
     precision[held, held] = 1.0 / variance[held]
     return precision
