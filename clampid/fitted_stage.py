@@ -22,11 +22,13 @@ from clampid.fitting.open_flanks import with_open_flanks
 from clampid.fitting.rest_friction import RestFriction, with_open_friction, with_rest_friction
 from clampid.fitting.solve import Estimate
 from clampid.fitting.unknown_friction import unknown_frictions
+from clampid.fitting.unknown_masses import with_unknown_masses
 from clampid.gauge import independent_geometry
 from clampid.log_springs import rows_by_springs
 from clampid.model import StageModel
 from clampid.nulls import null_directions
 from clampid.observability import observability, projected
+from clampid.ranges import ranges_of
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
@@ -57,14 +59,14 @@ class FittedStage:
     contradicted: tuple[Agreement, ...] = ()
     universal: Mapping[str, Any] | None = None
 
+    @property
+    def floor(self) -> Floor:
+        """What noise alone leaves of the fitted rows, as far as this fit knows it."""
+        return noise_floor(self.estimate.experiment.rows, self.estimate.residual)
+
     def errors(self, verification: Rows | None, seed: int, floor: Floor | None = None) -> StageErrors:
         """Errors on fitted and held-out rows; torques in units of ``floor``, by default of this fit's own noise."""
         return stage_errors(self.estimate, self.rows, self.model.held_out, verification, seed, floor)
-
-    @property
-    def floor(self) -> Floor:
-        """What noise alone leaves."""
-        return noise_floor(self.estimate.experiment.rows, self.estimate.residual)
 
     @property
     def evidence(self) -> dict[str, Any]:
@@ -143,6 +145,7 @@ def fit_stage(
     estimate = with_kept_friction(estimate)
     if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_friction(with_open_flanks(estimate), friction.held)
+        estimate = with_unknown_masses(estimate) if "free_air" not in before else estimate
     universal = None
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)
@@ -181,6 +184,7 @@ def _model_of(
         by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
         told=told,
         lean=estimate.experiment.chain.lean,
+        ranges=ranges_of(fitted, estimate.outliers) if rows.stage == "poses" else None,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
 

@@ -94,12 +94,12 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             if not any(name == effect.name for name, _ in active):
                 out.append(Term(effect.name, None if effect.per != "robot" else effect.at))
             continue
-        there = effect.beyond if effect.beyond and effects[effect.beyond].per == effect.per else None
+        refined = {place for name, place in active if name == effect.beyond and place.startswith(effect.per)}
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.experiment.stage)
             if (effect.name, p) not in active
-            and (there is None or (there, p) in active)
+            and (not refined or p in refined)
             and not _recorded(estimate, effect.without, p)
         ]
     return out
