@@ -1,8 +1,8 @@
 """What a form of the robot for others (a table, URDF, machine data) leaves of the model that it was made from.
 
 A form holds the static geometry at one temperature. What it leaves is told of the whole model: springs under the
-declared tool, play, errors of angles, expansion at other temperatures. Workspace: postures drawn over the joints'
-ranges, each joint approached from a side drawn for it.
+declared tool, play, errors of angles, expansion at other temperatures, a base that settles in the course of a shift.
+Workspace: postures drawn over the joints' ranges, each joint approached from a side drawn for it.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ __all__ = ["CHECKED", "FormError", "LeftOut", "Measured", "form_error", "left_ou
 
 POSTURES = 200
 CHECKED = 2000  # postures, drawn apart from those that a form was fitted to or read back at
+SHIFT = 8 * 3600.0  # s, over which the postures are spread: what settles or warms up is not at its beginning only
 STATIC = ("geometry",)  # families that every form holds
 INSTRUMENT = "measurement"  # the station of what is the instrument's and not the robot's
 
@@ -246,7 +247,8 @@ def _drawn(
     """The model's poses as an experiment at drawn postures: all links at one temperature, between ``warmth``, degC."""
     q, n, rng = postures(load.robot, CHECKED, seed=1), load.robot.n, np.random.default_rng(2)
     warm = rng.uniform(*warmth, len(q))
-    data: dict[str, Any] = {"pose": np.arange(len(q)) + 1, "visit": 1, "time_s": 0.0, "target": "flange"}
+    data: dict[str, Any] = {"pose": np.arange(len(q)) + 1, "visit": 1, "target": "flange"}
+    data["time_s"] = np.linspace(0.0, SHIFT, len(q))
     data |= {f"{axis}_m": 0.0 for axis in "xyz"}
     data |= {f"q{i + 1}_rad": q[:, i] for i in range(n)}
     data |= {f"dir{i + 1}": sides for i, sides in enumerate(rng.choice([-1, 1], (n, len(q))))}
