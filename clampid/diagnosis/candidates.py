@@ -15,7 +15,7 @@ from clampid.diagnosis.columns import Columns, Products, columns_from
 from clampid.effect import Effect, Parameter
 from clampid.evidence import SIZES
 from clampid.fitting.noise import Whitened
-from clampid.fitting.solve import Estimate
+from clampid.fitting.solve import Estimate, whitened_columns
 from clampid.gauge import independent_geometry
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import parameter_of
@@ -98,19 +98,17 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.experiment.stage)
-            if (effect.name, p) not in active
-            and (not refined or p in refined)
-            and not _recorded(estimate, effect.without, p)
+            if (effect.name, p) not in active and (not refined or p in refined) and not _recorded(estimate, effect, p)
         ]
     return out
 
 
-def _recorded(estimate: Estimate, signal: str | None, place: str) -> bool:
-    """Whether a signal varies at a joint or link; at none does the signal that is not asked for."""
-    if signal is None:
+def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
+    """Whether the signal that an effect goes without varies at a joint or link; nothing is where it names none."""
+    if effect.without is None:
         return False
-    number = int(place.lstrip("abcdefghijklmnopqrstuvwxyz")) - 1
-    return bool(np.ptp(estimate.experiment.rows.signals[signal][:, number]) > 0.0)
+    number = int(place.removeprefix(effect.per)) - 1
+    return bool(np.ptp(estimate.experiment.rows.signals[effect.without][:, number]) > 0.0)
 
 
 def named_candidates(
@@ -149,7 +147,7 @@ def named_candidates(
         deep = {s.effect for s in every if level < len(parameters[s].grid)}
         extra = [s for s in every if level == 0 or s.effect in deep]
         values = [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
-        white = _whitened_columns(estimate, extra, values)
+        white = whitened_columns(estimate, extra, values)
         index = {s: k for k, s in enumerate(extra)}
         for name in dict.fromkeys(t.effect for t in terms):
             if level > 0 and name not in deep:
@@ -175,17 +173,8 @@ def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
     amplitudes = list(dict.fromkeys(slot for c in candidates for slot in c.slots if slot not in active))
     if not amplitudes:
         return np.zeros((len(estimate.whitened.residual), 0))
-    white = _whitened_columns(estimate, [*amplitudes, *shapes], [0.0] * len(amplitudes) + list(shapes.values()))
+    white = whitened_columns(estimate, [*amplitudes, *shapes], [0.0] * len(amplitudes) + list(shapes.values()))
     return np.asarray(white.jacobian[:, : len(amplitudes)], dtype=float)
-
-
-def _whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float]) -> Whitened:
-    """What a unit of each further slot would do, at the given values of the shapes and zero amplitudes."""
-    count = len(estimate.slots)
-    trial = estimate.experiment.with_slots((*estimate.slots, *extra))
-    theta = np.r_[estimate.theta[:count], values, estimate.theta[count:]]
-    residual, jacobian = trial.residual(theta)
-    return estimate.noise.whiten(estimate.experiment.rows, residual, jacobian[:, :, count : count + len(extra)])
 
 
 def _candidate(

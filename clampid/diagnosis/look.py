@@ -160,7 +160,8 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
 
 def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
     """Other variants of the best candidate's family, at the same places, that explain much of the same."""
-    mine, found = best.candidate, dict[str, Scored]()
+    mine = best.candidate
+    found: dict[str, Scored] = {}
     for other in sorted(named, key=lambda s: -s.bic):
         theirs = other.candidate
         same = theirs.family == mine.family and theirs.places == mine.places and theirs.name != mine.name

@@ -48,10 +48,7 @@ def _passed_over(best: Scored, look: Look) -> list[dict[str, Any]]:
         if stands_out and s.state in (*ABLE, "implausible") and not mine & set(s.candidate.terms):
             found.setdefault(s.candidate.name, s)
     entries = considered_of(list(found.values()), look.named_null, len(found))
-    return [
-        {**entry, "reason": _reason(s, best)}
-        for entry, s in zip(entries, sorted(found.values(), key=lambda s: -s.bic), strict=True)
-    ]
+    return [{**entry, "reason": _reason(s, best)} for entry, s in zip(entries, found.values(), strict=True)]
 
 
 def _reason(s: Scored, best: Scored) -> str:

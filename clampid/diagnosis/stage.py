@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,14 +59,15 @@ def diagnose_stage(
     propose
         Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
     """
-    result = _looked_through(fitted, effects, refit, verification, seed, flips, propose, 1)
+    looked_through = partial(_looked_through, fitted, effects, refit, verification, seed, flips, propose)
+    result = looked_through(1)
     if result.stage != "poses" or result.fitted is None:
         return result
     drift = drift_of(result.fitted.estimate)
     if drift is None:
         return result
     if drift.block > 1:  # once more, now that it is known how long what is left goes on
-        result = _looked_through(fitted, effects, refit, verification, seed, flips, propose, drift.block)
+        result = looked_through(drift.block)
     if result.verdict == "unknown" and not result.depends_on:
         result.depends_on = ["time"]
         result.summary = summary_of(result)

@@ -28,6 +28,7 @@ __all__ = [
     "solve",
     "stage_point",
     "start_of",
+    "whitened_columns",
 ]
 
 FOLLOWING = ("flank", "sag_torque")
@@ -288,3 +289,12 @@ def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
     run = rows.constants["run"]
     keys, kept = rows.constants["offset_keys"], rows.constants["kept_sign"] * rows.constants["held_friction"]
     return np.array([wound[run == s, j].mean() if j < n else kept[s, j - n] for s, j in keys])
+
+
+def whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence[float] | Array) -> Whitened:
+    """What a unit of each further slot would do, at the given values of the shapes and zero amplitudes."""
+    count = len(estimate.slots)
+    trial = estimate.experiment.with_slots((*estimate.slots, *extra))
+    theta = np.r_[estimate.theta[:count], values, estimate.theta[count:]]
+    residual, jacobian = trial.residual(theta)
+    return estimate.noise.whiten(estimate.experiment.rows, residual, jacobian[:, :, count : count + len(extra)])

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.fitting.solve import Estimate
+from clampid.fitting.descent import inverse_of
+from clampid.fitting.solve import Estimate, whitened_columns
 from clampid.priors import description_priors
 
 __all__ = ["with_unknown_masses"]
@@ -20,21 +21,14 @@ __all__ = ["with_unknown_masses"]
 
 def with_unknown_masses(estimate: Estimate) -> Estimate:
     """The same fit, with what the links may weigh in its covariance; unchanged where they are described or fitted."""
-    experiment = estimate.experiment
-    rows = experiment.rows
+    rows = estimate.experiment.rows
     if rows.stage != "poses" or rows.robot.has_masses or any(s.effect == "gravity" for s in estimate.slots):
         return estimate
     (masses,) = description_priors(rows)
-    count = len(estimate.slots)
-    trial = experiment.with_slots((*estimate.slots, *masses.slots))
-    theta = np.r_[estimate.theta[:count], masses.mean, estimate.theta[count:]]
-    residual, jacobian = trial.residual(theta)
-    white = estimate.noise.whiten(rows, residual, jacobian[:, :, count : count + len(masses.slots)])
-    if not np.any(white.jacobian):
+    columns = whitened_columns(estimate, masses.slots, masses.mean).jacobian
+    if not np.any(columns):
         return estimate
-    size = experiment.sizes()
-    J = estimate.whitened.jacobian
-    normal = (J.T @ J + estimate.prior_precision) * np.outer(size, size)
     # How the fitted parameters follow the masses, kg and kg m.
-    slope = size[:, None] * np.linalg.lstsq(normal, size[:, None] * (J.T @ white.jacobian), rcond=None)[0]
+    normal = estimate.point.matrix + estimate.prior_precision
+    slope = inverse_of(normal) @ (estimate.whitened.jacobian.T @ columns)
     return replace(estimate, covariance=estimate.covariance + slope @ masses.covariance @ slope.T)
