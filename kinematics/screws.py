@@ -22,6 +22,7 @@ __all__ = [
     "inverse",
     "log_se3",
     "log_so3",
+    "nearest_rotation",
     "prismatic_screw",
     "roll_pitch_yaw",
     "rotation_of",
@@ -155,6 +156,28 @@ def log_so3(R: npt.ArrayLike) -> Array:
     tiny = length < 1e-150
     factor = np.where(tiny, 2.0, 2 * np.arctan2(length, scalar) / np.where(tiny, 1.0, length))
     return np.asarray(factor[..., None] * vector)
+
+
+def nearest_rotation(a: Array, b: Array) -> Array:
+    """
+    Rotate points about their common origin nearest to others (least squares).
+
+    Parameters
+    ----------
+    a, b
+        Points and where they are to come to, (N, 3) [m], each about its own mean.
+
+    Returns
+    -------
+    Array
+        R (3, 3), proper, that makes the sum of |R a - b|^2 least.
+
+    Notes
+    -----
+    Source: Kabsch, A solution for the best rotation to relate two sets of vectors, Acta Cryst. A 32, 1976.
+    """
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    return np.asarray(Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T)
 
 
 def transform(R: npt.ArrayLike, p: npt.ArrayLike) -> Array:

@@ -64,7 +64,8 @@ def read_urdf(path: str | Path, flange: str | None = None) -> RobotDescription:
         name = model.names[i]
         if model.parents[i] != i - 1 or model.joints[i].nv != 1:
             raise DescriptionError(f"{path}: expected a serial chain of joints of one axis; {name} breaks it")
-        joints.append(_joint(model, i, np.concatenate([J[3:, i - 1], J[:3, i - 1]])))
+        origin = np.array(data.oMi[i].translation)
+        joints.append(_joint(model, i, np.concatenate([J[3:, i - 1], J[:3, i - 1]]), origin))
         moved = data.oMi[i].act(model.inertias[i])
         links.append(Link(float(moved.mass), np.array(moved.lever), np.array(moved.inertia)))
     frame = _flange_frame(model, path, flange)
@@ -82,8 +83,11 @@ def read_urdf(path: str | Path, flange: str | None = None) -> RobotDescription:
     )
 
 
-def _joint(model: Any, i: int, S: Array) -> Joint:
-    """Make a joint of pinocchio's number i, whose screw at the zero pose is S."""
+def _joint(model: Any, i: int, S: Array, origin: Array) -> Joint:
+    """Make a joint of pinocchio's number i, whose screw at the zero pose is S.
+
+    Its point is the joint's own origin: where along its axis a bearing sits, and how long links are, no screw tells.
+    """
     moving = model.joints[i]
     turns = float(np.linalg.norm(S[:3])) > 0.5
     axis = S[:3] if turns else S[3:]
@@ -95,7 +99,7 @@ def _joint(model: Any, i: int, S: Array) -> Joint:
         name=str(model.names[i]),
         kind=kind,
         axis=axis / np.linalg.norm(axis),
-        point=np.cross(S[:3], S[3:]),
+        point=origin,
         pitch=pitch if kind == "helical" else 0.0,
         lower=-np.inf if endless else float(model.lowerPositionLimit[moving.idx_q]),
         upper=np.inf if endless else float(model.upperPositionLimit[moving.idx_q]),

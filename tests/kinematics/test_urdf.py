@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from kinematics import DescriptionError, forward, gravity_torque, load_robot, robot_names
+from kinematics.masses import usual_links
 from kinematics.robot import Joint
 from kinematics.screws import exp_se3, exp_so3, inverse, screw
 from kinematics.urdf import read_urdf, write_urdf
@@ -143,3 +144,16 @@ def test_refusals_say_why(tmp_path):
     helical[0, 5] = 0.01
     with pytest.raises(DescriptionError, match=r"shoulder_pan: URDF has no helical joint, found a pitch of 0\.01"):
         write_urdf(helical, robot.flange, robot)
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_joints_stay_where_the_file_has_them(name, tmp_path):
+    """Screws do not say where along its axis a bearing sits, and links are as long as from bearing to bearing."""
+    robot = load_robot(name)
+    path = tmp_path / "robot.urdf"
+    path.write_text(write_urdf(robot.screws, robot.flange, robot), encoding="utf-8")
+    back = read_urdf(path)
+    for was, joint in zip(robot.joints, back.joints, strict=True):
+        np.testing.assert_allclose(joint.point, was.point, atol=1e-12)
+    masses = [sum(link.mass for link in usual_links(replace(r, links=()))) for r in (robot, back)]
+    assert masses[1] == pytest.approx(masses[0], rel=1e-9)
