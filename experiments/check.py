@@ -18,6 +18,7 @@ from experiments.check_points import point_findings
 from experiments.check_signals import signal_findings
 from experiments.check_speeds import speed_findings
 from experiments.check_sweeps import sweep_findings
+from experiments.check_temperatures import temperature_findings
 from experiments.check_torques import torque_findings
 from experiments.columns import QUATERNION, temperature_columns
 from experiments.finding import Finding
@@ -52,6 +53,7 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
         *torques,
         *signal_findings(campaign, wrong, weighed),
         *friction_findings(campaign, {table: log for table, log in logs.items() if table not in weighed}),
+        *temperature_findings(campaign),
         *clock_findings(campaign),
         *motion_findings(campaign, wrong),
         *speed_findings(campaign, wrong),

@@ -10,8 +10,9 @@ import pandas as pd
 
 from experiments.campaign import Campaign
 from experiments.check_angles import joint_angles
-from experiments.columns import POSITION, joint_columns, temperature_columns
+from experiments.columns import POSITION, joint_columns
 from experiments.finding import Finding, joint_list
+from experiments.returns import ENOUGH_RETURNS, SAME_TEMPERATURE_K, comparable_returns, freedom_of
 
 __all__ = ["motion_findings", "moved_joints", "replicates", "wrist_joints"]
 
@@ -22,8 +23,6 @@ SAME_POSE_RAD = 1e-2
 # Springs of drives give way by milliradians under rated torque; an arm that moves more than this is not clamped. Soft
 # wrists give way by more: there it is this many times what the described spring does at the rated torque.
 CLAMPED_RAD, CLAMPED_SPRINGS = 0.05, 3.0
-# Returns count as replicates only where nothing but noise should differ (INTERFACE.md).
-SAME_TEMPERATURE_K = 0.5
 
 _LOST = {
     "poses": "its zero offset, compliance and clearance cannot be told from its neighbours' and the frames' parameters",
@@ -85,19 +84,13 @@ def replicates(campaign: Campaign) -> int:
     int
         Rows beyond the first of each group of returns.
     """
-    frame = campaign.tables["poses"]
-    keys = ["pose", "target", *joint_columns("dir{}", campaign.robot.n)]
-    sensors = list(temperature_columns(map(str, frame.columns)))
-    # Directions that are not known are not known to be the same.
-    frame = frame[(frame[keys[2:]] != 0).all(axis=1)]
-    total = 0
-    for _, group in frame.groupby(keys, sort=False):
-        first = group.drop_duplicates("visit")
-        if len(first) > 1 and sensors:
-            warm = first[sensors].to_numpy(dtype=np.float64)
-            first = first[np.all(np.abs(warm - warm[0]) <= SAME_TEMPERATURE_K, axis=1)]
-        total += len(first) - 1
-    return total
+    frame, n = campaign.tables["poses"], campaign.robot.n
+    _, target = np.unique(frame["target"].astype(str).to_numpy(), return_inverse=True)
+    names = [*joint_columns("temp_link{}_C", n), *joint_columns("temp_motor{}_C", n)]
+    warmth = frame[[name for name in names if name in frame]].to_numpy(dtype=np.float64)
+    place = np.c_[frame["pose"].to_numpy(), target].astype(np.float64)
+    direction = frame[list(joint_columns("dir{}", n))].to_numpy(dtype=np.float64)
+    return freedom_of(comparable_returns(place, frame["visit"].to_numpy(dtype=np.int64), direction, warmth))
 
 
 def motion_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
@@ -189,10 +182,12 @@ def _stops(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
 
 def _replicates(campaign: Campaign) -> Iterator[Finding]:
     count = replicates(campaign)
-    if count:
-        message = f"{count} returns to a pose with the same directions and temperatures: they give the noise floor"
+    same = f"with the same directions and, within {SAME_TEMPERATURE_K:g} K, temperatures of links and motors"
+    if count >= ENOUGH_RETURNS:
+        message = f"{count} points measured again {same}: they give the noise floor"
     else:
-        message = "no returns to a pose with the same directions and temperatures: the noise floor is the instrument's"
+        found = f"{count} points" if count else "no point"
+        message = f"{found} measured again {same}: it takes {ENOUGH_RETURNS}, so the noise floor is the instrument's"
     yield Finding("note", "poses", "visit", None, message)
 
 

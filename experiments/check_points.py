@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, permutations
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from experiments.check_angles import joint_angles
 from experiments.columns import POSITION, QUATERNION
 from experiments.finding import Finding
 from kinematics.poe import forward
+from kinematics.screws import nearest_rotation
 
 __all__ = ["point_findings"]
 
@@ -36,6 +38,8 @@ FARTHEST_M = 100.0
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
 CLEARLY_WRONG_M = 0.02
 TARGETS_WRONG_M = 0.01
+# A wrong sign of a joint that hardly moves the targets errs by less; where it is turned, all but a few millimetres go.
+SIGN_WRONG_M = 0.005
 # Orientation errors of real arms are milliradians; the base frame adds a few more.
 ORIENTATION_WRONG_RAD = 0.05
 # Gauss–Newton converges in three or four steps from the closed-form frame; dropping bad rows takes a few more.
@@ -87,21 +91,24 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
     """Whether there are enough poses for the geometry, and whether the last joint moves any target."""
     frame, robot = campaign.tables["poses"], campaign.robot
     names = sorted(set(frame["target"].astype(str)))
-    if QUATERNION[0] in frame or "flange" in names:
-        return
+    oriented = QUATERNION[0] in frame or "flange" in names
     count, poses = len(names), frame["pose"].nunique()
-    # A stop shows three numbers of one point, five of two, six of more; distances between targets show once.
-    shown = {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
-    unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + 3 * count
+    # A stop shows three numbers of one point, five of two, six of more; distances between targets show once. With an
+    # orientation it shows six, of a flange with six of its own.
+    shown = (6, 0) if oriented else {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
+    unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + (6 if oriented else 3 * count)
     least = -(-(unknown - shown[1]) // shown[0])
-    if poses < 2 * least:
+    if poses < (least if oriented else 2 * least):  # where stops show all six numbers, few more do
         few = "fewer than" if poses < least else "hardly more than"
+        what = "the flange" if oriented else f"{count} target{'s' if count > 1 else ''}"
         yield Finding(
             "warning", "poses", "pose", None,
-            f"{poses} poses are {few} the {least} that the geometry of {robot.n} joints and {count} "
-            f"target{'s' if count > 1 else ''} takes at the least ({unknown} numbers): what is fitted to them says "
+            f"{poses} pose{'s are' if poses > 1 else ' is'} {few} the {least} that the geometry of {robot.n} joints "
+            f"and {what} takes at the least ({unknown} numbers): what is fitted to them says "
             f"little of other poses; {2 * least} and more tell their own errors",
         )  # fmt: skip
+    if oriented:
+        return
     axis, point = np.asarray(robot.joints[-1].axis), np.asarray(robot.joints[-1].point)
     places = np.array([robot.flange[:3, :3] @ campaign.targets[name] + robot.flange[:3, 3] for name in names])
     off = np.linalg.norm(np.cross(places - point, axis), axis=1)
@@ -195,6 +202,15 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
     fit = _fit(poses, points, measured)
     residual = fit.distance
     size = float(np.median(residual))
+    mistaken = _mistaken_joints(campaign, table, points, measured, 0.2 * size) if size > SIGN_WRONG_M else None
+    if mistaken:
+        first, joints = mistaken
+        message = (
+            f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame; they "
+            f"fit with {joints}"
+        )
+        yield Finding("error", table, f"q{first}_rad", None, message)
+        return
     if size > CLEARLY_WRONG_M:
         far = f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame"
         if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0]).distance) < 0.2 * size:
@@ -203,22 +219,45 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
             return
         swap = _swapped_targets(campaign, table, poses, measured, 0.2 * size)
         reason = f"they fit with {swap}" if swap else "wrong robot, joint order or sign?"
-        yield Finding("warning", table, "target" if swap else "x_m", None, f"{far}; {reason}")
+        severity: Literal["error", "warning"] = "error" if swap else "warning"
+        yield Finding(severity, table, "target" if swap else "x_m", None, f"{far}; {reason}")
         return
     if QUATERNION[0] in campaign.tables[table]:
         yield from _orientations(table, campaign.tables[table], poses, fit.base)
     bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
     if bad.size:
         worst = int(bad[np.argmax(residual[bad])])
-        mistaken = _mistaken_targets(campaign, table, poses, measured, bad, fit)
-        if mistaken:
-            yield Finding("error", table, "target", int(bad[0]) + 1, mistaken)
+        renamed = _mistaken_targets(campaign, table, poses, measured, bad, fit)
+        if renamed:
+            yield Finding("error", table, "target", int(bad[0]) + 1, renamed)
             return
         message = (
             f"{bad.size} of {len(residual)} positions are far from where the others say they should be (worst "
             f"{residual[worst] * 1e3:.0f} mm, row {worst + 1}): probably mismeasured or mislabelled"
         )
         yield Finding("warning", table, "x_m", worst + 1, message)
+
+
+def _mistaken_joints(
+    campaign: Campaign, table: str, points: FloatArray, measured: FloatArray, good: float
+) -> tuple[int, str] | None:
+    """Which joint's sign must be turned, or which two joints exchanged, to make the points fit: the first, and words.
+
+    Of points of one target a mirrored arm may be another sign: what fits is named only if it is the one that does.
+    """
+    robot, q = campaign.robot, joint_angles(campaign, table)
+    n, found = robot.n, []
+    turned = 1.0 - 2.0 * np.eye(n)
+    changes = [(i + 1, f"the sign of joint {i + 1} turned", turned[i] * q) for i in range(n)]
+    for i, j in combinations(range(n), 2):
+        order = np.arange(n)
+        order[[i, j]] = j, i
+        changes.append((i + 1, f"joints {i + 1} and {j + 1} exchanged", q[:, order]))
+    for first, words, angles in changes:
+        poses = forward(robot.screws, robot.flange, angles @ robot.linkage.T)
+        if np.median(_fit(poses, points, measured).distance) < good:
+            found.append((first, words))
+    return found[0] if len(found) == 1 else None
 
 
 def _swapped_targets(
@@ -284,8 +323,7 @@ def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> _Fit:
     turn = poses[:, :3, :3]
     nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", turn, points)
     a, b = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
-    u, _, vt = np.linalg.svd(a.T @ b)
-    base = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    base = nearest_rotation(a, b)
     shift, offset = measured.mean(axis=0) - base @ nominal.mean(axis=0), np.zeros(3)
     keep = np.ones(len(nominal), dtype=bool)
     for _ in range(_ITERATIONS):

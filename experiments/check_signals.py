@@ -1,4 +1,4 @@
-"""Judges whether torques, velocities, temperatures and times are what their columns' names say."""
+"""Judges whether torques, velocities and times are what their columns' names say."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ FloatArray = npt.NDArray[np.float64]
 # Servo motors give two to four times their rated torque, for seconds. More, in more than a twentieth of the rows, is
 # torque on the joint's side of the gears (30 to 250 times as much), per cent, or a current.
 OVERLOAD = 5.0
-# Class F windings end at 155 °C and drives switch off before; no sensor in a robot that runs is outside this.
-HOTTEST_C, COLDEST_C = 120.0, -40.0
 # A joint that covers a degree does so well above the noise of its differentiated encoder.
 MOVING_RAD = 0.02
 # Differences over a log's step blur accelerations by some per cent; a unit is a factor.
@@ -36,7 +34,7 @@ RATIOS = {
 def signal_findings(
     campaign: Campaign, angles_wrong: frozenset[str], torques_wrong: frozenset[str] = frozenset()
 ) -> Iterator[Finding]:
-    """Look at every table's torques, velocities, temperatures and times.
+    """Look at every table's torques, velocities and times.
 
     Parameters
     ----------
@@ -57,7 +55,6 @@ def signal_findings(
             yield from _torques(campaign, table, frame, table not in torques_wrong)
         if "qd1_rad_s" in frame and table not in angles_wrong:
             yield from _velocities(campaign, table, frame)
-        yield from _temperatures(table, frame)
         yield from _unread(campaign, table, frame)
     yield from _clocks(campaign)
     yield from _instrument(campaign)
@@ -132,20 +129,6 @@ def _velocity_verdict(v: FloatArray, d: FloatArray) -> str | None:
     if not near and abs(np.log(slope)) > np.log(1.5):
         return "velocities are not the rate of change of positions (is time_s in seconds, or does it count rows?)"
     return near[0] if near else None
-
-
-def _temperatures(table: str, frame: pd.DataFrame) -> Iterator[Finding]:
-    for name in temperature_columns(map(str, frame.columns)):
-        values = frame[name].to_numpy(dtype=np.float64)
-        bad = np.flatnonzero((values > HOTTEST_C) | (values < COLDEST_C))
-        if not bad.size:
-            continue
-        row = int(bad[0])
-        reason = f"{values[row]:g} in row {row + 1}, {bad.size} rows in all outside {COLDEST_C:g} … {HOTTEST_C:g} °C"
-        # Workshops are at 273 … 320 K, motors below 393 K.
-        kelvin = 250.0 < float(np.median(values)) < 400.0
-        words = "temperatures look like kelvin, °C are expected" if kelvin else "implausible temperatures"
-        yield Finding("error", table, name, row + 1, f"{words}: {reason}")
 
 
 def _unread(campaign: Campaign, table: str, frame: pd.DataFrame) -> Iterator[Finding]:

@@ -32,12 +32,13 @@ _TEMPERATURE = re.compile(r"temp_\w+_C")
 
 @dataclass(frozen=True)
 class Column:
-    """One column of the contract: its name and what its cells may hold."""
+    """One column of the contract: its name, what its cells may hold, and whether they may be empty."""
 
     name: str
     kind: Literal["integer", "number", "text"] = "number"
     lower: float | None = None
     upper: float | None = None
+    gaps: bool = False
 
     @property
     def expected(self) -> str:

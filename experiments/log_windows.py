@@ -94,13 +94,13 @@ class LogTable:
                 yield columns
 
     def _numbers(self, cells: pa.Array, name: str, done: int) -> npt.NDArray[np.float64]:
-        """One column of some rows, the first of them row ``done`` from 0; speeds and temperatures may be absent."""
+        """One column of some rows, the first of them row ``done`` from 0; speeds may be absent."""
         try:
             values = np.asarray(cells.cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
         except pa.ArrowException as error:
             raise fault(Path(str(self.source)), expected="numbers", found=f"{cells.type}", column=name) from error
         bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad) and not name.startswith(("qd", "temp_")):
+        if len(bad) and not name.startswith("qd"):
             row = done + int(bad[0]) + 1
             found = "an empty cell" if np.isnan(values[bad[0]]) else f"{values[bad[0]]}"
             raise fault(Path(str(self.source)), expected="a finite number", found=found, row=row, column=name)

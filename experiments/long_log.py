@@ -123,6 +123,7 @@ def _pieces(path: Path, layout: TableFormat, known: dict[int, float]) -> Iterato
         for batch in batches(file, file.schema_arrow.names):
             source = TableFile(path, first)
             frame = validate_table(batch.to_pandas(ignore_metadata=True), layout, source, ())
+            _refuse_gaps(frame, source)
             run, time = frame["run"].to_numpy(), frame["time_s"].to_numpy()
             numbers, begins = np.unique(run, return_index=True)
             for number, row in sorted(zip(numbers.tolist(), begins.tolist(), strict=True), key=lambda pair: pair[1]):
@@ -132,6 +133,15 @@ def _pieces(path: Path, layout: TableFormat, known: dict[int, float]) -> Iterato
                 known[number] = float(time[run == number][-1])
             yield first, frame
             first += len(frame)
+
+
+def _refuse_gaps(frame: pd.DataFrame, source: TableFile) -> None:
+    """A log that is not held has every temperature: gaps are bridged in whole tables."""
+    for name in temperature_columns(map(str, frame.columns)):
+        lost = np.flatnonzero(frame[name].isna().to_numpy())
+        if lost.size:
+            expected = "a temperature in every row of so long a log"
+            raise source.fault(expected=expected, found="an empty cell", row=int(lost[0]), column=name)
 
 
 def _stretches(rows: int) -> npt.NDArray[np.int64]:

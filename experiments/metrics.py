@@ -1,4 +1,4 @@
-"""How good a robot is at reaching places, as ISO 9283 counts it, and errors split about a sample.
+"""Formulas of ISO 9283 for how well a robot reaches a place, and errors split about a sample.
 
 Attained positions x_j of one command, from one side, with barycentre x̄ and l_j = |x_j − x̄|::
 
@@ -7,78 +7,66 @@ Attained positions x_j of one command, from one side, with barycentre x̄ and l_
     vAP = max over sides h, k of |x̄_h − x̄_k|       multi-directional variation of pose accuracy
     dAP = max over t of |AP_1 − AP_t|               drift, over cycles in the order of time; dRP likewise
 
+and of orientations, about each axis by itself: |ā − a_c|, 3 S_a, max |ā_h − ā_k|. RP of returns from all sides together
+is called bidirectional here, after machine tools (ISO 230-2); ISO 9283 has it from one side only.
+
 Source: ISO 9283:1998, 7.2.1 (AP), 7.2.2 (RP), 7.2.3 (vAP), 7.6 (drift). The universal model's P̄, σ_P and P_max are
-mean, standard deviation and maximum of the errors' norms.
+mean, standard deviation and maximum of the errors' norms. :mod:`experiments.iso9283` takes them over a table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 __all__ = [
-    "MEANING",
-    "PoseMetrics",
-    "Spread",
     "accuracy",
+    "angle_accuracy",
+    "angle_repeatability",
+    "angle_variation",
     "drift",
     "norm_metrics",
-    "pose_metrics",
     "repeatability",
     "split_about",
     "variation",
 ]
 
 Array = npt.NDArray[np.float64]
-Labels = npt.NDArray[np.int64]
-FEWEST_FOR_DRP = 4  # returns: two early and two late
-MEANING = {
-    "AP": "pose accuracy that the model leaves",
-    "RP": "pose repeatability",
-    "vAP": "variation with the side of approach",
-    "dAP": "drift of the pose accuracy",
-    "dRP": "drift of the pose repeatability, later returns against earlier ones",
-}
 
 
-def accuracy(attained: Array, command: Array) -> float:
-    """AP, m: how far the barycentre of attained positions ``(n, 3)`` is from the command ``(3,)``."""
-    return float(np.linalg.norm(np.mean(attained, axis=0) - command))
+def accuracy(attained: Array, command: Array) -> Array:
+    """AP ``(...)``, m: how far the barycentre of attained positions ``(..., n, 3)`` is from the command ``(3,)``."""
+    return np.asarray(np.linalg.norm(np.mean(attained, axis=-2) - command, axis=-1))
 
 
-def repeatability(attained: Array) -> float:
-    """RP, m, of attained positions ``(n, 3)``, n >= 2.
+def repeatability(attained: Array) -> Array:
+    """RP ``(...)``, m, of attained positions ``(..., n, 3)``, n >= 2.
 
     Raises
     ------
     ValueError
         There are fewer than two.
     """
-    if len(attained) < 2:
-        raise ValueError(f"repeatability: expected two or more attained positions, found {len(attained)}")
-    off = np.linalg.norm(attained - attained.mean(axis=0), axis=1)
-    return float(off.mean() + 3 * off.std(ddof=1))
+    _several(attained)
+    off = np.linalg.norm(attained - attained.mean(axis=-2, keepdims=True), axis=-1)
+    return np.asarray(off.mean(axis=-1) + 3 * off.std(axis=-1, ddof=1))
 
 
-def variation(sides: Sequence[Array]) -> float:
-    """VAP, m: the largest distance between barycentres of positions ``(n_h, 3)`` attained from two sides or more.
+def variation(sides: Sequence[Array]) -> Array:
+    """VAP ``(...)``, m: the largest distance between barycentres of positions ``(..., n_h, 3)`` from two sides or more.
 
     Raises
     ------
     ValueError
         There are fewer than two sides.
     """
-    if len(sides) < 2:
-        raise ValueError(f"variation: expected two or more sides, found {len(sides)}")
-    centres = np.array([side.mean(axis=0) for side in sides])
-    return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
+    return np.asarray(np.linalg.norm(_between(sides), axis=-1).max(axis=(-1, -2)))
 
 
-def drift(cycles: Sequence[Array], command: Array) -> tuple[float, float]:
-    """Find dAP and dRP, m, of cycles ``(n_t, 3)`` in the order of time; dRP is nan where a cycle has one position.
+def drift(cycles: Sequence[Array], command: Array) -> tuple[Array, Array]:
+    """Find dAP and dRP ``(...)``, m, of cycles ``(..., n_t, 3)`` in the order of time; dRP is nan if a cycle has one.
 
     Raises
     ------
@@ -88,11 +76,52 @@ def drift(cycles: Sequence[Array], command: Array) -> tuple[float, float]:
     if len(cycles) < 2:
         raise ValueError(f"drift: expected two or more cycles, found {len(cycles)}")
     ap = np.array([accuracy(cycle, command) for cycle in cycles])
-    d_ap = float(np.max(np.abs(ap - ap[0])))
-    if min(len(cycle) for cycle in cycles) < 2:
-        return d_ap, float("nan")
+    d_ap = np.asarray(np.max(np.abs(ap - ap[0]), axis=0))
+    if min(cycle.shape[-2] for cycle in cycles) < 2:
+        return d_ap, np.full_like(d_ap, np.nan)
     rp = np.array([repeatability(cycle) for cycle in cycles])
-    return d_ap, float(np.max(np.abs(rp - rp[0])))
+    return d_ap, np.asarray(np.max(np.abs(rp - rp[0]), axis=0))
+
+
+def angle_accuracy(attained: Array, command: Array) -> Array:
+    """AP about each axis ``(..., 3)``, rad, of small rotation vectors ``(..., n, 3)`` against ``(3,)``."""
+    return np.asarray(np.abs(np.mean(attained, axis=-2) - command))
+
+
+def angle_repeatability(attained: Array) -> Array:
+    """RP about each axis ``(..., 3)``, rad, of small rotation vectors ``(..., n, 3)``, n >= 2: three S.
+
+    Raises
+    ------
+    ValueError
+        There are fewer than two.
+    """
+    _several(attained)
+    return np.asarray(3 * attained.std(axis=-2, ddof=1))
+
+
+def angle_variation(sides: Sequence[Array]) -> Array:
+    """VAP about each axis ``(..., 3)``, rad, of small rotation vectors ``(..., n_h, 3)`` from two sides or more.
+
+    Raises
+    ------
+    ValueError
+        There are fewer than two sides.
+    """
+    return np.asarray(np.abs(_between(sides)).max(axis=(-2, -3)))
+
+
+def _several(attained: Array) -> None:
+    if attained.shape[-2] < 2:
+        raise ValueError(f"repeatability: expected two or more attained positions, found {attained.shape[-2]}")
+
+
+def _between(sides: Sequence[Array]) -> Array:
+    """From each side's barycentre to each other's ``(..., h, k, 3)``."""
+    if len(sides) < 2:
+        raise ValueError(f"variation: expected two or more sides, found {len(sides)}")
+    centres = np.stack([side.mean(axis=-2) for side in sides], axis=-2)
+    return np.asarray(centres[..., :, None, :] - centres[..., None, :, :])
 
 
 def split_about(error: Array, points: Array, centre: Array) -> tuple[Array, Array]:
@@ -116,87 +145,6 @@ def split_about(error: Array, points: Array, centre: Array) -> tuple[Array, Arra
     outward = arm / np.linalg.norm(arm, axis=1, keepdims=True)
     radial = np.einsum("ni,ni->n", error, outward)
     return radial, np.linalg.norm(error - radial[:, None] * outward, axis=1)
-
-
-@dataclass(frozen=True)
-class Spread:
-    """A number over several poses: how many poses, their mean and largest, m."""
-
-    poses: int
-    mean: float
-    maximum: float
-
-    def to_json(self) -> dict[str, float]:
-        """For programs."""
-        return {"poses": self.poses, "mean": self.mean, "max": self.maximum}
-
-
-@dataclass(frozen=True)
-class PoseMetrics:
-    """Metrics of a table of poses; None where nothing was repeated in the way that a metric needs.
-
-    Attributes
-    ----------
-    ap
-        Over pose, target and side with two returns or more.
-    rp
-        Over the same.
-    vap
-        Over pose and target with two sides or more.
-    drift_ap
-        Over pose, target and side: first return against later ones.
-    drift_rp
-        Over pose, target and side with four returns or more: their earlier half against the later one.
-    """
-
-    ap: Spread | None
-    rp: Spread | None
-    vap: Spread | None
-    drift_ap: Spread | None
-    drift_rp: Spread | None
-
-    def to_json(self) -> dict[str, dict[str, float]]:
-        """For programs: ``AP``, ``RP``, ``vAP``, ``dAP``, ``dRP``, those that there are."""
-        found = {"AP": self.ap, "RP": self.rp, "vAP": self.vap, "dAP": self.drift_ap, "dRP": self.drift_rp}
-        return {name: spread.to_json() for name, spread in found.items() if spread is not None}
-
-
-def pose_metrics(attained: Array, command: Array, place: Labels, side: Labels, time: Array) -> PoseMetrics:
-    """Metrics over a table.
-
-    Parameters
-    ----------
-    attained, command
-        ``(n, 3)`` m: where each measured point was, and where it should be.
-    place
-        ``(n,)``: which pose and target.
-    side
-        ``(n,)``: from which side it was approached; negative where that is not known.
-    time
-        ``(n,)`` s.
-    """
-    error = attained - command
-    ap, rp, vap, moved, spread = [], [], [], [], []
-    for p in np.unique(place):
-        here = np.flatnonzero(place == p)
-        sides = [here[side[here] == s] for s in np.unique(side[here]) if s >= 0]
-        if len(sides) > 1:
-            vap.append(variation([error[group] for group in sides]))
-        for group in sides:
-            if len(group) < 2:
-                continue
-            ap.append(accuracy(error[group], np.zeros(3)))
-            rp.append(repeatability(error[group]))
-            in_time = error[group[np.argsort(time[group], kind="stable")]]
-            moved.append(drift([one[None] for one in in_time], np.zeros(3))[0])
-            if len(in_time) >= FEWEST_FOR_DRP:
-                half = len(in_time) // 2
-                spread.append(drift([in_time[:half], in_time[half:]], np.zeros(3))[1])
-    return PoseMetrics(*(_spread(values) for values in (ap, rp, vap, moved, spread)))
-
-
-def _spread(values: list[float]) -> Spread | None:
-    return Spread(len(values), float(np.mean(values)), float(np.max(values))) if values else None
 
 
 def norm_metrics(norms: Array) -> dict[str, float | None]:

@@ -35,6 +35,7 @@ def simulate(
     hidden: Sequence[str | Hidden] = (),
     *,
     seed: int = 0,
+    session: int = 1,
     poses: int = 250,
     tables: Sequence[str] | None = None,
     outliers: float = 0.0,
@@ -55,6 +56,9 @@ def simulate(
         size.
     seed
         Which individual, programs and noise.
+    session
+        Which session of this individual, from 1: later ones have other postures, noise and temperatures, the instrument
+        elsewhere, and the tool mounted anew.
     poses
         Number of poses in the table ``poses``.
     tables
@@ -85,7 +89,16 @@ def simulate(
     description = load_robot(robot)
     try:
         asked = [Hidden.parse(item) if isinstance(item, str) else item for item in hidden]
-        measured = measure(description, asked, seed=seed, poses=poses, tables=tables, outliers=outliers, alter=alter)
+        measured = measure(
+            description,
+            asked,
+            seed=seed,
+            session=session,
+            poses=poses,
+            tables=tables,
+            outliers=outliers,
+            alter=alter,
+        )
     except ValueError as error:
         # The virtual robot imports nothing of ours, and so says every refusal as a plain ValueError.
         raise SimulationError(str(error)) from error

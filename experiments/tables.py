@@ -74,6 +74,8 @@ class TableFile:
             for position, (_, record) in enumerate(records):
                 if position == row:
                     text = record[header.index(column)]
+                    if text.strip() == column:
+                        return "the line of names again"
                     return f"{text!r}" if text.strip() else "an empty cell"
         if value is None or value is pd.NaT or value is pd.NA:
             return "an empty cell"

@@ -12,7 +12,7 @@ from experiments.columns import QUATERNION, Column, TableFormat, lookalike, temp
 from experiments.errors import CampaignError
 from experiments.tables import TableFile
 
-__all__ = ["increasing", "validate_table"]
+__all__ = ["increasing", "typed_columns", "validate_table"]
 
 # Nine printed digits give a norm right to 1e-8. Rounding to three digits stays within 1e-3; a wrong order or sign of
 # components does not change the norm, so that what exceeds this is not a unit quaternion at all.
@@ -45,9 +45,7 @@ def validate_table(
     CampaignError
         On the first deviation from the contract.
     """
-    present = _present(frame, table, source)
-    typed = {column.name: _typed(frame[column.name], column, source) for column in present}
-    result = frame.assign(**typed)
+    result = typed_columns(frame, table, source)
     if table.run is not None:
         _refuse_unordered(result, table.run, source)
     else:
@@ -55,6 +53,18 @@ def validate_table(
         _refuse_bad_quaternions(result, source)
         _refuse_unknown_targets(result, targets, source)
     return result
+
+
+def typed_columns(frame: pd.DataFrame, table: TableFormat, source: TableFile) -> pd.DataFrame:
+    """The same rows with the columns of a format checked for what their cells may hold, and of its types.
+
+    Raises
+    ------
+    CampaignError
+        A column is missing, or a cell holds something else.
+    """
+    present = _present(frame, table, source)
+    return frame.assign(**{column.name: _typed(frame[column.name], column, source) for column in present})
 
 
 def _present(frame: pd.DataFrame, table: TableFormat, source: TableFile) -> list[Column]:
@@ -68,7 +78,7 @@ def _present(frame: pd.DataFrame, table: TableFormat, source: TableFile) -> list
             continue
         _refuse_missing(missing, extra, f" (all of {group[0].name} … {group[-1].name}, or none)", source)
         present += group
-    return present + [Column(name) for name in temperature_columns(map(str, frame.columns))]
+    return present + [Column(name, gaps=True) for name in temperature_columns(map(str, frame.columns))]
 
 
 def _refuse_missing(missing: list[Column], extra: list[str], why: str, source: TableFile) -> None:
@@ -109,7 +119,7 @@ def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray
         if bad.size:
             raise _cell_fault(cells, column, bad, source)
         values = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
-    bad = np.flatnonzero(~np.isfinite(values))
+    bad = np.flatnonzero(~np.isfinite(values) & ~(empty & column.gaps))
     if bad.size:
         raise _cell_fault(cells, column, bad, source)
     wrong = np.zeros(len(values), dtype=bool)

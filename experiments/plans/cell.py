@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from experiments.header import read_header
+from experiments.campaign import Campaign
+from experiments.header import Header, read_header
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell
 from kinematics.description import DescriptionError, load_robot
 
-__all__ = ["POSITION_STD", "cell_of"]
+__all__ = ["POSITION_STD", "cell_like", "cell_of"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 TOOL_MASS, TOOL_COM = 12.0, (0.0, 0.0, 0.08)
@@ -59,16 +61,26 @@ def cell_of(robot: str, like: Path | None = None) -> tuple[Cell, tuple[str, ...]
     header = read_header(like)
     if header.robot.name != description.name:
         raise PlanError(f"{like}: expected a campaign of {description.name}, found one of {header.robot.name}")
-    return (
-        Cell(
-            robot=description,
-            reference=robot,
-            gravity=np.array(header.gravity),
-            tool_mass=header.tool.mass,
-            tool_com=np.array(header.tool.com),
-            targets={name: np.array(point) for name, point in header.targets.items()},
-            instrument=header.instrument.name,
-            position_std=header.instrument.position_std or POSITION_STD,
-        ),
-        (),
+    return replace(cell_like(header), robot=description, reference=robot), ()
+
+
+def cell_like(measured: Header | Campaign, unstated: float = POSITION_STD) -> Cell:
+    """The cell in which a campaign was measured.
+
+    Parameters
+    ----------
+    measured
+        A campaign, or its header alone; the cell calls the robot by its name.
+    unstated
+        m: standard deviation of a position where the instrument states none of its own (polar ones).
+    """
+    return Cell(
+        robot=measured.robot,
+        reference=measured.robot.name,
+        gravity=np.array(measured.gravity, dtype=float),
+        tool_mass=measured.tool.mass,
+        tool_com=np.array(measured.tool.com, dtype=float),
+        targets={name: np.array(point) for name, point in measured.targets.items()},
+        instrument=measured.instrument.name,
+        position_std=measured.instrument.position_std or unstated,
     )

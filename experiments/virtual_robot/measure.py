@@ -12,12 +12,13 @@ import pandas as pd
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.description import Array, RobotDescription
 from experiments.virtual_robot.draw import GRAVITY, TARGETS, TOOL_COM, TOOL_MASS, draw_plant
-from experiments.virtual_robot.heat import session
+from experiments.virtual_robot.heat import session as warmed
 from experiments.virtual_robot.hidden import Hidden, hide
 from experiments.virtual_robot.outliers import spoil
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.pose_tables import measure_poses
 from experiments.virtual_robot.programs import Run, clamp_program, free_air_program, pose_program, wrist_program
+from experiments.virtual_robot.remeasured import FIRST, seeds_of, set_up_anew
 from experiments.virtual_robot.sampling import Site
 from experiments.virtual_robot.torque_tables import Logged, log_runs, log_sweeps, sweep_amplitudes
 
@@ -64,6 +65,7 @@ def measure(
     hidden: Sequence[Hidden] = (),
     *,
     seed: int = 0,
+    session: int = FIRST,
     poses: int = 250,
     tables: Sequence[str] | None = None,
     outliers: float = 0.0,
@@ -82,6 +84,9 @@ def measure(
         Effects that this individual has and a baseline one has not.
     seed
         Which individual, programs and noise.
+    session
+        Which session of this individual, from 1: later ones have programs, noise, tool, air and place of the instrument
+        of their own.
     poses
         Number of poses in the table ``poses``.
     tables
@@ -103,14 +108,14 @@ def measure(
         raise ValueError(f"outliers: expected a share from 0 to below 1, found {outliers}")
     site = Site(robot)
     wanted = _tables(site, tables)
-    root = np.random.SeedSequence(seed)
-    plant_seed, program_seed, noise_seed, spoil_seed, hidden_seed = root.spawn(5)
+    seeds = seeds_of(seed, session)
     streams = {
         kind: dict(zip(TABLES, (np.random.default_rng(s) for s in seq.spawn(len(TABLES))), strict=True))
-        for kind, seq in (("program", program_seed), ("noise", noise_seed), ("outliers", spoil_seed))
+        for kind, seq in (("program", seeds.program), ("noise", seeds.noise), ("outliers", seeds.spoil))
     }
-    baseline = alter(draw_plant(robot, np.random.default_rng(plant_seed)))
-    plant, told = hide(site, baseline, hidden, hidden_seed)
+    baseline = alter(draw_plant(robot, np.random.default_rng(seeds.plant)))
+    plant, told = hide(site, baseline, hidden, seeds.hidden)
+    baseline, plant = (set_up_anew(robot, each, seeds.place) for each in (baseline, plant))
     logged = _torques(site, baseline, plant, wanted, streams) | _poses(site, plant, wanted, poses, streams)
     frames = {name: logged[name].table for name in wanted}
     spoilt: dict[str, tuple[int, ...]] = {}
@@ -148,7 +153,7 @@ def _torques(site: Site, baseline: Plant, plant: Plant, wanted: Sequence[str], s
     work = np.vstack([work, 0 * work[:1], wrist_work, 0.1 + 0 * work[:1]])
     work = work / np.mean(work[: len(time)])
     ends = np.concatenate([time, [wrist_start], wrist_time, [clamp_start + clamp.time[-1]]])
-    history = session(plant.heat, ends, work)
+    history = warmed(plant.heat, ends, work)
     out = {}
     noise = streams["noise"]
     if "free_air" in wanted:
@@ -186,7 +191,7 @@ def _poses(site: Site, plant: Plant, wanted: Sequence[str], poses: int, streams:
     first = pose_program(site, poses, 60.0, True, program["poses"])
     second = pose_program(site, VERIFICATION_POSES, first.time[-1] + 120.0, False, program["verification"])
     travel = np.vstack([first.travel, second.travel])
-    history = session(plant.heat, np.concatenate([first.time, second.time]), travel / travel.mean(axis=0))
+    history = warmed(plant.heat, np.concatenate([first.time, second.time]), travel / travel.mean(axis=0))
     return {
         name: measure_poses(plant, bodies, visits, history, streams["noise"][name])
         for name, visits in (("poses", first), ("verification", second))

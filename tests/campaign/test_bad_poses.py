@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from experiments.campaign import Campaign, read_campaign
 from experiments.check import Finding, check_campaign
@@ -55,6 +56,45 @@ def test_a_point_that_is_just_wrong_is_not_called_swapped(campaign: Campaign) ->
     findings = told(campaign, table)
     assert not any("swapped at" in f.message for f in findings)
     assert any("1 of" in f.message and f.row == 11 for f in findings)
+
+
+@pytest.mark.parametrize("joint", range(1, 7))
+def test_a_joint_of_the_wrong_sign_is_named(campaign: Campaign, joint: int) -> None:
+    table = campaign.tables["poses"]
+    found = told(campaign, table.assign(**{f"q{joint}_rad": -table[f"q{joint}_rad"]}))
+    (error,) = [f for f in found if f.severity == "error"]
+    assert f"they fit with the sign of joint {joint} turned" in error.message
+
+
+def test_a_wrong_sign_that_errs_by_millimetres_is_named(campaign: Campaign) -> None:
+    """A target 8 mm off joint 6's axis moves by as much when its sign is wrong."""
+    table = campaign.tables["poses"].query("target == 'T1'").reset_index(drop=True)
+    robot, near = campaign.robot, np.array([0.008, 0.0, 0.12])
+    q = table[[f"q{i + 1}_rad" for i in range(6)]].to_numpy()
+    place = forward(robot.screws, robot.flange, q @ robot.linkage.T) @ np.r_[near, 1.0]
+    one = table.assign(**dict(zip(("x_m", "y_m", "z_m"), place[:, :3].T, strict=True)), q6_rad=-table["q6_rad"])
+    targets = MappingProxyType({"T1": near})
+    assert any("the sign of joint 6 turned" in f.message for f in told(campaign, one, targets=targets))
+    right = one.assign(q6_rad=table["q6_rad"])
+    assert not any("turned" in f.message for f in told(campaign, right, targets=targets))
+
+
+def test_two_joints_exchanged_are_named(campaign: Campaign) -> None:
+    table = campaign.tables["poses"].rename(columns={"q2_rad": "q3_rad", "q3_rad": "q2_rad"})
+    found = told(campaign, table[campaign.tables["poses"].columns])
+    assert any("they fit with joints 2 and 3 exchanged" in f.message and f.severity == "error" for f in found), found
+
+
+def test_too_few_poses_with_orientations(campaign: Campaign) -> None:
+    table = campaign.tables["poses"].query("target == 'T1' and pose <= 4").reset_index(drop=True)
+    robot = campaign.robot
+    q = table[[f"q{i + 1}_rad" for i in range(6)]].to_numpy()
+    place = forward(robot.screws, robot.flange, q @ robot.linkage.T)
+    quaternion = Rotation.from_matrix(place[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    full = table.assign(target="flange", **dict(zip(("x_m", "y_m", "z_m"), place[:, :3, 3].T, strict=True)))
+    full = full.assign(**dict(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True)))
+    words = "4 poses are fewer than the 5 that the geometry of 6 joints and the flange takes at the least (30 numbers)"
+    assert any(words in f.message for f in told(campaign, full)), told(campaign, full)
 
 
 @pytest.mark.parametrize(

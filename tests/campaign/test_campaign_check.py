@@ -109,14 +109,14 @@ def test_mirrored_frame(tmp_path: Path, table: str) -> None:
 
 @pytest.mark.parametrize("table", POINTS)
 def test_wrong_joint_sign(tmp_path: Path, table: str) -> None:
-    found(findings(tmp_path, change(table, scaled(["q3_rad"], -1.0))), "warning", table, "wrong robot, joint order")
+    found(findings(tmp_path, change(table, scaled(["q3_rad"], -1.0))), "error", table, "the sign of joint 3 turned")
 
 
 @pytest.mark.parametrize("table", POINTS)
 def test_swapped_targets(tmp_path: Path, table: str) -> None:
     swap = {"T1": "T3", "T3": "T1", "T2": "T2"}
     all_found = findings(tmp_path, change(table, lambda f: f.assign(target=f["target"].map(swap))))
-    found(all_found, "warning", table, "fit with targets T1 and T3 swapped")
+    found(all_found, "error", table, "fit with targets T1 and T3 swapped")
     found(all_found, "warning", table, "apart in [targets_m]")
 
 
@@ -270,13 +270,13 @@ class TestVelocities:
 
 class TestStops:
     def test_returns(self, tmp_path: Path) -> None:
-        found(findings(tmp_path, change("poses", lambda f: f)), "note", "poses", "3 returns to a pose")
+        found(findings(tmp_path, change("poses", lambda f: f)), "note", "poses", "3 points measured again")
         tables = change("poses", lambda f: f[f["visit"] == 1])
-        found(findings(tmp_path / "b", tables), "note", "poses", "no returns to a pose")
+        found(findings(tmp_path / "b", tables), "note", "poses", "no point measured again")
 
     def test_returns_at_another_temperature_are_not_replicates(self, tmp_path: Path) -> None:
         tables = change("poses", lambda f: f.assign(temp_link1_C=f["temp_link1_C"] + f["visit"]))
-        found(findings(tmp_path, tables), "note", "poses", "no returns to a pose")
+        found(findings(tmp_path, tables), "note", "poses", "no point measured again")
 
     def test_visits_not_counted(self, tmp_path: Path) -> None:
         found(findings(tmp_path, change("poses", lambda f: f.assign(visit=1))), "warning", "poses", "within one visit")

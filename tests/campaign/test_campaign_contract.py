@@ -76,9 +76,11 @@ class TestEveryTable:
         else:
             says(refused(tmp_path, tables), f"{table}.csv, row 4 (line 5)", f"column {NUMBER[table]}", "'broken'")
 
-    def test_dead_temperature_sensor(self, tmp_path: Path, table: str, file_format: str) -> None:
+    def test_only_temperatures_may_miss_readings(self, tmp_path: Path, table: str, file_format: str) -> None:
         column = next(name for name in make_tables()[table].columns if name.startswith("temp_"))
-        says(refused(tmp_path, with_cell(table, 7, column, np.nan), file_format), "row 7", f"column {column}")
+        folder = write(tmp_path / "c", with_cell(table, 7, column, np.nan), file_format=file_format)
+        assert np.flatnonzero(read_campaign(folder).tables[table][column].isna()).tolist() == [6]
+        says(refused(tmp_path / "inf", with_cell(table, 7, column, np.inf), file_format), "row 7", f"column {column}")
 
     @pytest.mark.parametrize("value", [1.5, -1.0])
     def test_counts_are_integers(self, tmp_path: Path, table: str, file_format: str, value: float) -> None:
