@@ -1,4 +1,4 @@
-"""The command server: time beyond a bare asyncio echo, 20 000 requests, and 100 000 lines of rubbish.
+"""The command server: time beyond a bare asyncio echo, what long requests do to it, 20 000 requests, 100 000 bad lines.
 
     python benchmarks/detector_server.py
 
@@ -66,6 +66,33 @@ async def round_trips(host: str, port: int, count: int) -> np.ndarray:
     writer.close()
     await writer.wait_closed()
     return took
+
+
+async def beside(host: str, port: int, what: bytes, times: int = 5) -> None:
+    """How long requests of one client take while another asks for what takes long, one after the other."""
+    reader, writer = await asyncio.open_connection(host, port, limit=1 << 20)
+    long: list[float] = []  # s each
+
+    async def ask() -> None:
+        while True:
+            start = perf_counter()
+            writer.write(what + b"\n")
+            assert await reader.readline()
+            long.append(perf_counter() - start)
+
+    asking = asyncio.create_task(ask())
+    await asyncio.sleep(0.5)
+    rounds = []
+    while len(long) < times:
+        rounds.append(1e3 * (await round_trips(host, port, 50))[:, 0])
+    took = np.concatenate(rounds)
+    asking.cancel()
+    writer.close()
+    print(
+        f"while another client asks {what.split()[0].decode()} ({1e3 * np.median(long):.0f} ms each): "
+        f"{np.median(took):.2f} ms at the median, 95 % within {np.quantile(took, 0.95):.2f}, all within "
+        f"{took.max():.1f} ms"
+    )
 
 
 async def spoilt(server: Server, host: str, port: int) -> None:
@@ -136,6 +163,9 @@ async def run() -> None:
     ):  # fmt: skip
         a, b = float(statistic(mine[:, clock])), float(statistic(theirs[:, clock]))
         print(f"{what}: {a:.0f} µs, bare echo of the same answer {b:.0f} µs: {a - b:.0f} µs beyond it")
+    for what in (b"", b" branch=all"):
+        await beside(host, port, GOOD.replace(b"where", b"path") + b" from=0.1,-1.2,1.2,0.1,0.4,0" + what)
+    await beside(host, port, b"where gamma=0.3 delta=0.2 r=3.0")
     before = memory()
     await round_trips(host, port, 20_000)
     print(f"20 000 requests: memory {before:.1f} to {memory():.1f} MB")

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from kinematics.robot import RobotDescription
 
 if TYPE_CHECKING:
     from offline_ik.arm import IdentifiedArm
     from offline_ik.cell import Cell
+    from offline_ik.detector import Detector
 
-__all__ = ["assumed_of", "notes_of"]
+__all__ = ["assumed_of", "moves_by", "notes_of", "time_effects"]
+
+Array = npt.NDArray[np.float64]
+
+SHIFT = 8 * 3600.0  # s
 
 # Each default by the part and key of a cell file that would say it; no key: anything in that part.
 _DEFAULTS = {
@@ -54,11 +61,31 @@ def assumed_of(table: Mapping[str, Any], robot: RobotDescription) -> tuple[str, 
 
 
 def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
-    """What a cell says and the model makes nothing of: temperatures without an effect that reads them."""
+    """What a cell says and the model makes nothing of, and which time it leaves open that the model has effects of."""
     read = {signal for slot in arm.slots for signal in arm.effects[slot.effect].needs}
     given = {"link": cell.link_temperature, "motor": cell.motor_temperature}
-    return tuple(
+    said = [
         f"the model has no effect of the {name} temperatures: they change nothing"
         for name, values in given.items()
         if values is not None and f"{name}_temperature" not in read
-    )
+    ]
+    timed = time_effects(arm)
+    if cell.running is not None and not timed:
+        said.append("the model has no effect of time: for how long the robot has been running changes nothing")
+    if cell.running is None and timed:
+        said.append(
+            f"assumed, for want of a running time: 0 s, as at a campaign's first row; the model has effects of time "
+            f"({', '.join(timed)})"
+        )
+    return tuple(said)
+
+
+def time_effects(arm: IdentifiedArm) -> tuple[str, ...]:
+    """The model's effects that read for how long the robot has been running."""
+    return tuple(dict.fromkeys(s.effect for s in arm.slots if "elapsed" in arm.effects[s.effect].needs))
+
+
+def moves_by(detector: Detector, q: Array) -> float:
+    """How far the detector moves at a posture ``(n,)`` within :data:`SHIFT` from now on, m."""
+    later = replace(detector.still, elapsed=detector.still.elapsed + SHIFT)
+    return float(np.linalg.norm((detector.pose(q[None], later) - detector.pose(q[None]))[0, :3, 3]))

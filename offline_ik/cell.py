@@ -23,7 +23,7 @@ from offline_ik.cell_values import known, number, numbers, positive, sizes, spre
 from offline_ik.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
 
-__all__ = ["FORMAT", "Cell", "Obstacle", "default_cell", "read_cell"]
+__all__ = ["FORMAT", "LONGEST", "Cell", "Obstacle", "default_cell", "read_cell"]
 
 Array = npt.NDArray[np.float64]
 Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
@@ -37,6 +37,7 @@ WIDEST = 1.0  # m, of a clearance
 LARGEST_PIXEL = 0.01  # m
 LARGEST_MARGIN = 0.5  # rad
 HEAVIEST = 2000.0  # kg
+LONGEST = 1e8  # s, three years
 WEAKEST, STRONGEST = 9.0, 10.6  # m/s², of gravity
 SHAPES: Mapping[Shape, int] = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2, "mesh": 0}
 _KEYS = {
@@ -45,7 +46,7 @@ _KEYS = {
     "convention": ("name", "order", "gamma_sign", "delta_sign", "beam", "up", "sample_m", "frame"),
     "detector": ("position_m", "x", "z", "size_m", "pixel_m", "targets_m"),
     "tool": ("mass_kg", "com_m"),
-    "temperature": ("link_C", "motor_C"),
+    "temperature": ("link_C", "motor_C", "running_s"),
     "robot_shape": ("radius_m", "base_radius_m"),
     "safety": ("clearance_m", "limit_margin_rad", "speed"),
     "obstacle": ("name", "shape", "size_m", "position_m", "x", "z", "file", "holds_sample"),
@@ -94,6 +95,8 @@ class Cell:
         flange.
     link_temperature, motor_temperature
         ``(n,)`` °C, or None: 20.
+    running
+        For how long the robot has been running, s; None: nobody says, and it counts as 0, the first row of a campaign.
     clearance
         Least distance between shapes, m.
     limit_margin
@@ -116,6 +119,7 @@ class Cell:
     tool_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     link_temperature: Array | None = None
     motor_temperature: Array | None = None
+    running: float | None = None
     radius: Array | None = None
     base_radius: float | None = None
     clearance: float = 0.02
@@ -135,6 +139,7 @@ class Cell:
             "gravity_m_s2": list(self.gravity),
             "tool_mass_kg": self.tool_mass,
             "tool_com_m": list(self.tool_com),
+            "running_s": self.running or 0.0,
             "obstacles": [o.name for o in self.obstacles],
             "clearance_m": self.clearance,
             "assumed": list(self.assumed),
@@ -214,6 +219,7 @@ def _cell(table: Mapping[str, Any], robot: RobotDescription, folder: Path) -> Ce
         tool_com=_tool_com(tool.get("com_m", [0.0, 0.0, 0.0])),
         link_temperature=temperatures("temperature.link_C", heat["link_C"], n) if "link_C" in heat else None,
         motor_temperature=temperatures("temperature.motor_C", heat["motor_C"], n) if "motor_C" in heat else None,
+        running=number("temperature.running_s", heat["running_s"], LONGEST, "seconds") if "running_s" in heat else None,
         radius=sizes("robot_shape.radius_m", shape["radius_m"], n, HAND) if "radius_m" in shape else None,
         base_radius=_base_radius(shape),
         clearance=number("safety.clearance_m", safety.get("clearance_m", cell.clearance), WIDEST, "metres"),

@@ -6,7 +6,7 @@ The public face of this layer: :class:`Detector` is a model in a cell; :meth:`De
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -24,12 +24,15 @@ from offline_ik.answer import Answer, Solution
 from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm_of
 from offline_ik.assumed import notes_of
 from offline_ik.branches import Choice, parse_choice, status_and_turn
-from offline_ik.cell import Cell, default_cell, read_cell
+from offline_ik.cell import LONGEST, Cell, default_cell, read_cell
 from offline_ik.coordinates import check_target, detector_pose
 from offline_ik.errors import CellError, DetectorError, TargetError
+from offline_ik.free_roll import effort, rolls_to_try
+from offline_ik.kernel import Kernel
+from offline_ik.kernels import looking_kernel
 from offline_ik.mount import identified_mount
 from offline_ik.nearest import Nearest
-from offline_ik.postures import ROLLS, Direction, PostureSearch, Reasons
+from offline_ik.postures import STAYED, Direction, PostureSearch, Reasons
 from offline_ik.reach import nearest_reachable
 from offline_ik.solver import Solver
 from offline_ik.uncertainty import Propagation
@@ -77,16 +80,20 @@ class Detector:
         if self.solver.analytic is not None:
             self.solver.branches(near[None])
         self.locate(0.0, 0.0, 1.0, nearest=False)
+        for kernel in (self.looking, self.solver.whole):  # of what is out of reach, and of what is singular
+            kernel.trigger()
+        self.solver.search.refine(self.to_base(near)[None], self.rest[None], self.still)
 
     @cached_property
     def still(self) -> Conditions:
-        """The cell's temperatures, and no direction of approach known."""
+        """The cell's temperatures and running time, and no direction of approach known."""
         n, cell = self.arm.n, self.cell
 
         def above(value: Array | None) -> Array:
             return np.zeros(n) if value is None else np.asarray(value - REFERENCE_TEMPERATURE)
 
-        return Conditions(np.zeros(n), above(cell.link_temperature), above(cell.motor_temperature))
+        running = cell.running or 0.0
+        return Conditions(np.zeros(n), above(cell.link_temperature), above(cell.motor_temperature), running)
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -95,15 +102,34 @@ class Detector:
 
     def at_temperature(self, link: Array | None = None, motor: Array | None = None) -> Detector:
         """The same at other temperatures ``(n,)``, °C."""
+        cell = self.cell
+        return self.within(replace(
+            cell,
+            link_temperature=cell.link_temperature if link is None else link,
+            motor_temperature=cell.motor_temperature if motor is None else motor,
+        ))  # fmt: skip
+
+    def at_running(self, seconds: float) -> Detector:
+        """The same when the robot has been running for so long, s.
+
+        Raises
+        ------
+        TargetError
+            It is no time, or of years.
+        """
+        if not 0 <= seconds <= LONGEST:
+            raise TargetError(f"running: expected seconds from 0 to {LONGEST:g}, found {seconds:g}")
+        return self.within(replace(self.cell, running=seconds))
+
+    def within(self, cell: Cell) -> Detector:
+        """The same in a cell that differs by its temperatures and running time, and by nothing else."""
+        if cell is self.cell:
+            return self
         out = object.__new__(Detector)
         out.__dict__.update(self.__dict__)
         for derived in ("still", "notes", "_still_vector", "_said", "_surroundings"):
             out.__dict__.pop(derived, None)
-        out.cell = replace(
-            self.cell,
-            link_temperature=self.cell.link_temperature if link is None else link,
-            motor_temperature=self.cell.motor_temperature if motor is None else motor,
-        )
+        out.cell = cell
         return out
 
     def to_base(self, pose: Array) -> Array:
@@ -159,7 +185,8 @@ class Detector:
         gamma, delta, r
             rad, rad, m, in the cell's convention.
         roll
-            About the detector's normal, rad; None: free, the one that moves the joints least.
+            About the detector's normal, rad; None: free, the one that moves the joints least, see
+            :mod:`offline_ik.free_roll`.
         near
             ``(n,)``: the posture at hand, rad; zero without.
         branch
@@ -175,28 +202,67 @@ class Detector:
         TargetError
             The coordinates cannot be meant.
         """
-        check_target(gamma, delta, r, 0.0 if roll is None else roll)
         choice = parse_choice(branch) if isinstance(branch, str) else branch
-        here = self.rest if near is None else self.check_posture(near)
-        if choice.kind == "nearest" and roll is not None and self._nearest is not None:
-            quick = self._nearest.locate((gamma, delta, r, roll), here, direction, self._still_vector)
-            if quick is not None:
-                return self._answer((gamma, delta, r, roll), quick[0], (self._told_outside(self._nearest, quick[1]),))
-        rolls = np.array([roll]) if roll is not None else np.arange(ROLLS) * (2 * np.pi / ROLLS) - np.pi
-        poses = detector_pose(self.cell.convention, gamma, delta, r, np.asarray(rolls, dtype=np.float64))
-        found: list[Solution] = []
+        here, quick = self._quickly(gamma, delta, r, roll, near, choice, direction)
+        if quick is not None:
+            first = quick.solutions[0]
+            if not _wanders(first):
+                return quick
+            return quick._replace(solutions=(self._beside(quick.target, first, here, direction),))
         reasons: Reasons = {}
-        order = self.search.order(self.to_base(poses), here) if roll is None else [0]
-        for k in order:
-            found = self._solutions(poses[k], float(rolls[k]), here, choice, direction, reasons)
+        rolls = [roll] if roll is not None else rolls_to_try(self, (gamma, delta, r), here, choice, direction)
+        for turned in rolls:
+            target = detector_pose(self.cell.convention, gamma, delta, r, turned)
+            key = effort if roll is None else None
+            found = self._solutions(target, turned, here, choice, direction, reasons, key)
             if found:
-                break
-        target = poses[order[0]] if not found else detector_pose(
-            self.cell.convention, gamma, delta, r, found[0].roll)  # fmt: skip
-        if found:
-            return self._answer((gamma, delta, r, roll), target, tuple(found))
-        closest = nearest_reachable(self, target, roll or 0.0) if nearest else None
+                return self._answer((gamma, delta, r, roll), target, tuple(found))
+        target = detector_pose(self.cell.convention, gamma, delta, r, roll or 0.0)
+        closest = nearest_reachable(self, target, roll) if nearest else None
         return self._answer((gamma, delta, r, roll), target, (), tuple(reasons), closest)
+
+    def at_once(
+        self,
+        gamma: float,
+        delta: float,
+        r: float,
+        roll: float | None = 0.0,
+        *,
+        near: Sequence[float] | Array | None = None,
+        branch: Choice | str = "nearest",
+        direction: Direction = None,
+    ) -> Answer | None:
+        """As :meth:`locate`, where one call of a kernel has the answer; None where that takes more.
+
+        Raises
+        ------
+        TargetError
+            The coordinates cannot be meant.
+        """
+        choice = parse_choice(branch) if isinstance(branch, str) else branch
+        _, quick = self._quickly(gamma, delta, r, roll, near, choice, direction)
+        return None if quick is None or _wanders(quick.solutions[0]) else quick
+
+    def _quickly(
+        self,
+        gamma: float,
+        delta: float,
+        r: float,
+        roll: float | None,
+        near: Sequence[float] | Array | None,
+        choice: Choice,
+        direction: Direction,
+    ) -> tuple[Array, Answer | None]:
+        """The posture at hand ``(n,)``, and what one call of a kernel finds nearest to it, or None."""
+        check_target(gamma, delta, r, 0.0 if roll is None else roll)
+        here = self.rest if near is None else self.check_posture(near)
+        if choice.kind != "nearest" or roll is None or self._nearest is None:
+            return here, None
+        asked = (gamma, delta, r, roll)
+        quick = self._nearest.locate(asked, here, direction, self._still_vector)
+        if quick is None:
+            return here, None
+        return here, self._answer(asked, quick[0], (self._told_outside(self._nearest, quick[1]),))
 
     def _answer(
         self,
@@ -219,6 +285,22 @@ class Detector:
         ortho = self.solver.ortho
         return None if ortho is None else Nearest(ortho, self.search, self.propagation, self.cell)
 
+    @property
+    def twin(self) -> Detector:
+        """The same with kernels of its own, ready to be used by another thread: those of one may not be shared."""
+        return self._twin.within(self.cell)
+
+    @cached_property
+    def _twin(self) -> Detector:
+        out = Detector(self.arm, self.cell)
+        out.warm_up()
+        return out
+
+    @cached_property
+    def looking(self) -> Kernel:
+        """See :func:`offline_ik.kernels.looking_kernel`."""
+        return looking_kernel(self.arm, self.solver.mount, self.cell.convention)
+
     @cached_property
     def _still_vector(self) -> Array:
         return self.still.vector
@@ -235,6 +317,7 @@ class Detector:
         choice: Choice,
         direction: Direction,
         reasons: Reasons,
+        key: Callable[[Array, Array], Array] | None = None,
     ) -> list[Solution]:
         base = self.to_base(pose)
         found: list[Solution] = []
@@ -245,7 +328,7 @@ class Detector:
             if any(np.abs(q - other.q).max() < 1e-7 for other in found):
                 continue
             found.append(self._solution(q, base, roll, here, replace(self.still, direction=direct)))
-        found.sort(key=lambda s: s.distance)
+        found.sort(key=(lambda s: s.distance) if key is None else lambda s: key(s.q, here))
         return found if choice.kind == "all" else found[:1]
 
     def _solution(self, q: Array, base: Array, roll: float, here: Array, conditions: Conditions) -> Solution:
@@ -266,6 +349,14 @@ class Detector:
             conditions.direction,
             self._extrapolating(q),
         )
+
+    def _beside(self, target: Array, first: Solution, here: Array, direction: Direction) -> Solution:
+        """At a singular pose ``(4, 4)`` the posture nearest to ``here``: the branches are not all that there is."""
+        base, conditions = self.to_base(target), replace(self.still, direction=first.direction)
+        found = self.search.nearer(base, first.q, first.q, here, direction, conditions)
+        if found is None or found[0] is first.q:
+            return first
+        return self._solution(found[0], base, first.roll, here, replace(conditions, direction=found[1]))
 
     def _told_outside(self, nearest: Nearest, solution: Solution) -> Solution:
         """The solution that was just located by a kernel that knows no ranges; inside these as it came."""
@@ -298,6 +389,11 @@ class Detector:
         c, s = math.cos(roll), math.sin(roll)
         x, y, z = base[:3, 0], base[:3, 1], base[:3, 2]
         return np.column_stack([-s * x - c * y, s * y - c * x, -z])
+
+
+def _wanders(solution: Solution) -> bool:
+    """Whether the posture of a singular pose is far from the one at hand, so that others may be nearer."""
+    return bool(solution.singular) and solution.distance >= STAYED
 
 
 def _check_arm(robot: RobotDescription) -> None:
@@ -337,7 +433,10 @@ def open_detector(
     loaded = model if isinstance(model, Model) else load_model(model)
     given = robot if robot is None or isinstance(robot, RobotDescription) else load_robot(robot)
     described = robot_of(loaded, given)
-    cell = default_cell(described) if cell is None else cell
+    if cell is None:
+        cell = default_cell(described)
+        if given is None:
+            cell = replace(cell, assumed=(f"robot {described.name}, the model's", *cell.assumed))
     placed = cell if isinstance(cell, Cell) else read_cell(cell, described)
     arm = arm_of(
         loaded,

@@ -22,6 +22,7 @@ __all__ = [
     "branch_kernel",
     "forward_kernel",
     "locate_kernel",
+    "looking_kernel",
     "refine_kernel",
     "sensitivity_kernel",
     "solve_kernel",
@@ -119,6 +120,41 @@ def _sensitivity(arm: IdentifiedArm, mount: Array, q: Any, conditions: Any) -> t
             sides.append(arm.stations(q, there, mount)[3])
         spread.append(S @ (sides[0] - sides[1]))
     return ca.substitute(rotation, theta, known), J, ca.horzcat(*spread)
+
+
+def looking_kernel(arm: IdentifiedArm, mount: Array, convention: Convention) -> Kernel:
+    """Where a posture has the detector, and by what it does not look at the sample, with their derivatives.
+
+    Rows are (q, roll, conditions). Outputs: the position ``(3,)`` in the convention's frame, m; its derivative by q
+    ``(3 n,)`` by rows; the sample's direction along the detector's x and y and the sine by which the roll is another
+    ``(3,)``, all zero where it looks there; their derivatives ``(3 n,)`` by rows.
+    """
+    n = arm.n
+    row = ca.SX.sym("row", n + 1 + 3 * n + 1)
+    q, conditions = row[:n], row[n + 1 :]
+    position, rotation, S, values, _ = arm.stations(q, conditions, mount)
+    J = S[:, :n] @ ca.DM(np.asarray(arm.robot.linkage)) + S @ ca.jacobian(values, q)
+    frame = np.eye(4) if convention.frame == "base" else arm.base
+    A = ca.DM(frame[:3, :3])
+    p, R, roll = ca.SX.sym("p", 3), ca.SX.sym("R", 3, 3), ca.SX.sym("roll")
+    off = p - ca.DM(convention.sample)
+    r = ca.norm_2(off)
+    x, y, z = ca.vertsplit(ca.DM(convention.lab).T @ off)
+    if convention.order == "gamma_outer":
+        gamma, delta = ca.atan2(-x, z), ca.atan2(y, ca.sqrt(x * x + z * z))
+    else:
+        gamma, delta = ca.atan2(-x, ca.sqrt(y * y + z * z)), ca.atan2(y, z)
+    wanted, _ = pose_sx(convention, convention.gamma_sign * gamma, convention.delta_sign * delta, r, roll)
+    misses = ca.vertcat(-(R[:, :2].T @ off) / r, ca.dot(wanted[:, 1], R[:, 0]))
+    turned = ca.vertcat(*(-ca.skew(R[:, k]) for k in range(3)))  # d vec R by a rotation vector
+    looks = ca.Function(
+        "looks", [p, R, roll], [misses, ca.jacobian(misses, p), ca.jacobian(misses, ca.vec(R)) @ turned]
+    )
+    at = A @ position + ca.DM(frame[:3, 3])
+    missed, by_place, by_turn = looks.call([at, A @ rotation, row[n]], True, False)
+    slope = by_place @ (A @ J[:3, :]) + by_turn @ (A @ J[3:, :])
+    outputs = [at, ca.vec((A @ J[:3, :]).T), missed, ca.vec(slope.T)]
+    return Kernel(ca.Function("looking", [row], ca.cse([ca.densify(o) for o in outputs])))
 
 
 def locate_kernel(

@@ -15,9 +15,10 @@ import numpy.typing as npt
 from offline_ik.arm import Conditions
 from offline_ik.branches import candidate_turns
 from offline_ik.ortho import SIGNS
-from offline_ik.solver import NEARLY, Solver
+from offline_ik.singular import AROUND, STRAIGHT, along_valleys
+from offline_ik.solver import CONVERGED, NEARLY, Solver
 
-__all__ = ["ROLLS", "Direction", "PostureSearch", "Reasons"]
+__all__ = ["ROLLS", "Direction", "PostureSearch", "Reasons", "directions_of"]
 
 Array = npt.NDArray[np.float64]
 Direction = Array | Literal["moved"] | None
@@ -26,11 +27,12 @@ not known."""
 Reasons = dict[str, None]
 """Why there is no solution, each reason once, in the order in which they were found."""
 
-ROLLS = 24  # tried where the roll is free, and starts of an arm without an analytic solution
-WRIST_SINGULAR = 0.02  # |sin| of the wrist's angle below which it is called singular: joints 4 and 6 trade places
+ROLLS = 24  # tried at least where the roll is free, and starts of an arm without an analytic solution
+WRIST_SINGULAR = STRAIGHT
 ELBOW_SINGULAR = 0.02  # |sin| of the elbow's angle
 SHOULDER_SINGULAR = 0.02  # m: the wrist this near to axis 1
 SAME = 1e-9  # rad: not another turn
+STAYED = 0.1  # rad: joints 1 and 4 this near to where they are leave nothing to look for
 BEYOND = 0.05  # rad: by which the nominal arm may be beyond its limits and the identified one still be tried
 
 
@@ -73,27 +75,96 @@ class PostureSearch:
         reasons
             Gets a line for every branch that leads nowhere.
         """
-        out = []
+        out: list[tuple[Array, Array]] = []
+        ends: list[Array] = []
         for start, signs in self._starts(base, here, reasons):
-            given = _directions(direction, start, here)
+            given = directions_of(direction, start, here)
             conditions = replace(still, direction=given)
             solved = self.solver.solve(base[None], start[None], signs[None], conditions)
             if not solved.reached[0]:
                 reasons["beyond the reach of the identified arm" if self.solver.ortho else
                         "no posture was found: out of reach, or nearly"] = None  # fmt: skip
                 continue
-            q = candidate_turns(solved.q[0], start, self.lower, self.upper)
-            if q is None:
-                reasons[self._beyond(solved.q[0])] = None
+            end = solved.q[0]
+            if any(np.abs(end - other).max() < SAME for other in ends):  # at a singular pose branches meet
                 continue
-            if np.abs(q - solved.q[0]).max() > SAME:  # another turn: solved again, since ratios may be off
-                again = self.solver.solve(base[None], q[None], signs[None], conditions)
-                q = again.q[0]
-                if not again.reached[0] or (q < self.lower).any() or (q > self.upper).any():
-                    reasons[self._beyond(q)] = None
-                    continue
-            out.append((q, given))
+            ends.append(end)
+            q = self._within(base, end, start, signs, conditions)
+            found = self.nearer(base, q, end, here, direction, conditions, keep_side=True)
+            if found is None:
+                reasons[self._beyond(end)] = None
+                continue
+            out.append(found)
         return out
+
+    def _within(self, base: Array, end: Array, start: Array, signs: Array, conditions: Conditions) -> Array | None:
+        """A solution in the turns within the limits that are nearest to where it was sought; None: there are none."""
+        q = candidate_turns(end, start, self.lower, self.upper)
+        if q is None or np.abs(q - end).max() <= SAME:
+            return q
+        again = self.solver.solve(base[None], q[None], signs[None], conditions)  # since ratios may be off
+        q = again.q[0]
+        return q if again.reached[0] and (q >= self.lower).all() and (q <= self.upper).all() else None
+
+    def nearer(
+        self,
+        base: Array,
+        q: Array | None,
+        end: Array,
+        here: Array,
+        direction: Direction,
+        conditions: Conditions,
+        *,
+        keep_side: bool = False,
+    ) -> tuple[Array, Array] | None:
+        """The posture of a singular pose that is nearest to the one at hand; ``q`` where it is not singular.
+
+        With the directions ``(n,)`` that it was solved for; None: there is none within the limits.
+
+        Parameters
+        ----------
+        base
+            ``(4, 4)``: the detector in the base's frame, m.
+        q
+            ``(n,)``: a posture within the limits; None: none is known.
+        end
+            ``(n,)``: the same in any turns, or one that is beyond the limits, rad.
+        here
+            ``(n,)``: the posture at hand, rad.
+        conditions
+            Those that ``q`` was solved for, in the intended ``direction``.
+        keep_side
+            Whether joint 5 has to stay on its side.
+        """
+        parts = self.singular(base, self.solver.linkage @ end, conditions)
+        side, best = self.solver.signs(end)[0, 2], q
+        for turns in (AROUND[:1], AROUND[1:]):
+            starts = along_valleys(self.solver, base, end, here, parts, turns)
+            if not len(starts):
+                break
+            ends = self.solver.search.refine(np.tile(base, (len(starts), 1, 1)), starts, conditions)
+            for other in ends.q[ends.reached]:
+                turned = candidate_turns(other, here, self.lower, self.upper)
+                if turned is None or (best is not None and not _nearer(turned, best, here)):
+                    continue
+                if keep_side and self.solver.signs(turned)[0, 2] != side:
+                    continue
+                if np.abs(self.solver.residual(base, turned, conditions)).max() <= CONVERGED:  # ratios may be off
+                    best = turned
+            if best is not None and np.abs(best - here)[[0, 3]].max() < STAYED:
+                break
+        return None if best is None else self._approached(base, best, here, direction, conditions)
+
+    def _approached(
+        self, base: Array, q: Array, here: Array, direction: Direction, conditions: Conditions
+    ) -> tuple[Array, Array] | None:
+        """A solution as its own directions of approach have it, which may be others than those it was found with."""
+        given = conditions.direction if direction is None else directions_of(direction, q, here)
+        if (given == conditions.direction).all():
+            return q, given
+        again = self.solver.search.refine(base[None], q[None], replace(conditions, direction=given))
+        q = again.q[0]
+        return (q, given) if again.reached[0] and (q >= self.lower).all() and (q <= self.upper).all() else None
 
     def _starts(self, base: Array, here: Array, reasons: Reasons) -> list[tuple[Array, Array]]:
         """Postures ``(n,)`` to search from, and the signs of their branches ``(3,)``."""
@@ -111,6 +182,8 @@ class PostureSearch:
                 reasons[f"out of reach by {1e3 * lacks[1]:.0f} mm"] = None
                 continue
             turned = candidate_turns(branch, here, self.lower - BEYOND, self.upper + BEYOND)
+            if turned is None and (lacks[2] < WRIST_SINGULAR or -lacks[0] < SHOULDER_SINGULAR):
+                turned = branch  # another posture of the same pose may be within them
             if turned is None:
                 reasons[self._beyond(branch)] = None
                 continue
@@ -150,8 +223,12 @@ class PostureSearch:
         return tuple(found)
 
 
-def _directions(direction: Direction, start: Array, here: Array) -> Array:
-    """The directions of approach ``(n,)``, ±1 and 0."""
+def _nearer(q: Array, than: Array, here: Array) -> bool:
+    return bool(np.abs(q - here).max() < np.abs(than - here).max() - SAME)
+
+
+def directions_of(direction: Direction, start: Array, here: Array) -> Array:
+    """The directions of approach ``(n,)``, ±1 and 0, of a posture ``start`` gone to from ``here``."""
     if direction is None:
         return np.zeros(len(start))
     if isinstance(direction, str):

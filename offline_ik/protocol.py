@@ -7,9 +7,11 @@ answer with ``"ok": false`` and changes nothing. docs/server.md has the list.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, cast
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,40 +20,47 @@ import orjson
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
 from offline_ik.answer import Answer
-from offline_ik.approach import approach_through
+from offline_ik.approach import approach_through, check_directions
+from offline_ik.assumed import time_effects
 from offline_ik.cell_values import COLDEST, HOTTEST
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.link import RobotLink
+from offline_ik.peak_request import sample_of
 from offline_ik.place import place_of
 from offline_ik.pyfai import pyfai_geometry
-from offline_ik.reach import nearest_steps
-from offline_ik.requests import WORDS, RequestError, number, numbers, parse, switch
+from offline_ik.requests import EVERY, WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
 from offline_ik.ways import Ways, ways_to
 from offline_ik.wording import members_of
 
-__all__ = ["RobotLink", "Session", "Speaker", "Steps"]
+__all__ = ["Job", "RobotLink", "Session", "Speaker"]
 
 Array = npt.NDArray[np.float64]
 
-Steps = Generator[None, None, bytes]
-"""An answer that takes its time: to be advanced until it ends, its value the line."""
+TICK = 1.0  # s, by which a running time goes on: short of any warm-up
+SETTLED = 1e-3  # rad by which a linked robot may have moved since its way was checked
 
 
 class Told(NamedTuple):
-    """What a request is answered with.
+    """What a request is answered with: members of the answer."""
+
+    data: dict[str, Any]
+
+
+class Later(NamedTuple):
+    """What a request is answered with once something has been computed that takes long.
 
     Attributes
     ----------
-    data
-        Members of the answer.
-    missed
-        The position that cannot be reached, whose nearest one is still to be found.
+    work
+        Computes it on a given detector, and touches nothing else: it may run in another thread.
+    then
+        Makes the answer of that; here links are moved and sessions changed.
     """
 
-    data: dict[str, Any]
-    missed: Answer | None = None
+    work: Callable[[Detector], Any]
+    then: Callable[[Any], Told]
 
 
 @dataclass
@@ -61,6 +70,33 @@ class Session:
     here: Array | None = None
     done: bool = False
     count: int = 0
+
+
+@dataclass(frozen=True)
+class Job:
+    """A request whose answer takes long: :meth:`run` may be called in another thread, :meth:`end` not."""
+
+    speaker: Speaker
+    word: str
+    given: Mapping[str, str]
+    later: Later
+
+    def run(self, detector: Detector) -> Any:
+        """What takes long, on a detector that nobody else uses meanwhile; a refusal is a result as well."""
+        try:
+            return self.later.work(detector)
+        except CallError as error:
+            return error
+
+    def end(self, found: Any) -> bytes:
+        """The answer, of what :meth:`run` found."""
+        if isinstance(found, CallError):
+            return self.speaker.refuse(str(found), self.given)
+        try:
+            told = self.later.then(found)
+        except CallError as error:
+            return self.speaker.refuse(str(error), self.given)
+        return self.speaker.told(self.word, self.given, told)
 
 
 @dataclass
@@ -79,88 +115,108 @@ class Speaker:
     link: RobotLink | None = None
     answered: int = 0
     refused: int = 0
+    clock: Callable[[], float] = time.monotonic
+    _since: float = field(init=False)
+    _timed: bool = field(init=False)
+    _stops: int = field(init=False, default=0)
     _convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
         self._convention = self.detector.cell.convention.to_json()
+        self._timed = bool(time_effects(self.detector.arm))
+        self._since = self.clock() - (self.detector.cell.running or 0.0)
+        if self.link is not None:
+            _refuse_other_robot(self.detector.robot.name, self.link.state().get("robot"), "the linked one is")
 
     def answer(self, line: bytes, session: Session) -> bytes:
         """The answer to one line, newline included; never raises for what a client may send."""
         found = self.begin(line, session)
-        while not isinstance(found, bytes):
-            try:
-                next(found)
-            except StopIteration as end:
-                found = cast(bytes, end.value)
-        return found
+        return found if isinstance(found, bytes) else found.end(found.run(self.detector))
 
-    def begin(self, line: bytes, session: Session) -> bytes | Steps:
-        """As :meth:`answer`, but what takes long comes as steps, between which others can be answered."""
+    def begin(self, line: bytes, session: Session) -> bytes | Job:
+        """As :meth:`answer`, but what takes long comes as a job, for a thread of its own."""
         given: dict[str, str] = {}
         try:
             word, given = parse(line)
+            _refuse_other_robot(self.detector.robot.name, given.get("robot"), "the request is for")
+            self._tick()
             told = self._verbs[word](self, given, session)
         except CallError as error:
-            self.refused += 1
-            return _line({"ok": False, **_id(given), "error": str(error)})
+            return self.refuse(str(error), given)
+        return Job(self, word, given, told) if isinstance(told, Later) else self.told(word, given, told)
+
+    def told(self, word: str, given: Mapping[str, str], told: Told) -> bytes:
+        """The line of an answer."""
         self.answered += 1
-        if told.missed is not None:
-            return self._with_nearest(word, given, told, told.missed)
         return _line({"ok": True, "do": word, **_id(given), **told.data})
 
-    def _with_nearest(self, word: str, given: Mapping[str, str], told: Told, missed: Answer) -> Steps:
-        nearest = yield from nearest_steps(self.detector, missed.target, missed.asked["roll_rad"] or 0.0)
-        return _line({"ok": True, "do": word, **_id(given), **told.data, "nearest": nearest})
+    def _tick(self) -> None:
+        """Let the robot's running time go on, where it is known and the model reads it."""
+        running = self.detector.cell.running
+        if self._timed and running is not None:
+            now = self.clock() - self._since
+            if now - running >= TICK:
+                self.detector = self.detector.at_running(now)
 
-    def refuse(self, reason: str) -> bytes:
-        """An answer to what is not even a line."""
+    def refuse(self, reason: str, given: Mapping[str, str] | None = None) -> bytes:
+        """The line of a refusal; ``given``: the request's pairs, where it got as far."""
         self.refused += 1
-        return _line({"ok": False, "error": reason})
+        return _line({"ok": False, **_id(given or {}), "error": reason})
 
-    def _where(self, given: Mapping[str, str], session: Session) -> Told:
-        answer = self._located(given, numbers(given, "near"))
-        data: dict[str, Any] = {}
-        if answer.reachable and switch(given, "approach"):
-            way = approach_through(self.detector, answer, near=numbers(given, "near"))
-            answer, data = way.answer, {"approach": way.to_json()}
-        if answer.reachable and switch(given, "pyfai"):
+    def _where(self, given: Mapping[str, str], session: Session) -> Told | Later:
+        near, sides = numbers(given, "near"), self._sides(given)
+        approach, pyfai = switch(given, "approach"), switch(given, "pyfai")
+        asked = _asked(given, near, sides)
+        data = {"direction_from": "asked" if sides is not None else "unknown" if near is None else "moved"}
+        answer = None if approach else self.detector.at_once(**asked)
+        if answer is not None:
+            return self._located(data, answer, pyfai)
+
+        def work(detector: Detector) -> tuple[dict[str, Any], Answer]:
+            answer = detector.locate(**asked)
+            if not (approach and answer.reachable):
+                return data, answer
+            way = approach_through(detector, answer, near=near, direction=sides)
+            return {"direction_from": "approach", "approach": way.to_json()}, way.answer
+
+        return Later(work, lambda found: self._located(found[0], found[1], pyfai))
+
+    def _sides(self, given: Mapping[str, str]) -> Array | None:
+        """From which sides joints are to come ``(n,)``."""
+        asked = numbers(given, "direction")
+        return None if asked is None else check_directions(self.detector.arm.n, asked)
+
+    def _located(self, data: dict[str, Any], answer: Answer, pyfai: bool) -> Told:
+        if answer.reachable and pyfai:
             data["pyfai"] = pyfai_geometry(self.detector.cell.convention, answer.target).to_json()
         return self._told(data, answer)
 
-    def _located(self, given: Mapping[str, str], near: Array | None) -> Answer:
-        roll = None if given.get("roll") == "free" else number(given, "roll", 0.0)
-        return self.detector.locate(
-            number(given, "gamma"), number(given, "delta"), number(given, "r"), roll,
-            near=near, branch=given.get("branch", "nearest"), direction=None if near is None else "moved",
-            nearest=False,
-        )  # fmt: skip
-
-    def _path(self, given: Mapping[str, str], session: Session) -> Told:
+    def _path(self, given: Mapping[str, str], session: Session) -> Told | Later:
         start = numbers(given, "from")
         if start is None:
             start = self._posture(session)
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
-            beside = [key for key in given if key not in ("to", "from", "id")]
+            beside = [key for key in given if key not in ("to", "from", *EVERY)]
             if beside:
                 raise RequestError(f"path: expected to= or a detector position, found to= beside {beside[0]}=")
-            path = check_path(self.detector, [start, self.detector.check_posture(to, "to")])
-            return Told({"path": finite(path.to_json()), "convention": self._convention})
-        ways = self._ways(given, start)
+            way = [start, self.detector.check_posture(to, "to")]
+            return Later(
+                lambda detector: check_path(detector, way),
+                lambda path: Told({"path": finite(path.to_json()), "convention": self._convention}),
+            )
+        return Later(_ways(given, start, self._sides(given)), partial(self._checked, given.get("branch") == "all"))
+
+    def _checked(self, every: bool, ways: Ways) -> Told:
         told = self._told(finite(ways.to_json()), ways.answer)
-        if given.get("branch") == "all":
+        if every:
             for solution, way in zip(told.data["solutions"], ways.chosen, strict=True):
                 solution.update(finite(way.to_json()))
         return told
 
-    def _ways(self, given: Mapping[str, str], start: Array) -> Ways:
-        branch, approach = given.get("branch", "nearest"), switch(given, "approach")
-        return ways_to(self.detector, self._located(given, start), start=start, branch=branch, approach=approach)
-
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
-        told = {**data, "convention": self._convention, **members_of(answer)}
-        return Told({**told, "nearest": None}) if answer.reachable else Told(told, answer)
+        return Told({**data, "convention": self._convention, **members_of(answer), "nearest": answer.nearest})
 
     def _posture(self, session: Session) -> Array:
         if self.link is not None:
@@ -178,38 +234,50 @@ class Speaker:
         session.here = self.detector.check_posture(q, "q")
         return Told({"q_rad": session.here.tolist()})
 
-    def _stream(self, given: Mapping[str, str], session: Session) -> Told:
+    def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
-        dt = number(given, "dt", math.inf)
+        dt, here = number(given, "dt", math.inf), session.here
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
-        answer = self._located(given, session.here)
-        data: dict[str, Any] = {}
-        if answer.reachable:
-            q = answer.solutions[0].q
-            if session.here is not None:
-                needs = move_time(self.detector, np.array([session.here, q]))
+        asked = _asked(given, here, self._sides(given))
+
+        def work(detector: Detector) -> tuple[dict[str, Any], Answer]:
+            answer, data = detector.locate(**asked), {}
+            if answer.reachable and here is not None:
+                q = answer.solutions[0].q
+                needs = move_time(detector, np.array([here, q]))
                 data["needs_s"] = needs
                 if needs > dt:
                     raise TargetError(f"stream: the joints need {needs:.3f} s for this step, dt is {dt:.3f} s")
-                path = check_path(self.detector, [session.here, q])
+                path = check_path(detector, [here, q])
                 if not path.safe:
                     raise TargetError(f"stream: {'; '.join(path.reasons)}")
-            session.here = q
-            session.count += 1
-        data["number"] = session.count
-        return self._told(data, answer)
+            return data, answer
+
+        def then(found: tuple[dict[str, Any], Answer]) -> Told:
+            data, answer = found
+            if answer.reachable:
+                session.here = answer.solutions[0].q
+                session.count += 1
+            return self._told({**data, "number": session.count}, answer)
+
+        return Later(work, then)
 
     def _temperature(self, given: Mapping[str, str], session: Session) -> Told:
         found = {k: numbers(given, k) for k in ("link", "motor")}
-        if all(v is None for v in found.values()):
-            raise RequestError("temperature: expected link=t1,t2,… or motor=t1,t2,… in degC")
+        if all(v is None for v in found.values()) and "running" not in given:
+            raise RequestError("temperature: expected link=t1,t2,… or motor=t1,t2,… in degC, or running= in s")
         for name, values in found.items():
             if values is None:
                 continue
             if len(values) != self.detector.arm.n or not ((values > COLDEST) & (values < HOTTEST)).all():
                 raise TargetError(f"{name}: expected {self.detector.arm.n} temperatures in degC, found {given[name]}")
-        self.detector = self.detector.at_temperature(found["link"], found["motor"])
+        detector = self.detector.at_temperature(found["link"], found["motor"])
+        if "running" in given:
+            running = number(given, "running")
+            detector = detector.at_running(running)
+            self._since = self.clock() - running
+        self.detector = detector
         return Told(self._temperatures())
 
     def _temperatures(self) -> dict[str, Any]:
@@ -217,6 +285,7 @@ class Speaker:
         return {
             "link_C": (still.link_temperature + 20.0).tolist(),
             "motor_C": (still.motor_temperature + 20.0).tolist(),
+            "running_s": still.elapsed,
             "notes": list(self.detector.notes),
         }
 
@@ -227,21 +296,34 @@ class Speaker:
         place = place_of(self.detector, there, numbers(given, "near"))
         return Told({"q_rad": there.tolist(), **place.to_json(), "convention": self._convention})
 
+    def _sample(self, given: Mapping[str, str], session: Session) -> Later:
+        """Where the scattering point is, by reflections found."""
+        return Later(lambda detector: sample_of(detector, given), lambda found: Told(finite(found.to_json())))
+
     def _stop(self, given: Mapping[str, str], session: Session) -> Told:
         if self.link is None:
             raise RequestError("stop: no robot is linked; there is nothing to stop")
+        self._stops += 1
         self.link.stop()
         return Told({"link": finite(dict(self.link.state()))})
 
-    def _move(self, given: Mapping[str, str], session: Session) -> Told:
+    def _move(self, given: Mapping[str, str], session: Session) -> Later:
         if self.link is None:
             raise RequestError("move: no robot is linked; this server only computes")
-        here = self.detector.check_posture(self.link.posture(), "the robot's posture")
-        ways = self._ways(given, here)
-        safe = bool(ways.chosen) and ways.chosen[0].path.safe
-        if safe:
-            self.link.move(ways.chosen[0].postures, self.detector.cell.speed)
-        return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
+        link, stops = self.link, self._stops
+        here = self.detector.check_posture(link.posture(), "the robot's posture")
+
+        def then(ways: Ways) -> Told:
+            safe = bool(ways.chosen) and ways.chosen[0].path.safe
+            if safe:
+                if self._stops != stops:
+                    raise RequestError("move: the robot was stopped while its way was checked")
+                if not np.abs(link.posture() - here).max() <= SETTLED:
+                    raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
+                link.move(ways.chosen[0].postures, self.detector.cell.speed)
+            return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
+
+        return Later(_ways(given, here, self._sides(given)), then)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell
@@ -259,13 +341,13 @@ class Speaker:
         return Told(state)
 
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
-        return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": ["id"]})
+        return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})
 
     def _quit(self, given: Mapping[str, str], session: Session) -> Told:
         session.done = True
         return Told({})
 
-    _verbs: Mapping[str, Callable[[Speaker, Mapping[str, str], Session], Told]] = field(
+    _verbs: Mapping[str, Callable[[Speaker, Mapping[str, str], Session], Told | Later]] = field(
         init=False,
         repr=False,
         default_factory=lambda: {
@@ -276,12 +358,42 @@ class Speaker:
             "temperature": Speaker._temperature,
             "at": Speaker._at,
             "move": Speaker._move,
+            "sample": Speaker._sample,
             "stop": Speaker._stop,
             "state": Speaker._state,
             "help": Speaker._help,
             "quit": Speaker._quit,
         },
     )
+
+
+def _refuse_other_robot(own: str, named: object, whose: str) -> None:
+    if named is not None and named != own:
+        raise TargetError(f"the model is of the robot {own}, {whose} {str(named)[:64]!r}")
+
+
+def _asked(given: Mapping[str, str], near: Array | None, sides: Array | None) -> dict[str, Any]:
+    """What a request asks :meth:`offline_ik.detector.Detector.locate` for."""
+    return {
+        "gamma": number(given, "gamma"),
+        "delta": number(given, "delta"),
+        "r": number(given, "r"),
+        "roll": None if given.get("roll") == "free" else number(given, "roll", 0.0),
+        "near": near,
+        "branch": given.get("branch", "nearest"),
+        "direction": sides if sides is not None else None if near is None else "moved",
+    }
+
+
+def _ways(given: Mapping[str, str], start: Array, sides: Array | None) -> Callable[[Detector], Ways]:
+    """What finds the ways from a posture ``(n,)`` to where a request asks for."""
+    branch, approach, asked = given.get("branch", "nearest"), switch(given, "approach"), _asked(given, start, sides)
+
+    def work(detector: Detector) -> Ways:
+        answer = detector.locate(**asked)
+        return ways_to(detector, answer, start=start, branch=branch, approach=approach, direction=sides)
+
+    return work
 
 
 def _id(given: Mapping[str, str]) -> dict[str, str]:

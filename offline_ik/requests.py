@@ -9,24 +9,30 @@ import numpy.typing as npt
 
 from clampid.verbs.errors import CallError
 
-__all__ = ["WORDS", "RequestError", "number", "numbers", "parse", "switch"]
+__all__ = ["EVERY", "WORDS", "RequestError", "number", "numbers", "parse", "switch"]
 
 Array = npt.NDArray[np.float64]
 
 WORDS = {
-    "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "pyfai"),
-    "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "to"),
+    "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "direction", "pyfai"),
+    "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "direction", "to"),
     "stream": ("gamma", "delta", "r", "roll", "dt"),
     "start": ("q",),
-    "temperature": ("link", "motor"),
+    "temperature": ("link", "motor", "running"),
     "at": ("q", "near"),
-    "move": ("gamma", "delta", "r", "roll", "approach"),
+    "move": ("gamma", "delta", "r", "roll", "approach", "direction"),
+    "sample": (
+        "q", "gamma", "delta", "r", "roll", "dir", "x", "y", "two_theta", "spacing", "wavelength", "std", "std_xy",
+        "near", "repeatability",
+    ),
     "stop": (),
     "state": (),
     "help": (),
     "quit": (),
-}
-"""The requests and their keys; every one may have an ``id`` too."""
+}  # fmt: skip
+"""The requests and their keys; every one may have those of :data:`EVERY` too."""
+
+EVERY = ("id", "robot")
 
 
 class RequestError(CallError):
@@ -54,8 +60,8 @@ def parse(line: bytes) -> tuple[str, dict[str, str]]:
         key, equals, value = part.partition("=")
         if not equals or not value:
             raise RequestError(f"{word}: expected key=value, found {part[:40]!r}")
-        if key != "id" and key not in WORDS[word]:
-            raise RequestError(f"{word}: no key is called {key[:40]!r}; known: {', '.join((*WORDS[word], 'id'))}")
+        if key not in EVERY and key not in WORDS[word]:
+            raise RequestError(f"{word}: no key is called {key[:40]!r}; known: {', '.join((*WORDS[word], *EVERY))}")
         if key in given:
             raise RequestError(f"{word}: {key} is given twice")
         given[key] = value

@@ -7,12 +7,17 @@ import contextlib
 import gc
 import ipaddress
 import signal
+import sys
 from collections import deque
 from collections.abc import Callable
-from typing import cast
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
 
+from offline_ik.cell import Cell
+from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
-from offline_ik.protocol import Session, Speaker, Steps
+from offline_ik.protocol import Job, Session, Speaker
 
 __all__ = ["Limits", "Server", "parse_address", "serve", "settle"]
 
@@ -22,6 +27,7 @@ TURN = 8  # requests of one client before others have their turn
 WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
 PATIENCE = 30.0  # s for a line to be completed
 CLIENTS = 256
+SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
 
 
 class Limits:
@@ -42,6 +48,7 @@ class _Client(asyncio.Protocol):
         self.lines: deque[bytes] = deque()
         self.writable, self.reading, self.working, self.ended = True, True, False, False
         self.timer: asyncio.TimerHandle | None = None
+        self.job: asyncio.Future[Any] | None = None
         self.transport: asyncio.Transport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -64,6 +71,8 @@ class _Client(asyncio.Protocol):
         self.partial = b""
         if self.timer is not None:
             self.timer.cancel()
+        if self.job is not None:
+            self.job.cancel()
 
     def data_received(self, data: bytes) -> None:
         if self.ended:
@@ -128,7 +137,8 @@ class _Client(asyncio.Protocol):
                 found = self.server.reply(line, self.session)
                 if not isinstance(found, bytes):
                     self.working = True
-                    self.loop.call_soon(self._step, found)
+                    self.job = self.server.compute(found)
+                    self.job.add_done_callback(partial(self._computed, found))
                     return
                 transport.write(found)
             if self.session.done:
@@ -149,16 +159,13 @@ class _Client(asyncio.Protocol):
             transport.pause_reading() if behind else transport.resume_reading()
             self.reading = not behind
 
-    def _step(self, steps: Steps) -> None:
-        """Advance an answer that takes its time, and let others have theirs in between."""
+    def _computed(self, job: Job, done: asyncio.Future[Any]) -> None:
+        """Answer what another thread has computed, and go on; for a connection that was reset, nothing moves."""
+        self.job = None
         transport = self.transport
-        if transport is None or transport.is_closing():
+        if done.cancelled() or self.ended or transport is None or transport.is_closing():
             return
-        answer = self.server.advance(steps)
-        if answer is None:
-            self.loop.call_soon(self._step, steps)
-            return
-        transport.write(answer)
+        transport.write(self.server.finish(job, done))
         self._work()
 
     def _watch(self, begun: bool) -> None:
@@ -187,6 +194,9 @@ class _Client(asyncio.Protocol):
 class Server:
     """The server of one speaker.
 
+    What one call of a kernel answers is answered on the loop. The rest (searches, checks of a move) is computed in one
+    thread of its own, on a detector of its own; every client waits for one such computation at most.
+
     Parameters
     ----------
     speaker
@@ -200,23 +210,31 @@ class Server:
         self.clients: set[_Client] = set()
         self.failures = 0
         self._server: asyncio.Server | None = None
+        self._thread = ThreadPoolExecutor(1, "clampid")
+        self._twin: Detector = speaker.detector.twin
+        self._switched = sys.getswitchinterval()
 
-    def reply(self, line: bytes, session: Session) -> bytes | Steps:
+    def reply(self, line: bytes, session: Session) -> bytes | Job:
         """The answer to a line; an error of the program itself is one client's answer, not everyone's end."""
         try:
             return self.speaker.begin(line, session)
         except Exception as error:  # the outermost boundary of a service that must outlive any request
             return self._failed(error)
 
-    def advance(self, steps: Steps) -> bytes | None:
-        """One step of an answer; None where it has not ended."""
+    def compute(self, job: Job) -> asyncio.Future[Any]:
+        """Begin a job, at the temperatures and the running time of now."""
+        return asyncio.get_running_loop().run_in_executor(self._thread, self._run, job, self.speaker.detector.cell)
+
+    def _run(self, job: Job, cell: Cell) -> Any:
+        self._twin = self._twin.within(cell)
+        return job.run(self._twin)
+
+    def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes:
+        """The answer of a job that has been computed."""
         try:
-            next(steps)
-        except StopIteration as end:
-            return cast(bytes, end.value)
+            return job.end(done.result())
         except Exception as error:  # as in reply
             return self._failed(error)
-        return None
 
     def _failed(self, error: Exception) -> bytes:
         self.failures += 1
@@ -224,6 +242,7 @@ class Server:
 
     async def start(self, host: str, port: int) -> tuple[str, int]:
         """Listen; the address that was taken (port 0 takes a free one)."""
+        sys.setswitchinterval(SWITCH)
         self._server = await asyncio.get_running_loop().create_server(lambda: _Client(self), host, port)
         name = self._server.sockets[0].getsockname()
         return str(name[0]), int(name[1])
@@ -244,6 +263,8 @@ class Server:
                     hang_up(client.transport)
             for _ in range(3):  # a closed transport tells so on a later turn of the loop
                 await asyncio.sleep(0)
+        self._thread.shutdown(cancel_futures=True)
+        sys.setswitchinterval(self._switched)
 
 
 def parse_address(text: str) -> tuple[str, int]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from offline_ik.approach import Approach, approach_through
+from offline_ik.approach import Approach, approach_through, check_directions
 from offline_ik.branches import parse_choice
+from offline_ik.postures import Direction
 from offline_ik.safety import PathReport, check_path
 
 if TYPE_CHECKING:
@@ -64,11 +65,18 @@ class Ways:
         One for each posture, in the same order; none where the position is not reachable.
     refused
         Postures that were checked and refused, and for which another stands or which would have been no better.
+    came
+        Where the directions of approach are from: ``asked``, ``moved`` (a straight move from the posture at hand),
+        ``approach`` (the last part of the way through a point) or ``unknown``.
+    against
+        Joints that were asked to come from one side and come from the other on a straight move.
     """
 
     answer: Answer
     chosen: tuple[Way, ...]
     refused: tuple[Way, ...] = ()
+    came: str = "unknown"
+    against: tuple[str, ...] = ()
 
     @property
     def instead(self) -> str | None:
@@ -80,14 +88,26 @@ class Ways:
             return f"the nearest posture is refused ({why}); this is the nearest of those that are safe"
         return f"none of the {1 + len(self.refused)} postures is safe; this is the nearest"
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What must be said beside the posture at the head."""
+        said = [] if self.instead is None else [self.instead]
+        if self.against:
+            said.append(
+                f"{', '.join(self.against)}: a straight move from the posture at hand comes from another side than was "
+                "asked for; with an approach the last part of the way comes from there"
+            )
+        return tuple(said)
+
     def to_json(self) -> dict[str, Any]:
         """For programs: of the posture at the head, and what was refused."""
         if not self.chosen:
             return {}
-        told = self.chosen[0].to_json()
+        told = self.chosen[0].to_json() | {"direction_from": self.came}
         if self.refused:
             told["refused"] = [{"q_rad": w.solution.q.tolist(), "reasons": list(w.path.reasons)} for w in self.refused]
-            told["notes"] = [self.instead]
+        if self.notes:
+            told["notes"] = list(self.notes)
         return told
 
 
@@ -98,6 +118,7 @@ def ways_to(
     start: Sequence[float] | Array | None = None,
     branch: str = "nearest",
     approach: bool = False,
+    direction: Sequence[float] | Array | None = None,
 ) -> Ways:
     """Check the ways to the postures of an answer.
 
@@ -112,6 +133,8 @@ def ways_to(
         allows are tried, the nearest first.
     approach
         Come through an intermediate point, see :mod:`offline_ik.approach`.
+    direction
+        ``(n,)``: from which side the joints come, as ``answer`` was located for; None: nothing was asked.
 
     Raises
     ------
@@ -121,41 +144,57 @@ def ways_to(
     if not answer.solutions:
         return Ways(answer, ())
     start = None if start is None else detector.check_posture(start, "start")
-    chosen = tuple(_way(detector, answer, s, start, approach) for s in answer.solutions)
-    if branch == "all" or chosen[0].path.safe:
-        return Ways(_with(answer, chosen), chosen)
-    refused = list(chosen[:1])
-    for solution in _others(detector, answer, start, branch):
-        way = _way(detector, answer, solution, start, approach)
-        if way.path.safe:
-            return Ways(_with(answer, (way,)), (way,), tuple(refused))
-        refused.append(way)
-    return Ways(_with(answer, chosen), chosen, tuple(refused[1:]))
+    asked = None if direction is None else check_directions(detector.arm.n, direction)
+    chosen = tuple(_way(detector, answer, s, start, approach, asked) for s in answer.solutions)
+    refused: list[Way] = []
+    if branch != "all" and not chosen[0].path.safe:
+        refused = list(chosen[:1])
+        for solution in _others(detector, answer, start, branch, asked):
+            way = _way(detector, answer, solution, start, approach, asked)
+            if way.path.safe:
+                chosen = (way,)
+                break
+            refused.append(way)
+        else:
+            refused = refused[1:]
+    came = "approach" if approach else "asked" if asked is not None else "unknown" if start is None else "moved"
+    against = (
+        () if approach or asked is None or start is None else _against(detector, chosen[0].solution.q - start, asked)
+    )
+    return Ways(_with(answer, chosen), chosen, tuple(refused), came, against)
+
+
+def _against(detector: Detector, moved: Array, asked: Array) -> tuple[str, ...]:
+    """The joints that come from another side than asked for."""
+    wrong = (asked != 0) & (np.sign(moved) != asked)
+    return tuple(detector.robot.joints[i].name for i in np.flatnonzero(wrong).tolist())
 
 
 def _with(answer: Answer, ways: tuple[Way, ...]) -> Answer:
     return answer._replace(solutions=tuple(way.solution for way in ways))
 
 
-def _way(detector: Detector, answer: Answer, solution: Solution, start: Array | None, approach: bool) -> Way:
+def _way(
+    detector: Detector, answer: Answer, solution: Solution, start: Array | None, approach: bool, asked: Array | None
+) -> Way:
     begin = [] if start is None else [start]
     if not approach:
         return Way(solution, check_path(detector, [*begin, solution.q]))
-    through = approach_through(detector, answer._replace(solutions=(solution,)), near=start)
+    through = approach_through(detector, answer._replace(solutions=(solution,)), near=start, direction=asked)
     end = through.answer.solutions[0]
     return Way(end, check_path(detector, [*begin, through.through, end.q]), through)
 
 
-def _others(detector: Detector, answer: Answer, start: Array | None, branch: str) -> list[Solution]:
+def _others(
+    detector: Detector, answer: Answer, start: Array | None, branch: str, asked: Array | None
+) -> list[Solution]:
     """The postures beside the first one that the branch allows, the nearest first."""
     gamma, delta, r = (answer.asked[name] for name in ("gamma_rad", "delta_rad", "r_m"))
     if gamma is None or delta is None or r is None:  # of an answer, none is
         return []
     first, choice = answer.solutions[0], parse_choice(branch)
-    every = detector.locate(
-        gamma, delta, r, first.roll, near=start, branch="all", direction=None if start is None else "moved",
-        nearest=False,
-    )  # fmt: skip
+    direction: Direction = asked if asked is not None else None if start is None else "moved"
+    every = detector.locate(gamma, delta, r, first.roll, near=start, branch="all", direction=direction, nearest=False)
     ortho, linkage = detector.solver.ortho, detector.solver.linkage
     return [s for s in every.solutions if choice.allows(ortho, linkage @ s.q) and np.abs(s.q - first.q).max() > SAME]
 

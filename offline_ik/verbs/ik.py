@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from clampid.display import length, number, readable
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
-from offline_ik.verbs.options import CellFile, Robot, numbers, opened
+from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened
 
 if TYPE_CHECKING:
     from offline_ik.answer import Solution
+    from offline_ik.detector import Detector
+    from offline_ik.postures import Direction
     from offline_ik.ways import Ways
 
 __all__ = ["ik"]
@@ -25,6 +28,7 @@ def ik(
     r: Annotated[float, typer.Option("--r", metavar="M", help="Distance from the sample, metres.", show_default=False)],
     cell: CellFile = None,
     robot: Robot = None,
+    running: Running = None,
     roll: Annotated[str, typer.Option(metavar="RAD|free", help="About the detector's normal.")] = "0",
     near: Annotated[
         str | None, typer.Option(metavar="Q1,Q2,…", help="The posture at hand, radians.", show_default=False)
@@ -35,25 +39,36 @@ def ik(
     approach: Annotated[
         bool, typer.Option("--approach", help="Through an intermediate point, so that play lies on a known side.")
     ] = False,
+    direction: Annotated[
+        str | None,
+        typer.Option(
+            metavar="D1,D2,…", show_default=False,
+            help="From which side each joint comes: 1 towards larger angles, -1 smaller, 0 not said; without it, as "
+            "joints move straight from --near, or with --approach, as gravity presses.",
+        ),
+    ] = None,
     pyfai: Annotated[bool, typer.Option("--pyfai", help="Give the geometry for pyFAI as well.")] = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
     quiet: Quiet = False,
-) -> None:
+) -> None:  # fmt: skip
     """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
     out = Output(quiet, json)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
+    from offline_ik.approach import check_directions
     from offline_ik.coordinates import check_target
     from offline_ik.ways import ways_to
 
     turned = None if roll == "free" else (numbers("--roll", roll) or [0.0])[0]
     check_target(gamma, delta, r, turned or 0.0)
-    here = numbers("--near", near)
-    detector = opened(model, cell, robot, effects_from)
+    here, sides = numbers("--near", near), numbers("--direction", direction)
+    detector = opened(model, cell, robot, effects_from, running)
+    asked = None if sides is None else check_directions(detector.arm.n, sides)
+    came: Direction = asked if asked is not None else "moved" if here else None
     with out.working("solving"):
-        answer = detector.locate(gamma, delta, r, turned, near=here, branch=branch, direction="moved" if here else None)
-        ways = ways_to(detector, answer, start=here, branch=branch, approach=approach)
-        answer, data = ways.answer, _data(ways, branch, detector.notes)
+        answer = detector.locate(gamma, delta, r, turned, near=here, branch=branch, direction=came)
+        ways = ways_to(detector, answer, start=here, branch=branch, approach=approach, direction=asked)
+        answer, data = ways.answer, _data(ways, branch, (*detector.notes, *_later(detector, ways)))
     if pyfai and answer.reachable:
         from offline_ik.pyfai import pyfai_geometry
 
@@ -62,6 +77,16 @@ def ik(
         out.warn(note)
     _show(ways, out)
     out.result(data)
+
+
+def _later(detector: Detector, ways: Ways) -> tuple[str, ...]:
+    """How much time matters, where nobody said how much of it passed."""
+    from offline_ik.assumed import moves_by, time_effects
+
+    if detector.cell.running is not None or not ways.answer.reachable or not time_effects(detector.arm):
+        return ()
+    moved = moves_by(detector, ways.answer.solutions[0].q)
+    return (f"8 h later the detector would stand {1e6 * moved:.0f} µm from there: say --running",)
 
 
 def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
@@ -76,6 +101,7 @@ def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
 def _show(ways: Ways, out: Output) -> None:
     answer = ways.answer
     convention = answer.convention
+    out.say(f"robot: {answer.cell['robot']}, running for {answer.cell['running_s'] / 3600:.4g} h")
     out.say(
         f"convention: {convention['name']}, {convention['order']}, beam {convention['beam']}, "
         f"sample {convention['sample_m']} m in the frame {convention['frame']}"
@@ -88,14 +114,30 @@ def _show(ways: Ways, out: Output) -> None:
             n = answer.nearest
             out.say(
                 f"nearest: gamma {n['gamma_rad']:.6f} rad, delta {n['delta_rad']:.6f} rad, r {n['r_m']:.4f} m, "
-                f"{1e3 * n['distance_m']:.1f} mm away"
+                f"roll {n['roll_rad']:.4f} rad, {length(n['distance_m'])} away"
             )
         return
     for way in ways.chosen:
         _show_solution(way.solution, out)
+        out.say(f"joints come {_coming(way.solution, ways.came)}")
         out.say("path: safe" if way.path.safe else f"path: refused: {'; '.join(way.path.reasons)}")
         if way.approach is not None:
-            out.say(f"approach through a point, gain {1e6 * way.approach.gain:.0f} µm")
+            out.say(f"approach through a point, gain {length(way.approach.gain)}")
+
+
+CAME = {
+    "asked": "as asked",
+    "moved": "as they move straight from --near",
+    "approach": "on the last part of the approach",
+}
+
+
+def _coming(solution: Solution, came: str) -> str:
+    """From which sides, in words."""
+    if came not in CAME:
+        return "from unknown sides: half of play and wind-up counts as an error"
+    marks = {1.0: "+", -1.0: "-", 0.0: "unknown"}
+    return f"{' '.join(marks[side] for side in solution.direction.tolist())} ({CAME[came]})"
 
 
 def _show_solution(solution: Solution, out: Output) -> None:
@@ -104,8 +146,8 @@ def _show_solution(solution: Solution, out: Output) -> None:
         zip(solution.q.tolist(), solution.motor.tolist(), strict=True))]  # fmt: skip
     out.table(f"S {solution.status}  T {solution.turn}", ("", "joint / rad", "motor / rad"), rows)
     out.say(
-        f"uncertainty (1 σ): {1e6 * u.std_m:.0f} µm ({1e6 * u.tangential_m:.0f} µm = {u.tangential_m / u.pixel:.1f} "
-        f"pixels along the sphere), {1e6 * u.std_rad:.0f} µrad"
+        f"uncertainty (1 σ): {length(u.std_m)} ({length(u.tangential_m)} = {number(u.tangential_m / u.pixel)} "
+        f"pixels along the sphere), {readable(u.std_rad, 'rad')}"
     )
     if solution.extrapolating:
         from clampid.verbs.findings import extrapolating_text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,7 @@ from offline_ik.errors import DetectorError
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["CellFile", "Robot", "numbers", "opened"]
+__all__ = ["CellFile", "Robot", "Running", "numbers", "opened", "seconds"]
 
 CellFile = Annotated[
     Path | None,
@@ -22,6 +23,34 @@ Robot = Annotated[
     str | None,
     typer.Option(metavar="NAME|FILE", help="The nominal robot; must be the model's.", show_default=False),
 ]
+
+Running = Annotated[
+    str | None,
+    typer.Option(
+        "--running",
+        metavar="TIME",
+        help="For how long the robot has been running, as 90min, 2.5h or 5400s; the cell file's, or 0, without.",
+        show_default=False,
+    ),
+]
+_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def seconds(name: str, text: str | None) -> float | None:
+    """A time with its unit, s, or None.
+
+    Raises
+    ------
+    DetectorError
+        It is none.
+    """
+    if text is None:
+        return None
+    found = re.fullmatch(r"([0-9.eE+-]+) ?(s|min|h)", text.strip())
+    try:
+        return float(found[1]) * _UNITS[found[2]] if found else float("")
+    except ValueError:
+        raise DetectorError(f"{name}: expected a time with its unit, as 90min, 2.5h or 5400s, found {text!r}") from None
 
 
 def numbers(name: str, text: str | None) -> list[float] | None:
@@ -40,8 +69,12 @@ def numbers(name: str, text: str | None) -> list[float] | None:
         raise DetectorError(f"{name}: expected numbers separated by commas, found {text!r}") from None
 
 
-def opened(model: Path, cell: Path | None, robot: str | None, effects_from: Path | None) -> Detector:
-    """The model in its cell."""
+def opened(
+    model: Path, cell: Path | None, robot: str | None, effects_from: Path | None, running: str | None = None
+) -> Detector:
+    """The model in its cell, the robot running for so long."""
     from offline_ik.detector import open_detector
 
-    return open_detector(model, cell, robot=robot, user_effects=effects_from)
+    time = seconds("--running", running)
+    detector = open_detector(model, cell, robot=robot, user_effects=effects_from)
+    return detector if time is None else detector.at_running(time)

@@ -10,7 +10,7 @@ import typer
 from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
-from offline_ik.verbs.options import CellFile, Robot, opened
+from offline_ik.verbs.options import CellFile, Robot, Running, opened
 
 if TYPE_CHECKING:
     from offline_ik.link import RobotLink
@@ -29,6 +29,7 @@ def serve(
     ] = None,
     cell: CellFile = None,
     robot: Robot = None,
+    running: Running = None,
     effects_from: EffectsFrom = None,
     quiet: Quiet = False,
 ) -> None:
@@ -41,9 +42,10 @@ def serve(
     host, port = parse_address(listen)
     linked = None if link is None else _linked(link)
     with out.working("compiling"):
-        detector = opened(model, cell, robot, effects_from)
+        detector = opened(model, cell, robot, effects_from, running)
         speaker = Speaker(detector, linked)
         detector.warm_up()
+        detector.twin.warm_up()
     for what in detector.cell.assumed:
         out.warn(f"assumed, for want of a cell that says: {what}")
     for note in detector.notes:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
+import struct
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import Any
@@ -15,6 +18,7 @@ from server_lines import GOOD, rubbish
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Speaker
+from offline_ik.safety import PathReport, check_path
 from offline_ik.server import LINE_BYTES, Limits, Server, is_loopback, parse_address
 
 Talk = Callable[[Server, str, int], Awaitable[Any]]
@@ -106,6 +110,127 @@ def test_a_search_for_the_nearest_position_gives_way_to_others(detector: Detecto
             assert told["nearest"]["distance_m"] > 0.1
             assert json.loads(await reader.readline())["id"] == "after"
             assert not await reader.readline()
+
+    serving(detector, talk)
+
+
+FROM = b" from=0.1,-1.2,1.2,0.1,0.4,0"
+PATH = GOOD.replace(b"where", b"path") + FROM
+
+
+class Held:
+    """Checks of moves that begin, and do not end before they are let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun, self.go = threading.Event(), threading.Event()
+
+        def check(*given: Any) -> PathReport:
+            self.begun.set()
+            assert self.go.wait(60)
+            return check_path(*given)
+
+        monkeypatch.setattr("offline_ik.ways.check_path", check)
+        monkeypatch.setattr("offline_ik.protocol.check_path", check)
+
+    async def until_begun(self) -> None:
+        while not self.begun.is_set():
+            await asyncio.sleep(0.002)
+
+
+def test_while_a_move_is_checked_others_are_answered_and_its_own_client_in_order(
+    detector: Detector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = Held(monkeypatch)
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer), connected(host, port) as other:
+            writer.write(
+                PATH + b" id=1\n" + GOOD + b" id=2\n" + b"y=1 id=3\n" + PATH + b" branch=all id=4\n" + GOOD + b"\n"
+            )
+            await held.until_begun()
+            for _ in range(50):
+                assert (await ask(*other, GOOD))["reachable"]
+            assert not (await ask(*other, b"nothing"))["ok"]
+            assert server.speaker.answered == 50
+            held.go.set()
+            writer.write_eof()
+            answers = [json.loads(line) for line in [await reader.readline() for _ in range(5)]]
+            assert [a.get("id") for a in answers] == ["1", "2", None, "4", None]
+            assert [a["ok"] for a in answers] == [True, True, False, True, True]
+            assert answers[0]["path"]["safe"]
+            assert all("path" in s for s in answers[3]["solutions"])
+            assert not await reader.readline()
+
+    serving(detector, talk)
+
+
+class Link:
+    """A linked robot that remembers where it was sent."""
+
+    def __init__(self, q: np.ndarray) -> None:
+        self.q, self.sent = q, 0
+
+    def posture(self) -> np.ndarray:
+        return self.q
+
+    def move(self, postures: np.ndarray, speed: float) -> None:
+        self.sent += 1
+
+    def state(self) -> dict[str, Any]:
+        return {}
+
+    def stop(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("what", ["nothing", "stop", "moved", "closed", "reset"])
+def test_what_happens_while_a_move_is_checked_counts(
+    detector: Detector, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    held, link = Held(monkeypatch), Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        server.speaker.link = link
+        async with connected(host, port) as (reader, writer), connected(host, port) as other:
+            writer.write(b"move gamma=0.35 delta=0.2 r=0.8\n")
+            await held.until_begun()
+            if what == "stop":
+                assert (await ask(*other, b"stop"))["ok"]
+            elif what == "moved":
+                link.q = link.q + 0.1
+            elif what == "closed":  # on the wire no other than a client that has asked all that it wants to
+                writer.close()
+            elif what == "reset":
+                sock = writer.get_extra_info("socket")
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                writer.transport.abort()
+                async with asyncio.timeout(20):
+                    while len(server.clients) > 1:
+                        await asyncio.sleep(0.002)
+            held.go.set()
+            if what in ("closed", "reset"):
+                assert (await ask(*other, PATH))["path"]["safe"]  # is computed after the move
+                assert server.speaker.answered == (2 if what == "closed" else 1)
+                assert not server.failures
+            else:
+                answer = json.loads(await reader.readline())
+                assert answer["ok"] is (what == "nothing")
+                told = {"stop": "was stopped while", "moved": "moved while"}
+                assert told.get(what, "") in answer.get("error", "")
+            assert link.sent == (what in ("nothing", "closed"))
+
+    serving(detector, talk)
+
+
+def test_what_is_computed_apart_is_at_the_temperatures_of_now(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as one:
+            before = (await ask(*one, GOOD))["solutions"][0]["q_rad"]
+            assert (await ask(*one, b"temperature link=45,45,45,45,45,45"))["ok"]
+            at_once = (await ask(*one, GOOD))["solutions"][0]["q_rad"]
+            apart = (await ask(*one, GOOD + b" branch=all"))["solutions"][0]["q_rad"]
+            assert np.abs(np.subtract(at_once, before)).max() > 1e-6
+            assert np.abs(np.subtract(apart, at_once)).max() < 1e-8
 
     serving(detector, talk)
 

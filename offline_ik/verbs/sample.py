@@ -1,0 +1,95 @@
+"""``clampid sample``: the scattering point from reflections found at known detector positions."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
+from clampid.verbs.output import Output
+from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened
+
+if TYPE_CHECKING:
+    from offline_ik.peaks import SampleFound
+
+__all__ = ["sample"]
+
+
+def sample(
+    model: ModelFile,
+    peaks: Annotated[
+        Path, typer.Argument(metavar="PEAKS.csv", help="The reflections found, one a row.", show_default=False)
+    ],
+    cell: CellFile = None,
+    robot: Robot = None,
+    running: Running = None,
+    energy: Annotated[
+        float | None, typer.Option(metavar="KEV", help="Of the photons, where the table has spacings.")
+    ] = None,
+    wavelength: Annotated[float | None, typer.Option(metavar="ANGSTROM", help="The same as a wavelength.")] = None,
+    near: Annotated[
+        str | None,
+        typer.Option(
+            metavar="Q1,Q2,…", help="The posture before the first row, where rows are gamma, delta, r.",
+            show_default=False,
+        ),
+    ] = None,
+    repeatability: Annotated[
+        float, typer.Option(metavar="M", help="The robot's own, a standard deviation in each direction.")
+    ] = 0.0,
+    effects_from: EffectsFrom = None,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:  # fmt: skip
+    """Find the scattering point from Bragg reflections found on the detector, with its standard errors."""
+    out = Output(quiet, json)
+    os.environ.setdefault("CLAMPID_COMPILER", "none")  # a few postures come sooner than a compiled kernel
+    from offline_ik.errors import TargetError
+    from offline_ik.peak_table import read_peaks, wavelength_of
+    from offline_ik.peaks import sample_from_peaks
+
+    of_photons, before = wavelength_of(energy, wavelength), numbers("--near", near)
+    detector = opened(model, cell, robot, effects_from, running)
+    found = read_peaks(peaks, detector.arm.n, detector.cell.pixel, of_photons)
+    with out.working("solving"):
+        try:
+            result = sample_from_peaks(detector, found, near=before, repeatability=repeatability)
+        except TargetError as error:
+            raise TargetError(f"{peaks}: {error}") from None
+    for what in detector.cell.assumed:
+        out.warn(f"assumed, for want of a cell that says: {what}")
+    for note in result.notes:
+        out.warn(f"note: {note}")
+    _show(result, out)
+    out.result(result.to_json())
+
+
+def _show(result: SampleFound, out: Output) -> None:
+    from offline_ik.peak_wording import LAB
+
+    position, convention = result.position, result.convention
+    out.say(f"scattering point, found from {len(result.points)} reflections; the cell's is {convention['sample_m']} m")
+    shift = [value - given for value, given in zip(position.sample.tolist(), convention["sample_m"], strict=True)]
+    found = [*zip("xyz", position.sample.tolist(), shift, position.std.tolist(), strict=True)]
+    rows = [(axis, f"{at:.7f}", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}") for axis, at, moved, std in found]
+    rows += [
+        (axis, "", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}")
+        for axis, moved, std in zip(LAB, result.shift.tolist(), result.std.tolist(), strict=True)
+    ]
+    out.table("", (f"frame {convention['frame']}", "m", "from the cell's / mm", "std / mm"), rows)
+    shown = zip(
+        result.names, position.residuals.tolist(), position.stated.tolist(), position.checks.tolist(), strict=True
+    )
+    out.table(
+        "", ("reflection", "residual / µrad", "stated error / µrad", "off from the others / σ"),
+        [(name, f"{1e6 * left:.1f}", f"{1e6 * std:.1f}", "–" if math.isnan(off) else f"{off:.1f}")
+         for name, left, std, off in shown],
+    )  # fmt: skip
+    (out.say if position.fits and position.freedom else out.warn)("; ".join(result.agreement))
+    out.say("for the cell file:")
+    for line in result.cell_lines:
+        out.say(line)
