@@ -29,10 +29,10 @@ from clampid.stages.rows import Rows
 
 __all__ = ["Drives", "carried_drives", "carried_over", "prior_from"]
 
-STARTS = ("gravity", "payload", "wrist_coupling_friction", "joint_compliance", "backlash")
-"""Effects whose values a later stage takes over as its start."""
-LOADS = ("gravity", "wrist_coupling_friction")
+LOADS = ("gravity", "payload", "wrist_coupling_friction", "gravity_compensator", "dress_pack")
 """Effects that enter the pose stage with their covariance from the torque stage: loads and flanks."""
+STARTS = (*LOADS, "joint_compliance", "backlash")
+"""Effects whose values a later stage takes over as its start."""
 
 
 @dataclass(frozen=True)

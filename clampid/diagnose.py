@@ -9,7 +9,8 @@ from typing import Any
 
 from clampid.alignment import simpler
 from clampid.compensation import Compensation, compensation_of
-from clampid.diagnosis.next_measurement import NextPoses
+from clampid.diagnosis.next_measurement import NextPlan
+from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.score import Scored
 from clampid.diagnosis.stage import diagnose_stage
@@ -23,6 +24,7 @@ from clampid.reopen import Reopened, reopen
 from clampid.slots import Slot, Term
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
+from experiments.plans.errors import PlanError
 
 __all__ = ["Diagnosis", "diagnose"]
 
@@ -62,11 +64,13 @@ def diagnose(
     flips: int = 199,
     user_effects: Path | None = None,
     stages: Sequence[Stage] | None = None,
+    plan_for: Sequence[str] | None = None,
 ) -> Diagnosis:
     """Find out where a model fails on a campaign, or on several at once, and which effect is missing.
 
     The model's active effects are fitted to the campaigns first, from the model's values, so that what they could still
-    absorb is not taken for evidence.
+    absorb is not taken for evidence. A stage is diagnosed with the loads, frictions and springs that those before it
+    have with what was found missing there: it would show in it, too, under another name.
 
     Parameters
     ----------
@@ -76,18 +80,24 @@ def diagnose(
         Sign flips that decide: p_familywise is at least 1/(flips + 1).
     stages
         Those to diagnose; by default all that the campaigns have tables for.
+    plan_for
+        Effects, ``effect`` or ``effect@joint3``, that the next measurements are to test, where the campaigns leave no
+        candidates that cannot be told apart; empty: all that the rows test too weakly. None: nothing is planned for
+        them.
 
     Raises
     ------
     ModelError
         The model does not fit the campaigns.
     """
-    opened = reopen(model, campaigns, user_effects)
+    opened = mending = reopen(model, campaigns, user_effects)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in opened.stages:
         wanted = stages is None or stage in stages
         if wanted and opened.has(TABLES_OF[stage]):
-            found[stage] = _one(opened, stage, seed, flips)
+            found[stage] = part = _one(mending, stage, seed, flips, plan_for)
+            if part.added and part.fitted is not None:
+                mending = replace(mending, stages={**mending.stages, stage: part.fitted.model})
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own
     alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
@@ -97,7 +107,9 @@ def diagnose(
     return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
 
 
-def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosis:
+def _one(
+    opened: Reopened, stage: Stage, seed: int, flips: int, plan_for: Sequence[str] | None = None
+) -> StageDiagnosis:
     rows = opened.rows(stage)
     fitted = opened.refit(stage, rows)
     before = {s: m for s, m in opened.stages.items() if s != stage}
@@ -108,13 +120,25 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
 
-    def propose(estimate: Estimate, rivals: Sequence[Scored], scale: float) -> NextPoses | None:
-        from clampid.diagnosis.next_poses import next_poses  # brings collision checking along, which few need
+    refused: list[str] = []
 
-        return next_poses(opened.campaign, estimate, rivals, scale, seed)
+    def propose(estimate: Estimate, rivals: Sequence[Scored], scale: float) -> NextPlan | None:
+        try:
+            return parting_plan(opened.campaign, estimate, rivals, scale, seed)
+        except PlanError as error:
+            refused.append(f"No plan can be made: {error}.")
+            return None
 
-    asked = propose if stage == "poses" and len(opened.campaigns) == 1 else None
-    found = diagnose_stage(fitted, _effects_for(opened, stage), refit, verification, seed, flips, asked)
+    asked = propose if len(opened.campaigns) == 1 else None
+    effects = _effects_for(opened, stage)
+    found = diagnose_stage(fitted, effects, refit, verification, seed, flips, asked, _called_for(opened, stage))
+    found.warnings += refused
+    if stage == "poses" and found.next_plan is not None:
+        from clampid.diagnosis.next_poses import poses_of
+
+        found.next_poses = poses_of(opened.campaign, found.next_plan, seed)
+    if plan_for is not None and len(opened.campaigns) == 1 and found.verdict != "ambiguous":
+        _test_too(opened, found, effects, plan_for, seed)
     if stage == "poses" and found.added and found.fitted is not None:
         ends = [_alone(opened, end) for end in (fitted, found.fitted)]
         found.exported_shift = exported_shift(ends[0], ends[1], opened.campaign.robot)
@@ -122,10 +146,35 @@ def _one(opened: Reopened, stage: Stage, seed: int, flips: int) -> StageDiagnosi
     return found
 
 
+def _test_too(
+    opened: Reopened, found: StageDiagnosis, effects: dict[str, Effect], names: Sequence[str], seed: int
+) -> None:
+    """Plan what tests better what the rows of a stage test too weakly."""
+    if found.look is None or found.fitted is None:
+        return
+    estimate = found.fitted.estimate
+    here = [n for n in names if found.stage in getattr(effects.get(n.partition("@")[0]), "stages", (found.stage,))]
+    if names and not here:
+        return
+    weak = weak_ones(found.look, estimate, effects, here)
+    try:
+        found.next_plan = showing_plan(opened.campaign, estimate, weak, found.look.space.scale, seed)
+    except PlanError as error:
+        found.warnings.append(f"No plan can be made: {error}.")
+
+
 def _alone(opened: Reopened, poses: FittedStage) -> Model:
     """A model of the poses of these campaigns alone."""
     sessions = tuple(session_of(c, poses.base_reference.get(s)) for s, c in enumerate(opened.campaigns))
     return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=sessions)
+
+
+def _called_for(opened: Reopened, stage: Stage) -> frozenset[Term]:
+    """What the torque log has shown to act at the joints, where this is the stage of poses."""
+    if stage != "poses" or "free_air" not in opened.stages:
+        return frozenset()
+    known = opened.stages["free_air"].terms
+    return frozenset(t for t in known if set(opened.effects[t.effect].acts) == {"joint_torque"})
 
 
 def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:

@@ -15,20 +15,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg, optimize, special
 
 from clampid.fitting.descent import inverse_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["SIZES", "evidence", "of_size", "rows_say", "sized"]
+__all__ = ["ANY_SIZE", "SIZES", "evidence", "of_any_size", "of_size", "rows_say", "sized"]
 
 SIZES = (1.0, 0.5, 0.25, 0.125, 0.0625)
 """Of the size that an effect states, which is the upper end of what there is: those that a score tries."""
 
 SPAN = (float(np.log(0.01)), float(np.log(10.0)))
 """Logarithm of the same, within which a fit looks for it."""
+
+
+ANY_SIZE = np.geomspace(1e-3, 1e2, 21)
+"""Of an effect's reasonable size, in quarter decades: from what no instrument would show to what cannot be."""
 
 
 def evidence(information: Array, score: Array, prior: Array) -> tuple[float, Array]:
@@ -56,6 +60,17 @@ def of_size(size: Array | float, information: Array, component: Array) -> Array:
     """
     told = np.multiply.outer(np.square(size), information)
     return np.asarray(0.5 * (np.sum(told / (1.0 + told) * component**2, axis=-1) - np.sum(np.log1p(told), axis=-1)))
+
+
+def of_any_size(information: Array, component: Array) -> float:
+    """Logarithm of the evidence with a prior whose size may be anything in :data:`ANY_SIZE`, each decade as likely.
+
+    What an amplitude's freedom costs is then what the rows narrow it, however many there are: six compliances that the
+    rows tell little of are charged little, where a fixed charge for each would prefer one wrong number to six right
+    ones. Arguments as in :func:`of_size`.
+    """
+    found = of_size(ANY_SIZE, information, component)
+    return float(special.logsumexp(found) - np.log(len(ANY_SIZE)))
 
 
 def rows_say(estimate: Estimate, chosen: Integers) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from clampid.stages.rows import Array, Bools
 __all__ = ["assumed_of", "named_directions", "null_directions"]
 
 WEAK = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
+SILENT = 1e-4  # of a single parameter: not known to within a hundred reasonable sizes, which none has
 
 
 def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
@@ -61,7 +62,7 @@ def named_directions(
     prior = precision[:count, :count] * np.outer(size, size)
     known = prior - np.diag(np.diag(prior))
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
-    silent = np.diag(information) < 1e-9
+    silent = np.diag(information) < SILENT
     # Parameters that only a prior keeps apart are told as a whole, by the place that they belong to, not one by one.
     information = information + np.diag(np.where(assumed, 2.0 * WEAK, 0.0))
     out = []

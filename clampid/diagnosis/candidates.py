@@ -50,6 +50,8 @@ class Candidate:
         What of that prior there may be, where it says no more than the largest size: a score chooses.
     sized_by
         Of a named effect, the shape that is this size.
+    reasonable
+        Reasonable sizes ``(k,)`` of the amplitudes, as their declarations have them; None of a probe, which has none.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Candidate:
     prior: Array | None = None
     sizes: tuple[float, ...] = (1.0,)
     sized_by: Slot | None = None
+    reasonable: Array | None = None
 
     def of_size(self, size: float) -> Candidate:
         """The same with a prior of that size; the columns stay as they are."""
@@ -87,6 +90,8 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     out = []
     for effect in effects.values():
         if estimate.experiment.stage not in effect.stages or effect.aligns is not None or effect.event is not None:
+            continue
+        if effect.asked:
             continue
         if effect.beyond is not None and not any(name == effect.beyond for name, _ in active):
             continue
@@ -203,4 +208,5 @@ def _candidate(
         prior=np.array([parameters[s].prior_std for s in amplitudes]) if assumed else None,
         sizes=(1.0,) if sized_by is None else SIZES,
         sized_by=sized_by,
+        reasonable=np.array([parameters[s].size for s in amplitudes]),
     )

@@ -221,4 +221,5 @@ def _candidate(estimate: Estimate, effect: Effect, steps: Array, time: float) ->
         columns=Columns(pieces, len(slots)),
         depends_on=(),
         places=(effect.at,),
+        reasonable=np.array([p.size for s in slots for p in effect.parameters if p.name == s.parameter]),
     )

@@ -54,12 +54,14 @@ class Look:
     def only_stands_in(self, best: Scored) -> bool:
         """Whether a name only stands in for something else, which a probe says better.
 
-        It explains so much less than the probe; or it can follow nearly anything, and the probe is a simple one.
+        It explains so much less than the probe, and nothing beside it: of errors of several joints a name may say one,
+        and the probe another. Or it can follow nearly anything, and the probe is a simple one.
         """
         if not self.fires or self.probe is None or self.probe.bic - best.bic <= SAME:
             return False
         follows = best.candidate.sized_by is not None and self.probe.candidate.prior is None
-        return follows or best.explained < STANDS_IN * self.probe.explained
+        less = best.explained < STANDS_IN * self.probe.explained
+        return follows or (less and explained_together(self.space, best, self.probe) - self.probe.explained < SAME)
 
 
 def look_at(

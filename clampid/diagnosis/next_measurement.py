@@ -1,21 +1,24 @@
-"""Poses that part candidates which the measured ones cannot tell apart, as a verdict lists them."""
+"""What to measure next, as a verdict lists it: what parts look-alikes, and what tests what these rows cannot."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 from scipy import stats
 
 from clampid.stages.rows import Array
+from experiments.plans.model import Plan
 
-__all__ = ["ENOUGH", "SAME", "TEMPERATURES", "NextPoses"]
+__all__ = ["ENOUGH", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
 
 SAME = 20.0  # explained beyond another candidate less than this: these data cannot tell the two apart
 POWER = 0.9
 ENOUGH = float((SAME**0.5 + stats.norm.isf(1 - POWER)) ** 2)
 """The noncentrality of which 90 % of measurements show more than :data:`SAME`."""
 TEMPERATURES = {"cold": "as cold as at the start of these", "warm": "as warm as at the end of these"}
+STATES = ("warm", "cold")
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,8 @@ class NextPoses:
     state
         ``warm`` or ``cold``: as the robot was at the end or at the start of the campaign's poses.
     before, after
-        Evidence, in units of the noise's variance, that the closest pair of candidates can be told apart by.
+        Evidence, in units of the noise's variance, that the closest pair of candidates that any poses part can be told
+        apart by.
     """
 
     q: Array
@@ -42,14 +46,6 @@ class NextPoses:
     def helps(self) -> bool:
         """Whether these are expected to tell the candidates apart in 9 of 10 campaigns."""
         return self.after >= ENOUGH
-
-    @property
-    def sentence(self) -> str:
-        """For people."""
-        gain = f"evidence between the closest two: {self.before:.3g} now, {self.after:.3g} after, {SAME:g} tell them"
-        if not self.helps:
-            return f"no poses of this robot with these targets part them ({gain} apart; {len(self.q)} poses tried)"
-        return f"{len(self.q)} poses, measured {TEMPERATURES[self.state]} ({gain} apart)"
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -64,3 +60,165 @@ class NextPoses:
             "evidence_needed": SAME,
             "helps": self.helps,
         }
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a plan brings for one parameter that the rows test too weakly; SI.
+
+    Attributes
+    ----------
+    name
+        ``effect.parameter@place``.
+    size
+        What it usually amounts to.
+    before, after, best
+        The size that would be found with 90 % probability: in these rows, with the plan, and with every measurement
+        that was tried; infinite where none would.
+    aim
+        What the plan was to reach.
+    retained
+        Share of its columns that the model cannot take up: now, and with the plan.
+    """
+
+    name: str
+    unit: str
+    size: float
+    before: float
+    after: float
+    best: float
+    aim: float
+    retained: tuple[float, float]
+
+    @property
+    def possible(self) -> bool:
+        """Whether the measurements tried can reach the aim at all."""
+        return self.best <= self.aim
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs; a limit that is infinite is None."""
+        limits = {"limit_before": self.before, "limit_after": self.after, "limit_with_all_tried": self.best}
+        return {
+            "name": self.name,
+            "unit": self.unit,
+            "size": self.size,
+            **{key: value if np.isfinite(value) else None for key, value in limits.items()},
+            "retained_before": self.retained[0],
+            "retained_after": self.retained[1],
+            "aim": self.aim,
+            "possible": self.possible,
+            "helps": self.possible and self.after <= self.aim,
+        }
+
+
+@dataclass(frozen=True)
+class NextPlan:
+    """Measurements to take next, what they are for, and what is expected of them.
+
+    Attributes
+    ----------
+    aim
+        ``parting``: candidates that explain the same; ``testing``: what these rows test too weakly.
+    chosen
+        Numbers in the pool that they were chosen from, of ``tried``.
+    state
+        ``warm`` or ``cold``: as the robot was at the end or at the start of the measurements so far.
+    what, words
+        What one is and several are, and what these are in particular.
+    plan
+        For the runner; None where nothing helps.
+    before, after
+        Evidence, in units of the noise's variance, that the closest pair that can be parted is told apart by.
+    shared
+        The share of its signal that this pair has in common: now, and after.
+    never
+        Pairs that nothing tried parts, by their labels, the share that they would still have in common with all tried,
+        and the evidence that they would be told apart by.
+    gains
+        Parameter by parameter, for ``testing``.
+    """
+
+    aim: Literal["parting", "testing"]
+    chosen: tuple[int, ...]
+    tried: int
+    state: str
+    what: tuple[str, str]
+    words: str
+    plan: Plan | None
+    before: float = 0.0
+    after: float = 0.0
+    shared: tuple[float, float] = (1.0, 1.0)
+    never: tuple[tuple[str, str, float, float], ...] = ()
+    gains: tuple[Gain, ...] = ()
+
+    @property
+    def helps(self) -> bool:
+        """Whether it is expected to do in 9 of 10 campaigns what it is for, at least of some."""
+        if self.aim == "testing":
+            return any(gain.possible and gain.after < gain.before for gain in self.gains)
+        return self.after >= ENOUGH
+
+    @property
+    def count(self) -> str:
+        """``12 poses``."""
+        return f"{len(self.chosen)} {self.what[len(self.chosen) != 1]}"
+
+    @property
+    def nothing(self) -> str:
+        """For people, of one without a plan: that nothing helps."""
+        if self.aim == "parting":
+            return self.sentence
+        return f"no {self.what[1]} that this robot can take test them, with all {self.tried} tried taken together"
+
+    @property
+    def sentence(self) -> str:
+        """For people: of what parts candidates, and which it does not."""
+        never = "; ".join(
+            f"{a} from {b} ({_percent(share)} of their signal in common, {np.sqrt(left):.2g} σ apart)"
+            for a, b, share, left in self.never
+        )
+        if not self.helps:
+            what = f"no {self.what[1]} that this robot can take part"
+            return f"{what} {never or 'them'}, with all {self.tried} tried taken together"
+        sigma = f"{np.sqrt(self.before):.2g} σ apart now, {np.sqrt(self.after):.2g} σ after"
+        gain = f"{sigma}, {np.sqrt(ENOUGH):.2g} σ tell them in 9 of 10 campaigns"
+        share = f"they share {_percent(self.shared[0])} of their signal now, {_percent(self.shared[1])} after"
+        said = f"{self.count} ({self.words}): the closest two are {gain}; {share}"
+        return f"{said}; no {self.what[1]} part {never}, with all {self.tried} tried" if never else said
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        data: dict[str, Any] = {
+            "for": self.aim,
+            "kind": None if self.plan is None else self.plan.kind,
+            "count": len(self.chosen),
+            "tried": self.tried,
+            "what": self.words,
+            "temperatures": self.state,
+            "duration_s": None if self.plan is None else self.plan.duration,
+            "helps": self.helps,
+        }
+        if self.aim == "testing":
+            return data | {"detection_limits": [gain.to_json() for gain in self.gains]}
+        return data | {
+            "evidence_before": self.before,
+            "evidence_after": self.after,
+            "evidence_needed": SAME,
+            "sigma_before": float(np.sqrt(self.before)),
+            "sigma_after": float(np.sqrt(self.after)),
+            "shared_before": self.shared[0],
+            "shared_after": self.shared[1],
+            "never": [
+                {"candidates": [a, b], "shared": share, "sigma_with_all_tried": float(np.sqrt(left))}
+                for a, b, share, left in self.never
+            ],
+        }
+
+
+def _percent(share: float) -> str:
+    """``97 %``; as many digits as it takes not to say 100 of what is less."""
+    for digits in (0, 1, 2):
+        text = f"{100 * share:.{digits}f}"
+        if float(text) < 100.0:
+            return f"{text} %"
+    return "all"

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
-from clampid.diagnosis.next_measurement import ENOUGH, SAME, TEMPERATURES, NextPoses
-from clampid.diagnosis.parting import part
+from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.next_measurement import SAME, STATES, TEMPERATURES, NextPlan, NextPoses
+from clampid.diagnosis.pools import Pool, cell_of
+from clampid.diagnosis.propose import propose_parting
 from clampid.diagnosis.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.planning.sampling import configurations
@@ -21,11 +22,11 @@ from clampid.slots import Slot
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
 from experiments.campaign import Campaign
-from experiments.plans.limits import Limits, course_of, limits_of
-from experiments.plans.model import Cell, Plan, Visit
+from experiments.plans.limits import Limits, course_of
+from experiments.plans.model import Plan, Visit
 from experiments.plans.validate import validate_plan
 
-__all__ = ["next_poses", "plan_of"]
+__all__ = ["next_poses", "plan_of", "poses_of", "poses_to_choose"]
 
 POOL, BATCH, MOST = 200, 5, 40
 APPROACH = 0.05  # rad (m): the last move of every joint to a pose
@@ -42,34 +43,41 @@ def next_poses(
     scale
         Standard deviation of the whitened residual.
     """
-    wanted = [s for s in rivals if s.freedom]
-    cell, limits, _ = _cell(campaign)
-    if len(wanted) < 2:
-        return None
-    rng = np.random.default_rng(seed)
+    found = propose_parting(partial(poses_to_choose, campaign, estimate, seed=seed), estimate, rivals, scale, STATES)
+    return None if found is None else poses_of(campaign, found, seed)
+
+
+def poses_of(campaign: Campaign, found: NextPlan, seed: int) -> NextPoses:
+    """The poses of a proposal."""
+    q, direction = _choices(campaign, seed)
+    chosen = list(found.chosen)
+    return NextPoses(q[chosen], direction[chosen], found.state, found.before, found.after)
+
+
+def poses_to_choose(
+    campaign: Campaign, estimate: Estimate, candidates: Sequence[Candidate], state: str, seed: int
+) -> Pool:
+    """Poses that could be measured next, each from a side, the robot ``warm`` or ``cold``."""
+    q, direction = _choices(campaign, seed)
+    nuisance, columns = _imagined_columns(campaign, estimate, candidates, q, direction, state)
+
+    def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
+        mine = list(chosen)
+        return plan_of(campaign, NextPoses(q[mine], direction[mine], state, 0.0, 0.0), wished)
+
+    def words(chosen: Sequence[int]) -> str:
+        mine = q[list(chosen)]
+        spans = (f"q{j + 1} {a:.0f} to {b:.0f}" for j, (a, b) in enumerate(np.degrees([mine.min(0), mine.max(0)]).T))
+        return f"{', '.join(spans)} degrees; {TEMPERATURES[state]}"
+
+    return Pool(nuisance, tuple(columns), np.ones(len(q)), ("pose", "poses"), BATCH, MOST, words, plan)
+
+
+def _choices(campaign: Campaign, seed: int) -> tuple[Array, Array]:
+    """Poses ``(K, n)``, rad, and the sides from which their joints come ``(K, n)``, ±1."""
+    cell, limits, _ = cell_of(campaign)
     q = configurations(_inner(limits), POOL, Scene.floor_only(cell).clear, seed, why="clear of the floor")
-    direction = rng.choice([-1.0, 1.0], q.shape)
-    own = estimate.whitened.jacobian
-    now = [s.candidate.columns.dense(len(own)) for s in wanted]
-    best: NextPoses | None = None
-    for state in ("warm", "cold"):
-        nuisance, columns = _imagined_columns(campaign, estimate, wanted, q, direction, state)
-        found = part(
-            own / scale,
-            [D / scale for D in now],
-            [s.value for s in wanted],
-            estimate.prior_precision / scale**2,
-            nuisance / scale,
-            [D / scale for D in columns],
-            enough=ENOUGH,
-            batch=BATCH,
-            most=MOST,
-        )
-        chosen = list(found.chosen)
-        new = NextPoses(q[chosen], direction[chosen], state, found.before, found.after)
-        if best is None or (new.helps and (not best.helps or len(new.q) < len(best.q))):
-            best = new
-    return best
+    return q, np.random.default_rng(seed).choice([-1.0, 1.0], q.shape)
 
 
 def _inner(limits: Limits) -> Limits:
@@ -77,46 +85,22 @@ def _inner(limits: Limits) -> Limits:
     return replace(limits, lower=limits.lower + 1.5 * APPROACH, upper=limits.upper - 1.5 * APPROACH)
 
 
-def _cell(campaign: Campaign) -> tuple[Cell, Limits, tuple[str, ...]]:
-    cell = Cell(
-        robot=campaign.robot,
-        reference=campaign.robot.name,
-        gravity=np.asarray(campaign.gravity, dtype=float),
-        tool_mass=campaign.tool.mass,
-        tool_com=np.asarray(campaign.tool.com, dtype=float),
-        targets=dict(campaign.targets),
-        instrument=campaign.instrument.name,
-        position_std=campaign.instrument.position_std or 1e-4,
-    )
-    limits, assumed = limits_of(campaign.robot)
-    return cell, limits, assumed
-
-
-def _reference(campaign: Campaign) -> str:
-    """What the campaign calls its robot: a bundled name, or the path of a description of the user's own."""
-    header = None if campaign.path is None else campaign.path / "campaign.toml"
-    if header is None or not header.is_file():
-        return campaign.robot.name
-    said = str(tomllib.loads(header.read_text(encoding="utf-8"))["robot"])
-    return str(header.parent / said) if Path(said).suffix else said
-
-
 def _imagined_columns(
-    campaign: Campaign, estimate: Estimate, wanted: Sequence[Scored], q: Array, direction: Array, state: str
+    campaign: Campaign, estimate: Estimate, wanted: Sequence[Candidate], q: Array, direction: Array, state: str
 ) -> tuple[Array, list[Array]]:
     """Whitened columns ``(K, r, P)`` and ``(K, r, k)`` each of K poses of all targets that have not been measured."""
     rows = estimate.experiment.rows
     pool = _imagined_rows(campaign, estimate, q, direction, state)
     slots: dict[Slot, float] = {}
-    for s in wanted:
-        slots |= dict.fromkeys(s.candidate.slots, 0.0) | dict(s.candidate.shapes)
+    for c in wanted:
+        slots |= dict.fromkeys(c.slots, 0.0) | dict(c.shapes)
     own = len(estimate.slots)
     trial = estimate.experiment.with_rows(pool).with_slots((*estimate.slots, *slots))
     _, jacobian = trial.residual(np.r_[estimate.theta[:own], list(slots.values())])
     jacobian = jacobian / np.median(estimate.noise.sigma[rows.used.any(axis=1)], axis=0)[:, None]
     count, index = len(q), {slot: own + k for k, slot in enumerate(slots)}
     blocks = jacobian.reshape(count, -1, jacobian.shape[2])
-    return blocks[:, :, :own], [blocks[:, :, [index[slot] for slot in s.candidate.slots]] for s in wanted]
+    return blocks[:, :, :own], [blocks[:, :, [index[slot] for slot in c.slots]] for c in wanted]
 
 
 def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: Array, state: str) -> Rows:
@@ -139,7 +123,7 @@ def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: 
     return replace(made, signals={**made.signals, "position": points})
 
 
-def plan_of(campaign: Campaign, proposed: NextPoses) -> Plan:
+def plan_of(campaign: Campaign, proposed: NextPoses, wished: Mapping[str, float | int | str] | None = None) -> Plan:
     """The poses as a plan that the runner can execute: in an order of short ways, each approached from its side.
 
     Raises
@@ -147,8 +131,8 @@ def plan_of(campaign: Campaign, proposed: NextPoses) -> Plan:
     PlanError
         The campaign's robot lets no such motion be.
     """
-    cell, limits, assumed = _cell(campaign)
-    cell = replace(cell, reference=_reference(campaign))
+    cell, limits, assumed = cell_of(campaign)
+    known = {"evidence_before": proposed.before, "evidence_after": proposed.after, "evidence_needed": SAME}
     order, left = [0], list(range(1, len(proposed.q)))
     while left:
         order.append(min(left, key=lambda k: float(np.max(np.abs(proposed.q[k] - proposed.q[order[-1]])))))
@@ -170,7 +154,7 @@ def plan_of(campaign: Campaign, proposed: NextPoses) -> Plan:
         visits=tuple(visits),
         measure_time=MEASURE_TIME,
         assumed=(*assumed, f"the robot is {TEMPERATURES[proposed.state]}", "only the floor is in the way"),
-        wished={"evidence_before": proposed.before, "evidence_after": proposed.after, "evidence_needed": SAME},
+        wished=known if wished is None else dict(wished),
     )
     validate_plan(made, "next poses")
     return made

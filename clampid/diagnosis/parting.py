@@ -1,22 +1,24 @@
-"""Which further measurements part look-alikes: the T-criterion, the other explanation fitted again each time.
+"""Which further measurements tell what the rows so far do not: the T-criterion, the other explanation fitted again.
 
 If one of two candidates is what is there, of the size that the rows show, how much of it would a model with the other
-one instead leave unexplained? That sum of squares, in units of the noise, is what a measurement is to make large.
-Source: Atkinson & Fedorov, The design of experiments for discriminating between two rival models, Biometrika 62, 1975.
+one instead leave unexplained? And of a candidate that the rows cannot test: how much of it, of the size that is to be
+found, would a model without it leave? That sum of squares, in units of the noise, is what measurements are to make
+large. Source: Atkinson & Fedorov, The design of experiments for discriminating between two rival models, Biometrika 62,
+1975.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 from scipy import linalg
 
 from clampid.stages.rows import Array
 
-__all__ = ["Parting", "part"]
+__all__ = ["Parting", "Showing", "part", "show"]
 
 
 @dataclass(frozen=True)
@@ -28,16 +30,42 @@ class Parting:
     chosen
         Numbers in the pool, in the order of their choice.
     before, after
-        What the closest pair leaves unexplained of each other, in units of variance: now, and with these.
+        What the closest pair that can be parted leaves unexplained of each other, in units of variance: now, and with
+        these.
+    shared
+        Share of its signal that the closest pair has in common, 0 to 1: now, and with these.
+    never
+        Pairs of candidates that the whole pool together does not part, the share that they would still have in common,
+        and what they would leave unexplained of each other.
     """
 
     chosen: tuple[int, ...]
     before: float
     after: float
+    shared: tuple[float, float] = (1.0, 1.0)
+    never: tuple[tuple[int, int, float, float], ...] = ()
 
 
-class _Pair:
-    """What a model with one candidate leaves of the other one's signal, as measurements are added."""
+@dataclass(frozen=True)
+class Showing:
+    """Measurements chosen from a pool so that signals show.
+
+    Attributes
+    ----------
+    chosen
+        Numbers in the pool, in the order of their choice.
+    before, after, most
+        ``(s,)``: what a model without it leaves of each signal, in units of variance: now, with these, and with all.
+    """
+
+    chosen: tuple[int, ...]
+    before: Array
+    after: Array
+    most: Array
+
+
+class _Signal:
+    """What a model leaves of a signal that it does not have, as measurements are added."""
 
     def __init__(self, X: Array, y: Array, precision: Array, pool_X: Array, pool_y: Array) -> None:
         self.pool_X, self.pool_y = pool_X, pool_y
@@ -61,6 +89,13 @@ class _Pair:
         X, y = self.pool_X[k], self.pool_y[k]
         self.A, self.b, self.squares = self.A + X.T @ X, self.b + X.T @ y, self.squares + float(y @ y)
 
+    def with_all(self) -> float:
+        """What is left with every measurement of the pool."""
+        X, y = self.pool_X.reshape(-1, self.pool_X.shape[2]), self.pool_y.ravel()
+        whole = _Signal(X, y, self.A, self.pool_X, self.pool_y)
+        whole.b, whole.squares = whole.b + self.b, whole.squares + self.squares
+        return whole.solved()[0]
+
 
 def part(
     nuisance: Array,
@@ -73,8 +108,11 @@ def part(
     enough: float,
     batch: int,
     most: int,
+    cost: Array | None = None,
 ) -> Parting:
     """Choose measurements that part candidates, greedily, always for the pair that is closest, in batches.
+
+    Pairs that not even the whole pool parts are left out, unless that is all of them.
 
     Parameters
     ----------
@@ -90,21 +128,104 @@ def part(
         What the closest pair shall leave of each other; then no further batch is added.
     batch, most
         Measurements in a batch, and in all.
+    cost
+        ``(K,)``: what each measurement costs, such as seconds; the gain counts for what it costs.
     """
-    pairs = []
+    signals: dict[tuple[int, int], _Signal] = {}
     for a, b in permutations(range(len(columns)), 2):
         width = columns[b].shape[1]
         prior = linalg.block_diag(precision, np.zeros((width, width)))
         X, pool_X = np.c_[nuisance, columns[b]], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
-        pairs.append(_Pair(X, columns[a] @ values[a], prior, pool_X, pool_columns[a] @ values[a]))
-    left = [pair.solved()[0] for pair in pairs]
-    before, chosen = min(left), list[int]()
-    while min(left) < enough and len(chosen) < min(most, len(pool_nuisance)):
-        for _ in range(batch):
-            gains = pairs[int(np.argmin(left))].gains()
+        signals[a, b] = _Signal(X, columns[a] @ values[a], prior, pool_X, pool_columns[a] @ values[a])
+    alone = [
+        _Signal(nuisance, D @ v, precision, pool_nuisance, pool_D @ v)
+        for D, v, pool_D in zip(columns, values, pool_columns, strict=True)
+    ]
+    never = []
+    for a, b in combinations(range(len(columns)), 2):
+        left = {k: signals[k].with_all() for k in ((a, b), (b, a))}
+        if min(left.values()) < enough:
+            share = max(_shared(rest, alone[k[0]].with_all()) for k, rest in left.items())
+            never.append((a, b, share, min(left.values())))
+    hopeless = {frozenset(pair[:2]) for pair in never}
+    able = {k: s for k, s in signals.items() if frozenset(k) not in hopeless} or signals
+    before, start = _closest(able, alone)
+    chosen = _choose(list(able.values()), [enough] * len(able), batch, most, cost)
+    for signal in alone:
+        for k in chosen:
+            signal.add(k)
+    after, end = _closest(able, alone)
+    return Parting(tuple(chosen), before, after, (start, end), tuple(never))
+
+
+def _closest(signals: Mapping[tuple[int, int], _Signal], alone: Sequence[_Signal]) -> tuple[float, float]:
+    """What the closest pair leaves unexplained of each other, and the share that it has in common."""
+    left = {k: signal.solved()[0] for k, signal in signals.items()}
+    closest = min(left, key=lambda k: left[k])
+    return left[closest], _shared(left[closest], alone[closest[0]].solved()[0])
+
+
+def _shared(left: float, alone: float) -> float:
+    """The share of a signal that another candidate follows, of what a model without both leaves of it."""
+    return float(np.clip(1.0 - left / alone, 0.0, 1.0)) if alone > 0.0 else 1.0
+
+
+def show(
+    nuisance: Array,
+    signals: Sequence[Array],
+    pool_nuisance: Array,
+    pool_signals: Sequence[Array],
+    enough: Sequence[float],
+    *,
+    batch: int,
+    most: int,
+    cost: Array | None = None,
+) -> Showing:
+    """Choose measurements in which signals show, greedily, always for the one that is farthest from it, in batches.
+
+    Parameters
+    ----------
+    nuisance, pool_nuisance
+        As for `part`; what is known before any row are further rows of ``nuisance``.
+    signals, pool_signals
+        Whitened signals ``(M,)`` in the rows so far, of the size that is to be found, and ``(K, r)`` in the pool.
+    enough
+        What a model without it shall leave of each signal. Those of which the whole pool leaves less are given up.
+    """
+    count = nuisance.shape[1]
+    found = [
+        _Signal(nuisance, y, np.zeros((count, count)), pool_nuisance, pool_y)
+        for y, pool_y in zip(signals, pool_signals, strict=True)
+    ]
+    before, whole = np.array([s.solved()[0] for s in found]), np.array([s.with_all() for s in found])
+    able = [k for k in range(len(found)) if whole[k] >= enough[k]]
+    chosen = _choose([found[k] for k in able], [enough[k] for k in able], batch, most, cost) if able else []
+    for k, signal in enumerate(found):
+        if k not in able:
+            for measurement in chosen:
+                signal.add(measurement)
+    return Showing(tuple(chosen), before, np.array([s.solved()[0] for s in found]), whole)
+
+
+def _choose(
+    signals: Sequence[_Signal], enough: Sequence[float], batch: int, most: int, cost: Array | None
+) -> list[int]:
+    """Add measurements to all signals until each leaves enough; their numbers."""
+    pool = len(signals[0].pool_X)
+    price = np.ones(pool) if cost is None else cost
+    goal: Array = np.asarray(enough, dtype=float)
+    chosen: list[int] = []
+
+    def reached() -> Array:
+        return np.asarray([signal.solved()[0] for signal in signals] / goal, dtype=float)
+
+    share = reached()
+    while share.min() < 1.0 and len(chosen) < min(most, pool):
+        for _ in range(min(batch, pool - len(chosen))):
+            gains = signals[int(np.argmin(share))].gains() / price
             gains[chosen] = -np.inf
             chosen.append(int(np.argmax(gains)))
-            for pair in pairs:
-                pair.add(chosen[-1])
-            left = [pair.solved()[0] for pair in pairs]
-    return Parting(tuple(chosen), before, min(left))
+            for signal in signals:
+                signal.add(chosen[-1])
+            share = reached()
+    return chosen

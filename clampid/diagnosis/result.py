@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from clampid.diagnosis.next_measurement import NextPoses
+from clampid.diagnosis.above import OneSided
+from clampid.diagnosis.look import Look
+from clampid.diagnosis.next_measurement import NextPlan, NextPoses
 from clampid.effect import Stage
 from clampid.fitted_stage import FittedStage
 from clampid.slots import Term
@@ -41,7 +43,8 @@ class Step:
 class StageDiagnosis:
     """What was found in one stage; :meth:`to_json` gives the contract's form.
 
-    ``steps``: what was confirmed, one after the other, each on top of those before it.
+    ``steps``: what was confirmed, one after the other, each on top of those before it. ``look``: the last one, at what
+    the fit with them leaves.
     """
 
     stage: Stage
@@ -56,12 +59,16 @@ class StageDiagnosis:
     shape: dict[str, Any] | None = None
     outliers: list[dict[str, Any]] = field(default_factory=list)
     next_measurement: str | None = None
+    next_plan: NextPlan | None = None
     next_poses: NextPoses | None = None
+    look: Look | None = None
     omission: list[dict[str, Any]] = field(default_factory=list)
     exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)
     summary: str = ""
     warnings: list[str] = field(default_factory=list)
+    above: dict[str, Any] | None = None
+    one_sided: list[OneSided] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
 
@@ -70,13 +77,10 @@ class StageDiagnosis:
         """The terms of all steps."""
         return [term for step in self.steps for term in step.terms]
 
-    def ask_for(self, proposed: NextPoses | None) -> None:
-        """Set down which poses part the candidates, before what else would, or that none do."""
-        if proposed is None:
-            return
-        self.next_poses = proposed
-        otherwise = "" if proposed.helps else f"; {self.next_measurement}"
-        self.next_measurement = proposed.sentence + otherwise
+    def ask_for(self, proposed: NextPlan, otherwise: Sequence[str]) -> None:
+        """Set down which measurements part the candidates, and what else would part those that none do."""
+        self.next_plan = proposed
+        self.next_measurement = "; ".join([proposed.sentence, *dict.fromkeys(otherwise)])
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -93,9 +97,12 @@ class StageDiagnosis:
             "outliers": self.outliers,
             "warnings": self.warnings,
             "next_measurement": self.next_measurement,
+            "next_plan": None if self.next_plan is None else self.next_plan.to_json(),
             "next_poses": None if self.next_poses is None else self.next_poses.to_json(),
             "omission": self.omission,
             "exported_shift": self.exported_shift,
             "testability": self.testability,
+            "above_floor": self.above,
+            "one_sided": [found.to_json() for found in self.one_sided],
             "summary": self.summary,
         }

@@ -24,7 +24,7 @@ from scipy.special import gammainc, gammaincc, gammaln
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.columns import Sums
 from clampid.effect import WEAK as WEAK_PRIOR
-from clampid.evidence import of_size
+from clampid.evidence import of_any_size, of_size
 from clampid.fitting.solve import Estimate
 from clampid.stages.experiment import HELD
 from clampid.stages.rows import Array, Bools, Integers
@@ -49,6 +49,7 @@ WEAK = 0.05
 HELD_OPEN = 4.0  # an error twice as large as the prior: it was held, and is open
 SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
 SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
+NOTHING = 1e-100  # of whitened columns: the inverse square of less is no number
 TINY = 1e-290  # a smaller tail than this may have underflowed
 
 
@@ -139,15 +140,17 @@ class Scored:
     kept
         ``(f,)``: the share of each that its prior lets it take, 1 without a prior.
     cost
-        What as many free directions are charged: f ln(rows), or with a prior the logarithm of how much the rows narrow
-        it (so that explained less cost is twice the logarithm of the Bayes factor). Where the candidate's sizes are
-        open, the one with the largest factor was taken.
+        What its freedom is charged, so that explained less cost is twice the logarithm of its Bayes factor: with a
+        prior, the logarithm of how much the rows narrow it (where its sizes are open, of the one with the largest
+        factor); else f ln(rows) (Schwarz), as if the rows told each number as well as they might. Of a named effect of
+        which they tell less, no more than that: the mean over all sizes that its numbers may have
+        (`clampid.evidence.of_any_size`).
     explained
         Sum of squares that it explains, in units of the residual's variance.
     log_p
         Natural logarithm of the p-value by the moments of its flips.
     bic
-        Score-BIC: explained less cost; the larger the better.
+        Explained less cost; the larger the better.
     retained
         Share of the columns that the active parameters cannot absorb.
     state
@@ -298,7 +301,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     Z2 = gram - absorbed.T @ absorbed
     left = np.sqrt(np.maximum(np.diag(Z2), 0.0))
     unit_limit = np.where(left > 0, space.scale / np.where(left > 0, left, 1.0), np.inf)
-    seen = length > 0
+    seen = length > NOTHING
     none = np.zeros((k, 0))
 
     def nothing(retained: float, state: str) -> Scored:
@@ -329,6 +332,10 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         size = c.sizes[int(np.argmax(of_size(np.array(c.sizes), values, amplitude / space.scale)))]
         values = size**2 * values
         kept, cost = values / (1.0 + values), float(np.sum(np.log1p(values)))
+    elif c.reasonable is not None:
+        lengths = np.where(seen, length, 0.0)
+        reach = c.reasonable[:, None] * lengths[:, None] * vectors[:, keep] * np.sqrt(values)
+        cost = min(cost, _charge(reach, amplitude, space))
     explained = float(kept @ amplitude**2) / space.scale**2
     moments = flip_moments(parts, kept, space.scale, space.drawn)
     return Scored(
@@ -349,6 +356,19 @@ def _score_one(space: Space, c: Candidate) -> Scored:
         ),
         unit_limit=unit_limit * np.sqrt(max(moments[0] / float(kept.sum()), 1.0)),
     )
+
+
+def _charge(reach: Array, amplitude: Array, space: Space) -> float:
+    """What a candidate's freedom costs: what it explains, less twice the logarithm of its evidence at any size.
+
+    Parameters
+    ----------
+    reach
+        ``(k, f)``: what a reasonable size of each parameter moves the residual along the directions of ``amplitude``.
+    """
+    _, told, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
+    component = turn @ amplitude / space.scale
+    return float(component @ component) - 2.0 * of_any_size(told**2, component)
 
 
 def _overlap(a: Scored, b: Scored) -> Array:

@@ -1,13 +1,17 @@
-"""What parts look-alikes: for pairs of effects that the same rows cannot tell apart, the measurement that would."""
+"""What parts look-alikes: for pairs of effects that the same rows cannot tell apart, the measurement that would.
+
+Whether more of the same would is worked out from the rows (:mod:`clampid.diagnosis.propose`). Where that is not so, it
+takes something else: what is known of a pair, or else a sensor where only one of the two acts, or another experiment.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 
-from clampid.effect import Stage
+from clampid.effect import STAGES, Effect, Stage
 
-__all__ = ["separating_measurement"]
+__all__ = ["separating_measurement", "something_else"]
 
 _SEPARATORS: dict[frozenset[str], str] = {
     frozenset(pair): text
@@ -37,6 +41,33 @@ _SEPARATORS: dict[frozenset[str], str] = {
     )
 }  # fmt: skip
 
+_WITHIN: frozenset[frozenset[str]] = frozenset(
+    frozenset(pair)
+    for pair in (
+        ("thermal_expansion", "base_tilt"),
+        ("gear_eccentricity", "coupling_ratio_error"),
+        ("joint_compliance", "base_tilt"),
+        ("stribeck_friction", "viscous_friction"),
+        ("nonlinear_stiffness", "backlash"),
+        ("hysteresis", "backlash"),
+    )
+)
+"""Pairs whose separator is more of the same measurement, which is worked out and not looked up."""
+
+_SENSORS: Mapping[str, str] = {
+    "base_twist": "an inclinometer or a target on the base plate",
+    "fixture": "a target on the block that holds the flange",
+    "measurement": "a certified distance between two targets",
+    "link_twist": "a target on the link itself",
+}
+"""Station → what sees a deviation there, and no other's."""
+
+_ELSEWHERE: Mapping[Stage, str] = {
+    "free_air": "a log of torques in free air",
+    "clamped": "sweeps against a clamped flange",
+    "poses": "measured poses",
+}
+
 
 _MORE: dict[Stage, str] = {
     "poses": "more poses, spread over the joints' full ranges, with other loads and temperatures than these",
@@ -51,3 +82,21 @@ def separating_measurement(effects: Iterable[str], stage: Stage) -> str:
     if found:
         return "; ".join(dict.fromkeys(found))
     return _MORE[stage]
+
+
+def something_else(pair: Sequence[str], effects: Mapping[str, Effect], stage: Stage) -> str:
+    """A sentence on what parts two effects, given by name, where no measurement of a stage does."""
+    a, b = (effects[name] for name in pair)
+    families = frozenset((a.family, b.family))
+    if families in _SEPARATORS and families not in _WITHIN:
+        return _SEPARATORS[families]
+    said = []
+    for station, sensor in _SENSORS.items():
+        if (station in a.acts) != (station in b.acts):
+            said.append(f"{sensor}, which sees {(a if station in a.acts else b).name} alone")
+    for other in STAGES:
+        if other != stage and (other in a.stages) != (other in b.stages):
+            said.append(f"{_ELSEWHERE[other]}, in which {(a if other in a.stages else b).name} alone acts")
+    if not said:
+        return f"{a.name} and {b.name} act at the same place in the same experiments, and either may be added"
+    return f"{a.name} from {b.name}: {', or '.join(said)}"

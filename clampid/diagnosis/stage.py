@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from clampid.accuracy import noise_floor
+from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
 from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
@@ -19,11 +20,11 @@ from clampid.diagnosis.entries import (
     with_stand_ins,
 )
 from clampid.diagnosis.look import Look
-from clampid.diagnosis.next_measurement import NextPoses
+from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.score import Scored
-from clampid.diagnosis.separators import separating_measurement
+from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Refit, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
@@ -31,6 +32,7 @@ from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, s
 from clampid.effect import Effect
 from clampid.fitted_stage import FittedStage
 from clampid.fitting.solve import Estimate
+from clampid.slots import Term
 from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]
@@ -38,7 +40,7 @@ __all__ = ["diagnose_stage"]
 FAR_OFF = 2.0  # noise floors: so much is not noise, even if the instrument's maker was an optimist
 ROUNDS = 8
 
-Propose = Callable[[Estimate, Sequence[Scored], float], NextPoses | None]
+Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
 
 
 def diagnose_stage(
@@ -49,6 +51,7 @@ def diagnose_stage(
     seed: int,
     flips: int,
     propose: Propose | None = None,
+    called_for: Collection[Term] = (),
 ) -> StageDiagnosis:
     """Diagnose one fitted stage.
 
@@ -58,8 +61,10 @@ def diagnose_stage(
         Fits the stage with other terms, from an earlier fit's values and given start values.
     propose
         Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
+    called_for
+        What other rows of this arm have shown to be there: of look-alikes, these rows say it is that.
     """
-    looked_through = partial(_looked_through, fitted, effects, refit, verification, seed, flips, propose)
+    looked_through = partial(_looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for)
     result = looked_through(1)
     if result.stage != "poses" or result.fitted is None:
         return result
@@ -70,7 +75,7 @@ def diagnose_stage(
         result = looked_through(drift.block)
     if result.verdict == "unknown" and not result.depends_on:
         result.depends_on = ["time"]
-        result.summary = summary_of(result)
+        result.summary = " ".join([summary_of(result), *result.warnings])
     result.warnings.append(drift.sentence)
     result.summary = f"{result.summary} {drift.sentence}"
     return result
@@ -84,6 +89,7 @@ def _looked_through(
     seed: int,
     flips: int,
     propose: Propose | None,
+    called_for: Collection[Term],
     block: int,
 ) -> StageDiagnosis:
     """One diagnosis; ``block``: how many consecutive visits of poses are one to its tests."""
@@ -91,7 +97,7 @@ def _looked_through(
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
     result.outliers = outliers_of(fitted.estimate)
-    bench = Bench(effects, refit, verification, floor, seed, flips, block)
+    bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for))
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     held = bench.held_out(fitted)
     result.before = result.after = held.rms
@@ -109,7 +115,7 @@ def _looked_through(
         if isinstance(tried, Undecided):
             beside = bench.beside(tried, fitted, number)
             if isinstance(beside, list):
-                _undecided(result, beside, effects, fitted.estimate, propose)
+                _undecided(result, beside, effects, fitted.estimate, propose, partial(bench.alone, fitted))
                 break
             tried = bench.fitted_with(beside, fitted)
         refused.pop(tried.best.candidate.label, None)
@@ -134,9 +140,19 @@ def _looked_through(
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
-    result.omission, result.fitted = omission_of(first, fitted.estimate), fitted
-    result.summary = summary_of(result)
+    result.omission, result.fitted, result.look = omission_of(first, fitted.estimate), fitted, look
+    _in_words(result, look, floor.source, first.experiment.rows, effects)
     return result
+
+
+def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effects: dict[str, Effect]) -> None:
+    """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
+    if result.verdict == "adequate":
+        result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free)
+    result.one_sided = one_sided(rows)
+    said = one_sided_words(result.one_sided, rows, effects)
+    result.warnings += [said] if said else []
+    result.summary = " ".join([summary_of(result), *result.warnings])
 
 
 def _undecided(
@@ -145,17 +161,24 @@ def _undecided(
     effects: dict[str, Effect],
     estimate: Estimate,
     propose: Propose | None,
+    brings: Callable[[Scored], float | None],
 ) -> None:
-    """Set down candidates that these rows cannot tell apart, the first group first, and what would part that."""
+    """Set down candidates that these rows cannot tell apart, the first group first, and what would part that.
+
+    ``brings`` predicts the held-out rms with one of them, added alone.
+    """
     result.verdict = "ambiguous"
     for number, group in enumerate(groups, start=1):
         for s in group.members:
-            entry = entry_of(s, group.look.named_null, effects, result.after, None, rivals=group.members)
+            after = brings(s) if number == 1 else None  # those beside them were found in another fit
+            entry = entry_of(s, group.look.named_null, effects, result.after, after, rivals=group.members)
             result.candidates.append({**entry, "alternative": True, "group": number})
     first = groups[0]
     result.next_measurement = separating_measurement((s.candidate.family for s in first.members), result.stage)
-    if propose is not None:
-        result.ask_for(propose(estimate, first.members, first.look.space.scale))
+    proposed = None if propose is None else propose(estimate, first.members, first.look.space.scale)
+    if proposed is not None:
+        never = [tuple(label.partition("@")[0] for label in pair[:2]) for pair in proposed.never]
+        result.ask_for(proposed, [something_else(pair, effects, result.stage) for pair in never])
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:

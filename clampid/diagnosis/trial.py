@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
+from clampid.diagnosis.alongside import alongside
 from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.drift import blocks_of_visits
@@ -151,6 +152,7 @@ class Bench:
     seed: int
     flips: int
     block: int = 1
+    called_for: frozenset[Term] = frozenset()
 
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
@@ -159,6 +161,13 @@ class Bench:
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's errors on rows that it has not seen."""
         return held_out(fitted.estimate, self.verification, self.floor, self.seed, self.block)
+
+    def alone(self, fitted: FittedStage, s: Scored) -> float | None:
+        """The rms, in the stage's unit, that a candidate would leave of rows that no fit has seen; it is not fitted."""
+        estimate = alongside(fitted.estimate, s)
+        if estimate is None:
+            return None
+        return held_out(estimate, self.verification, self.floor, self.seed, self.block).rms
 
     def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
@@ -185,6 +194,9 @@ class Bench:
         it without some of the rows, and that is all that speaks against it.
         """
         rivals = rivals_of(look.space, look.named, best, {t.best.candidate.label for t in refused})
+        known = next((s for s in (best, *rivals) if self.called_for.issuperset(s.candidate.terms)), None)
+        if known is not None:
+            best, rivals = known, []
         if rivals:
             return Undecided([best, *rivals], look)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.

@@ -132,7 +132,8 @@ def _part(whole: Candidate, module: ModuleType) -> Candidate:
     chosen = [k for k, slot in enumerate(whole.slots) if slot.parameter in wanted]
     pieces = whole.columns.pieces if isinstance(whole.columns, Columns) else ()
     columns = Columns(tuple((start, block[:, chosen]) for start, block in pieces), len(chosen))
-    return replace(whole, slots=tuple(whole.slots[k] for k in chosen), columns=columns)
+    slots = tuple(whole.slots[k] for k in chosen)
+    return replace(whole, slots=slots, columns=columns, reasonable=None)  # nobody knows its size
 
 
 def _scatter(space: Space, s: Scored) -> Array:

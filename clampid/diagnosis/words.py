@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.result import StageDiagnosis
+from clampid.display import error_text
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array, Bools, Rows
@@ -55,10 +56,9 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
 
 def summary_of(result: StageDiagnosis) -> str:
     """The verdict in a sentence or two."""
-    scale, unit = (1e6, "µm") if result.unit == "m" else (1.0, "σ of the motors' noise")
 
     def shown(x: float) -> str:
-        return f"{x * scale:.3g} {unit}"
+        return error_text(x, result.unit) + ("" if result.unit == "m" else " of the motors' noise")
 
     def words(c: Mapping[str, Any]) -> str:
         said = str(c["effect"]).replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "")
@@ -72,6 +72,8 @@ def summary_of(result: StageDiagnosis) -> str:
         fall = f"the held-out error falls from {shown(result.before)} to {shown(result.after)} ({floor})"
         start = f"Missing: {'; '.join(confirmed)}; with it {fall}. "
     match result.verdict:
+        case "adequate" if result.above is not None:
+            return _above(result.above, shown(result.after), floor)
         case "adequate":
             return (
                 f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, {floor}; effects "
@@ -99,3 +101,15 @@ def summary_of(result: StageDiagnosis) -> str:
                 f"{start}Structure is left that no known effect explains; it depends on "
                 f"{', '.join(result.depends_on)}{error}.{next_step}"
             )
+
+
+def _above(above: Mapping[str, Any], error: str, floor: str) -> str:
+    """That no effect was found though the error lies above the noise, with figures and what may be the reason."""
+    unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in above["unseen"].items())
+    blind = f" Not seen at all would be what depends on ({unseen}): the model takes that up." if unseen else ""
+    return (
+        f"No effect is confirmed, but the held-out error is {error}, {above['times_floor']:.2g} times the {floor}: "
+        f"{100 * above['share_of_square']:.0f} % of its square are not that noise. What may be the reason: "
+        f"{'; '.join(above['reasons'])}.{blind} Effects above the listed limits would have been found with 90 % "
+        "probability."
+    )

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked
 from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed
 from clampid.verbs.output import Output, output_file
+from clampid.verbs.plan_options import names_of
 
 if TYPE_CHECKING:
     from clampid.diagnose import Diagnosis
-    from experiments.campaign import Campaign
 
 __all__ = ["diagnose"]
 
@@ -27,7 +28,16 @@ def diagnose(
         Path | None,
         typer.Option(
             metavar="PLAN.toml",
-            help="Where to write the poses to measure next, if there are any that part what these cannot.",
+            help="Where to write the poses, runs or sweeps to measure next: what parts candidates that explain the "
+            "same, or else what tests effects that these data test too weakly.",
+            show_default=False,
+        ),
+    ] = None,
+    plan_for: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EFFECT[@joint3],…",
+            help="With --plan: which effects are to be tested better; all that are tested too weakly otherwise.",
             show_default=False,
         ),
     ] = None,
@@ -41,30 +51,43 @@ def diagnose(
     from clampid.diagnose import diagnose as look_for_missing
     from clampid.model import load_model
     from clampid.verbs.findings import show_diagnosis
+    from clampid.verbs.next_step import next_steps
 
     target = None if plan is None else output_file(plan)
+    if plan_for is not None and target is None:
+        raise CallError("--plan-for: expected --plan PLAN.toml with it, found none")
+    wanted = None if target is None else names_of(plan_for) or ()
     loaded = load_model(model)
     with out.working("reading"):
         read = read_checked(campaigns, out)
     with out.working("diagnosing"):
-        found = look_for_missing(loaded, read, seed=seed, flips=flips, user_effects=effects_from)
+        found = look_for_missing(loaded, read, seed=seed, flips=flips, user_effects=effects_from, plan_for=wanted)
     data = found.to_json()
     show_diagnosis(data, out)
+    for line in next_steps(data, model, campaigns, effects_from):
+        out.say(line)
     if target is not None:
-        _write_plan(found, read[0], target, out)
+        _write_plans(found, len(read), target, out)
     out.result(data)
 
 
-def _write_plan(found: Diagnosis, campaign: Campaign, target: Path, out: Output) -> None:
-    """Write the poses to measure next, or say why there are none."""
-    from clampid.diagnosis.next_poses import plan_of
+def _write_plans(found: Diagnosis, campaigns: int, target: Path, out: Output) -> None:
+    """Write what to measure next, a file for each stage that has a plan, or say why there is none."""
     from experiments.plans.write import write_plan
 
-    poses = found.stages.get("poses")
-    if poses is None or poses.next_poses is None:
-        out.say("no plan is written: the poses leave no candidates that cannot be told apart")
-    elif not poses.next_poses.helps:
-        out.say("no plan is written: no poses are expected to part the candidates")
-    else:
-        write_plan(plan_of(campaign, poses.next_poses), target)
-        out.say(f"wrote {target}: {len(poses.next_poses.q)} poses to measure next")
+    if campaigns > 1:
+        out.say("no plan is written: a plan is made for one campaign's cell; name one campaign")
+        return
+    plans = {name: stage.next_plan for name, stage in found.stages.items() if stage.next_plan is not None}
+    ready = {name: made for name, made in plans.items() if made.plan is not None}
+    for name, made in plans.items():
+        if made.plan is None:
+            out.say(f"{name}: no plan is written: {made.nothing}")
+    for name in found.stages:
+        if name not in plans:
+            out.say(f"{name}: no plan is written: nothing is left to part, and nothing is tested too weakly")
+    for name, made in ready.items():
+        path = target if len(ready) == 1 else target.with_name(f"{target.stem}.{name}{target.suffix}")
+        if made.plan is not None:
+            write_plan(made.plan, path)
+            out.say(f"wrote {path}: {made.count}, {made.plan.duration / 60:.0f} min; clampid run {path} measures them")

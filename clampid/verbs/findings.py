@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.verbs.limits import show_limits
+from clampid.display import error_text, ranged, with_error
+from clampid.verbs.limits import show_limits, show_plan
 from clampid.verbs.output import Output
-from clampid.verbs.units import error_text, ranged, with_error
+from clampid.verbs.placing import show_placing
 
 __all__ = ["extrapolating_text", "show_addition", "show_comparison", "show_diagnosis", "where_text"]
 
@@ -21,24 +22,31 @@ WORDS = {
 
 
 def show_comparison(data: Mapping[str, Any], out: Output) -> None:
-    """Table by table: the error on all rows, on held-out rows, and the noise floor."""
+    """Table by table: the error on fitted rows, on held-out rows, and the noise floor."""
     rows, motors = [], []
     for name, table in data["tables"].items():
         unit, held = table["unit"], table.get("heldout") or {}
-        errors = [error_text(table.get(key), unit) for key in ("rms", "mean", "max")]
-        apart = [error_text(held.get(key), unit) for key in ("rms", "mean", "max")]
         floor = error_text(table.get("noise_floor"), unit)
         source = f" ({table['noise_source']})" if "noise_source" in table else ""
-        counts = f"{table.get('rows', '')}", f"{held.get('rows', '')}"
-        rows.append((name, counts[0], *errors, counts[1], *apart, floor + source))
+        both = [("fitted", table), ("held out", held)]
+        if held and all(table.get(key) == held.get(key) for key in ("rows", "rms")):
+            both = both[1:]  # nothing of this campaign was fitted
+        for which, part in both:
+            errors = [error_text(part.get(key), unit) for key in ("rms", "mean", "max")]
+            rows.append((name, which, f"{part.get('rows', '')}", *errors, floor + source))
         for k, motor in enumerate(table.get("per_motor", ()), 1):
             held_motor = motor.get("heldout") or {}
             cells = (motor.get("rms_Nm"), held_motor.get("rms_Nm"), motor.get("noise_floor_Nm"))
             shares = (motor.get("r2"), held_motor.get("r2"))
             motors.append((name, f"motor {k}", *(_number(v) for v in cells), *(_number(v, 5) for v in shares)))
-    columns = ("table", "rows", "rms", "mean", "max", "held out", "rms", "mean", "max", "noise floor")
-    out.table("model against measurement", columns, rows)
+    columns = ("table", "", "rows", "rms", "mean", "max", "noise floor")
+    out.table("model against measurement", columns, rows, left=2)
     for name, table in data["tables"].items():
+        held = table.get("heldout") or {}
+        if wrong := held.get("outliers"):
+            listed = ", ".join(map(str, wrong[:8])) + (f" and {len(wrong) - 8} more" if len(wrong) > 8 else "")
+            whole = error_text(held["rms_with_outliers"], table["unit"])
+            out.say(f"{name}: held-out rows left out as wrong: verification row {listed}; with them rms {whole}")
         beyond = table.get("extrapolating")
         if beyond and beyond["rows"]:
             what = extrapolating_text(beyond["quantities"])
@@ -52,9 +60,9 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
                 f"{name}: {share} of the held-out rows stand at joint angles that no fitted pose was near, where their "
                 f"curve is extrapolated: {joints}{one}"
             )
-        _show_placing(name, table, out)
+        show_placing(name, table, out)
     if motors:
-        heads = ("table", "", "rms [Nm]", "held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
+        heads = ("table", "", "rms [Nm]", "rms held out [Nm]", "noise floor [Nm]", "R²", "R² held out")
         out.table("motor torques", heads, motors, left=2)
 
     if (data.get("compensation") or {}).get("summary"):
@@ -79,25 +87,6 @@ def _place(at: str) -> str:
     """``joint 2`` of ``joint2``."""
     name = at.rstrip("0123456789")
     return f"{name} {at.removeprefix(name)}".rstrip()
-
-
-def _show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:
-    """ISO 9283 where something was repeated, and errors about a sample."""
-    from experiments.metrics import MEANING
-
-    found = table.get("iso9283", {})
-    for key, meaning in MEANING.items():
-        if key in found:
-            part = found[key]
-            mean, most = (error_text(part[k], "m") for k in ("mean", "max"))
-            out.say(f"{name}: {key}, {meaning}: mean {mean}, at most {most} ({part['poses']:.0f} repeated places)")
-    if "sample" in table:
-        parts = (
-            f"{words} {error_text(table['sample'][key]['rms'], 'm')} rms, at most "
-            f"{error_text(table['sample'][key]['max'], 'm')}"
-            for key, words in (("radial", "radially"), ("along", "along the sphere"))
-        )
-        out.say(f"{name}: about the sample, held out: {'; '.join(parts)}")
 
 
 def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
@@ -144,6 +133,8 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
         show_limits(part.get("testability") or (), out)
         if part.get("next_measurement"):
             out.say(f"  next measurement: {part['next_measurement']}")
+        if part.get("next_plan"):
+            show_plan(part["next_plan"], out)
         if part.get("outliers"):
             listed = ", ".join(f"{o['table']} row {o['row']}" for o in part["outliers"][:8])
             more = len(part["outliers"]) - 8

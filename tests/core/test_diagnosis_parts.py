@@ -112,3 +112,42 @@ def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Cal
     assert alone.explained > 50.0
     assert little.explained >= alone.explained - 1e-6
     assert [s.candidate.name for s in rivals_of(space, [alone, little, much], alone, set())] == ["little"]
+
+
+def test_one_wrong_number_does_not_stand_before_several_right_ones(simulated: Callable[..., Campaign]):
+    """Six numbers of which rows tell a few: a charge of ln(rows) for each made a look-alike with one number first."""
+    campaign = simulated(seed=7, poses=60, tables=("poses",))
+    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    fitted = space_of(estimate)
+    count = len(estimate.whitened.residual)
+    rng = np.random.default_rng(2)
+    D = rng.normal(size=(count, 6)) * np.array([1.0, 1.0, 0.3, 1e-3, 1e-3, 1e-3])
+    D -= fitted.basis[:count] @ (fitted.basis[:count].T @ D)
+    shown = D @ np.array([0.45, 0.25, 0.3, 0.0, 0.0, 0.0])
+    residual = fitted.residual.copy()
+    residual[:count] += shown
+    space = replace(fitted, residual=residual - fitted.basis @ (fitted.basis.T @ residual))
+    alike = shown + 0.35 * np.linalg.norm(shown) / np.sqrt(count) * rng.normal(size=count)
+
+    def candidate(name: str, columns: np.ndarray, reasonable: np.ndarray | None) -> Candidate:
+        width = columns.shape[1]
+        slots = tuple(Slot(name, f"p{k}", "joint1") for k in range(width))
+        pieces = Columns(((0, columns),), width)
+        return Candidate(name, name, (Term(name, "joint1"),), slots, {}, pieces, (), ("joint1",), reasonable=reasonable)
+
+    true, stand_in = score(space, [candidate("true", D, np.ones(6)), candidate("alike", alike[:, None], np.ones(1))])
+    assert true.explained > stand_in.explained > 10.0
+    assert true.bic > stand_in.bic
+    charged, _ = score(space, [candidate("true", D, None), candidate("alike", alike[:, None], None)])
+    assert charged.cost > true.cost + 10.0
+    assert (charged.explained, charged.log_p) == (true.explained, true.log_p)
+
+
+def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign]):
+    """As of a friction that would act at speeds a hundred times lower than any recorded: 1e-160 of a unit."""
+    campaign = simulated(seed=7, poses=60, tables=("poses",))
+    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    columns = np.full((len(estimate.whitened.residual), 1), 1e-160)
+    slots = (Slot("faint", "p", "joint1"),)
+    faint = Candidate("faint", "faint", (Term("faint", "joint1"),), slots, {}, Columns(((0, columns),), 1), (), ())
+    assert score(space_of(estimate), [faint])[0].state == "absent"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue
 from clampid.curves import angle_errors
 from clampid.diagnose import diagnose
-from clampid.evidence import evidence, of_size
+from clampid.evidence import ANY_SIZE, evidence, of_any_size, of_size
 from clampid.identify import identify
 from clampid.slots import Slot
 from experiments.campaign import Campaign
@@ -41,6 +41,29 @@ def test_directions_say_what_the_matrices_do(seed: int, size: float):
     by_rows = -0.5 * (r @ np.linalg.solve(covariance, r) - r @ r + np.linalg.slogdet(covariance)[1])
     assert direct == pytest.approx(by_rows, rel=1e-8, abs=1e-8)
     np.testing.assert_allclose(X.T @ (r - X @ mean), mean / (size * prior) ** 2, atol=1e-8)
+
+
+def test_evidence_of_any_size_is_the_mean_over_sizes():
+    told, component = np.array([400.0, 3.0]), np.array([6.0, 0.5])
+    each = [evidence(np.diag(told), component * np.sqrt(told), np.full(2, size))[0] for size in ANY_SIZE]
+    assert of_any_size(told, component) == pytest.approx(np.log(np.mean(np.exp(each))), rel=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(told=st.floats(1e-1, 1e5), z=st.floats(3.0, 30.0), idle=st.integers(1, 30))
+def test_numbers_that_rows_do_not_tell_cost_nothing(told: float, z: float, idle: int):
+    """A fixed charge for each number would let one wrong number stand before several right ones."""
+    alone = of_any_size(np.array([told]), np.array([z]))
+    beside = of_any_size(np.r_[told, np.full(idle, 1e-12)], np.r_[z, np.zeros(idle)])
+    assert beside == pytest.approx(alone, abs=1e-4)
+
+
+def test_noise_is_rarely_evidence_of_an_effect():
+    """Of what is not there the mean Bayes factor is at most one: odds of twenty come less than once in twenty times."""
+    rng = np.random.default_rng(5)
+    told = np.array([900.0, 40.0, 5.0, 0.1])
+    found = np.array([of_any_size(told, rng.standard_normal(4)) for _ in range(4000)])
+    assert np.mean(found > np.log(20.0)) < 0.05
 
 
 @pytest.mark.parametrize("size", [0.05, 0.2, 1.0])

@@ -93,7 +93,8 @@ def test_the_report_draws_the_shape_in_units_for_people():
 def test_a_place_of_several_numbers_gets_a_panel_each():
     curves = [curve(axis, "m", {}) for axis in "xyz"]
     (figure,) = (b for b in unknown_shape_section(shape("instrument", curves)).blocks if isinstance(b, Figure))
-    assert [note.text for note in figure.plot.layout.annotations] == ["x, µm", "y, µm", "z, µm"]
+    # One title a panel, and one of the axis that the panels share.
+    assert [note.text for note in figure.plot.layout.annotations] == ["x, µm", "y, µm", "z, µm", "q4, degrees"]
 
 
 def test_no_section_without_a_shape():

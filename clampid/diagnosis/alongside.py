@@ -1,0 +1,50 @@
+"""What an alternative would bring on rows that no fit has seen, without fitting it: a Gauss-Newton step, no search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.diagnosis.score import Scored
+from clampid.fitting.descent import newton_step
+from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate, limits_of
+
+__all__ = ["alongside"]
+
+
+def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
+    """The estimate with a candidate fitted along, linear about the fit without; None of what is no amplitude of rows.
+
+    Noise and covariance stay those of the fit without it: it is there to predict, not to be reported.
+    """
+    c, white = s.candidate, estimate.whitened
+    if estimate.experiment.effects[c.name].event is not None or set(c.slots) & set(estimate.slots):
+        return None
+    shapes = {slot: value for slot, value in c.shapes.items() if slot not in estimate.slots}
+    experiment = estimate.experiment.with_slots((*estimate.slots, *c.slots, *shapes))
+    count, new, whole = len(estimate.slots), len(c.slots), len(estimate.slots) + len(c.slots) + len(shapes)
+    old = np.r_[np.arange(count), np.arange(whole, whole + len(estimate.theta) - count)]
+    theta, mean = np.zeros(len(old) + whole - count), np.zeros(len(old) + whole - count)
+    theta[old], mean[old] = estimate.theta, estimate.prior_mean
+    theta[count:whole] = mean[count:whole] = [*np.zeros(new), *shapes.values()]
+    precision = np.diag(1.0 / experiment.prior_std() ** 2)
+    if c.prior is not None:
+        precision[range(count, count + new), range(count, count + new)] = 1.0 / c.prior**2
+    precision[np.ix_(old, old)] = estimate.prior_precision
+    jacobian = np.zeros((len(white.residual), len(theta)))
+    jacobian[:, old] = white.jacobian
+    jacobian[:, count : count + new] = c.columns.dense(len(white.residual))
+    free = np.ones(len(theta), dtype=bool)
+    free[old] = ~limits_of(estimate.experiment).resting(estimate.theta)
+    moment = jacobian.T @ white.residual + precision @ (mean - theta)
+    step = newton_step(jacobian.T @ jacobian + precision, moment, experiment.sizes(), 0.0, free)
+    return replace(
+        estimate,
+        experiment=experiment,
+        theta=theta + step,
+        whitened=Whitened(white.residual - jacobian @ step, jacobian, white.entry, white.channel),
+        prior_precision=precision,
+        prior_mean=mean,
+    )

@@ -1,0 +1,132 @@
+"""What to measure next in a stage, from its own pool of poses, runs or sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+
+from clampid.diagnosis.candidates import Candidate
+from clampid.diagnosis.look import Look
+from clampid.diagnosis.next_measurement import STATES, NextPlan
+from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
+from clampid.diagnosis.score import Scored
+from clampid.diagnosis.testability import noncentrality
+from clampid.effect import Effect, EffectError, Stage
+from clampid.fitting.solve import Estimate
+from clampid.slots import Slot
+from clampid.stages.experiment import parameter_of
+from experiments.campaign import Campaign
+
+__all__ = ["parting_plan", "showing_plan", "weak_ones"]
+
+BETTER = 0.5  # of the present limit: what is to be reached where a parameter of its usual size would be found already
+WARMTH = frozenset({"link_temperature", "motor_temperature", "elapsed"})
+
+
+def parting_plan(
+    campaign: Campaign, estimate: Estimate, rivals: Sequence[Scored], scale: float, seed: int
+) -> NextPlan | None:
+    """Measurements that part candidates.
+
+    Raises
+    ------
+    PlanError
+        The campaign's robot lets no measurement be planned.
+    """
+    pool = _pool_of(campaign, estimate, seed)
+    return propose_parting(pool, estimate, rivals, scale, _states(estimate, [s.candidate for s in rivals]))
+
+
+def showing_plan(
+    campaign: Campaign, estimate: Estimate, weak: Sequence[Weak], scale: float, seed: int
+) -> NextPlan | None:
+    """Measurements in which parameters show that are tested too weakly; see `parting_plan`."""
+    pool = _pool_of(campaign, estimate, seed)
+    return propose_testing(pool, estimate, weak, scale, _states(estimate, [w.scored.candidate for w in weak]))
+
+
+def _states(estimate: Estimate, candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    """``warm`` alone where neither fit nor candidates know of any warmth."""
+    names = {slot.effect for slot in estimate.slots} | {c.name for c in candidates}
+    needs = {signal for name in names for signal in estimate.experiment.effects[name].needs}
+    return STATES if needs & WARMTH or estimate.experiment.stage == "poses" else STATES[:1]
+
+
+def _pool_of(campaign: Campaign, estimate: Estimate, seed: int) -> PoolOf:
+    # Each brings collision checking along, which few need.
+    stage: Stage = estimate.experiment.stage
+    if stage == "poses":
+        from clampid.diagnosis.next_poses import poses_to_choose
+
+        return partial(poses_to_choose, campaign, estimate, seed=seed)
+    if stage == "free_air":
+        from clampid.diagnosis.next_runs import runs_to_choose
+
+        return partial(runs_to_choose, campaign, estimate, seed=seed)
+    from clampid.diagnosis.next_sweeps import sweeps_to_choose
+
+    return partial(sweeps_to_choose, campaign, estimate, seed=seed)
+
+
+def weak_ones(look: Look, estimate: Estimate, effects: Mapping[str, Effect], names: Sequence[str] = ()) -> list[Weak]:
+    """Parameters of which these rows would not find the usual size with 90 % probability.
+
+    Parameters
+    ----------
+    look
+        What was seen of the candidates, with the null that decides.
+    names
+        ``effect`` or ``effect@joint3``: these only, whether a usual size would be found or not; then half of the
+        present limit is aimed at. All otherwise.
+
+    Raises
+    ------
+    EffectError
+        A name is no effect, or none that could be added in this stage.
+    """
+    wanted = [_asked(name, look, effects) for name in names]
+    factor: dict[int, float] = {}
+    out: dict[Slot, Weak] = {}
+    shapes: dict[str, Mapping[Slot, float]] = {}
+    for s in sorted(look.named, key=lambda s: len(s.candidate.terms)):
+        c = s.candidate
+        if c.prior is not None or effects[c.name].event is not None:
+            continue
+        if wanted and not any(_matches(s, name, place) for name, place in wanted):
+            continue
+        if shapes.setdefault(c.name, c.shapes) != c.shapes and len(c.terms) == 1:
+            continue  # the same at other values of its shapes
+        freedom = max(s.freedom, 1)
+        if freedom not in factor:
+            factor[freedom] = noncentrality(freedom, look.named_null)
+        for k, slot in enumerate(c.slots):
+            parameter = parameter_of(slot, effects, estimate.experiment.rows.robot)
+            limit = float(s.unit_limit[k] * np.sqrt(factor[freedom]))
+            found = np.isfinite(limit) and limit <= parameter.size and s.state != "absorbed"
+            if slot in out or (found and not wanted):
+                continue
+            aim = BETTER * limit if found else parameter.size
+            out[slot] = Weak(s, k, factor[freedom], parameter, aim)
+    return list(out.values())
+
+
+def _asked(name: str, look: Look, effects: Mapping[str, Effect]) -> tuple[str, str]:
+    """Effect, and place or nothing."""
+    effect, _, place = name.partition("@")
+    known = {s.candidate.name for s in look.named}
+    if effect not in known:
+        also = "it is in the model already, or does not act here" if effect in effects else "there is no such effect"
+        raise EffectError(
+            f"{name}: expected an effect that could be added, found none: {also}; there are {', '.join(sorted(known))}"
+        )
+    if not any(_matches(s, effect, place) for s in look.named):
+        places = sorted({p for s in look.named if effect == s.candidate.name for p in s.candidate.places})
+        raise EffectError(f"{name}: expected one of its places, {', '.join(places)}, found {place!r}")
+    return effect, place
+
+
+def _matches(s: Scored, effect: str, place: str) -> bool:
+    c = s.candidate
+    return effect == c.name and (not place or c.places == (place,))

@@ -1,0 +1,53 @@
+"""A stage is diagnosed with what those before it lack: what a torque log shows is not given another name in poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from clampid.auto import mend
+from clampid.diagnose import Diagnosis, diagnose
+from clampid.identify import identify
+from clampid.model import Model
+from experiments.campaign import Campaign
+
+BALANCER = "gravity_compensator"
+
+
+@pytest.fixture(scope="module")
+def campaign(simulated: Callable[..., Campaign]) -> Campaign:
+    tables = ("free_air", "wrist", "poses", "verification")
+    return simulated(seed=2, poses=100, tables=tables, hidden=(f"{BALANCER}@joint2",))
+
+
+@pytest.fixture(scope="module")
+def mended(campaign: Campaign) -> tuple[Model, Diagnosis]:
+    return mend(identify(campaign), campaign)
+
+
+def first_of(found: Diagnosis) -> dict[str, tuple[str, list[str]]]:
+    return {stage: (part.candidates[0]["effect"], part.candidates[0]["where"]) for stage, part in found.stages.items()}
+
+
+def test_poses_name_what_the_log_has_shown(mended: tuple[Model, Diagnosis]):
+    _, found = mended
+    assert first_of(found) == {"free_air": (BALANCER, ["joint2"]), "poses": (BALANCER, ["joint2"])}
+    assert found.stages["poses"].verdict == "missing"
+
+
+def test_what_is_added_has_one_value(mended: tuple[Model, Diagnosis]):
+    """The poses take the log's, with its covariance."""
+    model, _ = mended
+    values = {stage: model.stages[stage].values() for stage in ("free_air", "poses")}
+    shared = [slot for slot in values["free_air"] if slot.effect == BALANCER]
+    assert len(shared) == 4
+    for slot in shared:
+        std = model.stages["free_air"].std[model.stages["free_air"].slots.index(slot)]
+        assert values["poses"][slot] == pytest.approx(values["free_air"][slot], abs=4 * std)
+
+
+def test_poses_alone_know_nothing_of_the_log(campaign: Campaign, mended: tuple[Model, Diagnosis]):
+    """Asked for the poses only, of a model without it, they call what they see by the name that they have."""
+    poses = diagnose(identify(campaign), campaign, stages=["poses"]).stages["poses"]
+    assert BALANCER not in {c["effect"] for c in poses.candidates}
