@@ -8,10 +8,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from clampid.display import error_text, number
 from clampid.effect import Stage
 from clampid.report.budget import Share, pose_budget, torque_budget
-from clampid.report.display import error_text, number, stage_title
-from clampid.report.stage_data import StageData
+from clampid.report.stage_data import StageData, stage_title
 from clampid.report.style import BLUE, GREEN, GREY, ORANGE, Figure, Section, Table, as_table, axes, layout
 
 __all__ = ["budget_section"]
@@ -154,5 +154,7 @@ def _torque_blocks(data: StageData) -> list[Table | Figure]:
     caption = f"RMS torque at each motor that an effect stands for, Nm.{note}"
     return [
         Figure(f"budget-{data.stage}", plot, caption, height),
-        as_table(("Nm, RMS", *(f"Motor {k + 1}#" for k in range(motors))), rows),
+        Table(
+            ("Nm, RMS", *(f"Motor {k + 1}#" for k in range(motors))), tuple(rows), "The same in numbers", folded=True
+        ),
     ]

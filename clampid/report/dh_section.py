@@ -6,8 +6,8 @@ import importlib
 import math
 from typing import Any
 
+from clampid.display import Scale, fixed, with_std
 from clampid.model import Model
-from clampid.report.display import fixed, number
 from clampid.report.style import Section, Table, as_table
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
@@ -15,6 +15,8 @@ from kinematics.robot import RobotDescription
 __all__ = ["dh_section"]
 
 FAR = 100.0  # m: no robot is that long
+VAGUE = 0.1  # m, standard error: no position of a robot's axis is known so badly
+OPEN = "not determined"
 
 
 def dh_section(model: Model, robot: RobotDescription) -> Section | None:
@@ -62,8 +64,11 @@ def _tables(frame: Any, convention: str) -> list[Table]:
             for _, r in part.iterrows()
         ]
         caption = f"{convention.capitalize()} convention, {what}: value ± one standard error."
-        if "d_m" in present and float(part["d_m"].abs().max()) > FAR:
-            caption += " Offsets d this long belong to nearly parallel axes; they cancel. Hayati rows have none."
+        if "d_m" in present and any(OPEN in row for row in rows):
+            caption += (
+                " d is not determined where the next axis is nearly parallel: the common normal may lie anywhere along "
+                "the two, and the offsets cancel. Their numbers are in the export; Hayati rows have none of this."
+            )
         out.append(as_table(heads, rows, caption))
     return out
 
@@ -82,8 +87,14 @@ def _cell(row: Any, column: str) -> str:
     value, std = float(row[column]), float(row.get(f"std_{column}", math.nan))
     if math.isnan(value):
         return ""
-    factor, decimals = (1e3, 4) if column.endswith("_m") else (180.0 / math.pi, 5)
-    spread = 0.0 if math.isnan(std) else std * factor
-    if spread < 0.5 * 10.0**-decimals:  # what only the convention fixes
-        return fixed(value * factor, decimals)
-    return f"{fixed(value * factor, decimals)} ± {number(spread, 2)}"
+    if column == "d_m" and _anywhere(value, std):
+        return OPEN
+    scale, decimals = (Scale(1e3, "mm"), 4) if column.endswith("_m") else (Scale(180.0 / math.pi, "deg"), 5)
+    if math.isnan(std) or std * scale.factor < 0.5 * 10.0**-decimals:  # what only the convention fixes
+        return fixed(value * scale.factor, decimals).rstrip("0").rstrip(".")
+    return with_std(value, std, scale, unit=False)
+
+
+def _anywhere(value: float, std: float) -> bool:
+    """Whether an offset along an axis, m, is not determined: the next axis is nearly parallel."""
+    return abs(value) > FAR or std > VAGUE

@@ -9,6 +9,7 @@ import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from clampid.display import Scale, number, with_std
 from clampid.drives import Drives, drives_of
 from clampid.fitting.solve import clamping_offsets
 from clampid.report.stage_data import StageData
@@ -45,7 +46,7 @@ def _table(d: Drives) -> Table:
                 _pair(d.stiffness[j], d.stiffness_std[j]),
                 _pair(d.joint_stiffness[j] / 1e3, d.joint_stiffness_std[j] / 1e3),
                 _pair(np.degrees(d.gap[j]), np.degrees(d.gap_std[j])),
-                f"{np.degrees(d.gap_limit[j]):.4f}" if np.isfinite(d.gap_limit[j]) else "–",
+                number(float(np.degrees(d.gap_limit[j])), 2),
                 told,
                 _pair(d.friction[j], d.friction_std[j]),
             )
@@ -142,10 +143,5 @@ def _from_mean(values: Array, sweep: Sequence[int] | Array) -> Array:
 
 
 def _pair(value: float, std: float) -> str:
-    """``12.3 ± 0.4``: two digits of the error."""
-    if not np.isfinite(value):
-        return "–"
-    if not np.isfinite(std) or std <= 0:
-        return f"{value:.4g}"
-    digits = max(0, 1 - int(np.floor(np.log10(std))))
-    return f"{value:.{digits}f} ± {std:.{digits}f}"
+    """``12.34 ± 0.42``, the unit being in the head."""
+    return with_std(value, std, Scale(1.0, "")) if np.isfinite(value) else "–"

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.report.display import count_text, error_text, number, scale_for, with_std
+from clampid.display import count_text, error_text, number, scale_for, with_std
 from clampid.report.limits import detection_limits, exported, shifted
 from clampid.report.style import Table, as_table
-from experiments.metrics import MEANING
 
 __all__ = [
     "comparison_table",
@@ -18,7 +17,6 @@ __all__ = [
     "p_text",
     "parameters_text",
     "places_text",
-    "placing_table",
 ]
 
 Json = Mapping[str, Any]
@@ -49,7 +47,8 @@ def evidence(found: Json, unit: str) -> list[Table]:
         out.append(
             filled_table(_HEADS, rows, "What was found, in the order to add it; held-out errors are cumulative.")
         )
-    looked = _once(found.get("considered") or ())
+    named = {(c.get("effect"), places_text(c)) for c in found.get("candidates") or ()}
+    looked = _once([c for c in found.get("considered") or () if (c.get("effect"), places_text(c)) not in named])
     if looked:
         shown = max(MOST_CONSIDERED, sum("reason" in c for c in looked))  # all that were fitted and refused
         more = f" {len(looked) - shown} more are not shown." if len(looked) > shown else ""
@@ -215,20 +214,3 @@ def comparison_table(tables: Json) -> Table:
         "Known from",
     )
     return as_table(heads, rows, _COMPARED)
-
-
-def placing_table(tables: Json) -> Table | None:
-    """Metrics of ISO 9283 and errors about a sample, where a comparison has them."""
-    rows = []
-    for name, t in tables.items():
-        for key, part in (t.get("iso9283") or {}).items():
-            cells = (error_text(part["mean"], "m"), error_text(part["max"], "m"))
-            rows.append((name, f"{key}, {MEANING[key]}", count_text(int(part["poses"])), *cells))
-        sample = t.get("sample") or {}
-        for key, words in (("radial", "radial error, rms"), ("along", "error along the sphere, rms")):
-            if key in sample:
-                cells = (error_text(sample[key]["rms"], "m"), error_text(sample[key]["max"], "m"))
-                rows.append((name, f"about the sample: {words}", count_text(int(sample["rows"])), *cells))
-    heads = ("Table", "Metric", "Places or rows#", "Mean#", "Largest#")
-    caption = "ISO 9283 over places that were measured more than once; about a sample over held-out rows."
-    return as_table(heads, rows, caption) if rows else None

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 
 from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
-from clampid.report.style import BLUE, GREY, INK, ORANGE, Figure, thin
+from clampid.report.style import BLUE, GREY, INK, Figure, thin
 from clampid.report.variables import groups_of
 from clampid.slots import find_parameter
 from clampid.stages.experiment import Experiment
@@ -21,6 +21,8 @@ __all__ = ["friction_figures"]
 MOST_POINTS = 900
 GRID = 40  # points of a curve on each side of standstill
 TWO_SIDED_95 = 1.96
+TOLD = 2.0  # standard errors from zero, beyond which a friction is told
+PALE = "rgba(0,114,178,0.22)"
 FEWEST = 4  # blocks of a log that a mean's interval is taken from
 OUTER = 0.995  # of the points are inside the axes
 MOTOR_SIDE = (
@@ -60,32 +62,26 @@ class _Curve:
 def friction_figures(data: StageData) -> list[Figure]:
     """Friction at the motors, and where the transmission tells it from theirs, at the joints."""
     names = [f"motor {k + 1}" for k in range(data.channels)]
-    reach = (
-        " Points: what is left of the measured torque when all else in the model is taken off; dark: its mean with a "
-        "95 % interval from whole stretches of the log; blue: the model's friction with its 95 % interval."
-    )
+    reach = " Points are the model's friction and what the model leaves beside it; their means have 95 % intervals."
     arm = {
-        int(slot.place.removeprefix("joint")) - 1: known
-        for slot, known in zip(data.model.slots, data.model.identified, strict=True)
+        int(slot.place.removeprefix("joint")) - 1: bool(known) and abs(value) > TOLD * std
+        for slot, known, value, std in zip(
+            data.model.slots, data.model.identified, data.model.theta, data.model.std, strict=True
+        )
         if slot.effect in ARM_SIDE
     }
-    caption = f"Friction at the motors against their speed.{reach} A mean beside the line is friction that the model "
-    caption += "has not got."
+    caption = f"Friction that a motor feels when it turns alone, against its speed.{reach} A mean beside the line is "
+    caption += "friction that the model has not got."
     if arm:
-        caption += (
-            " Orange: with the friction of the arm's side, when this motor turns alone; where that is known and the "
-            "motor's own is not, these data do not tell the two sides apart."
-        )
-    plot = _drawn(data, MOTOR_SIDE, range(data.channels), names, "motor")
+        caption += " In the wrist this is the sum of the motor's side and the arm's."
+    plot = _drawn(data, (*MOTOR_SIDE, *ARM_SIDE), range(data.channels), names, "motor")
+    told, untold = sorted(j for j, known in arm.items() if known), sorted(j for j, known in arm.items() if not known)
+    if untold:
+        listed = ", ".join(str(j + 1) for j in untold)
+        caption += f" How it is shared between the two is not told by these data at joint {listed}."
     found = [Figure("friction", plot, caption, 520)]
-    told = sorted(j for j, known in arm.items() if known)
     if told:
-        untold = [str(j + 1) for j, known in sorted(arm.items()) if not known]
-        caption = f"Friction on the arm's side of coupled joints against their speed, at the joint.{reach} "
-        caption += f"Not told from the motor's by these data: joint {', '.join(untold)}. " if untold else ""
-        caption += (
-            "Uncoupled joints turn with their own motor alone, so that both sides are one sum: the figure before."
-        )
+        caption = f"Of it, the friction on the arm's side of coupled joints, at the joint, where told from zero.{reach}"
         plot = _drawn(data, ARM_SIDE, told, [f"joint {j + 1}" for j in told], "joint")
         found.append(Figure("friction-arm", plot, caption, 520 if len(told) > 3 else 340))
     return found
@@ -93,23 +89,17 @@ def friction_figures(data: StageData) -> list[Figure]:
 
 def _drawn(data: StageData, effects: Sequence[str], places: Sequence[int], names: list[str], side: str) -> go.Figure:
     plot = grid(len(places), names)
-    both = side == "motor" and any(slot.effect in ARM_SIDE for slot in data.model.slots)
-    coupled = set(data.first.rows.layout.wrist)
-    shown = min(coupled, default=-1)
     for k, place in enumerate(places):
         cloud = _cloud(data, effects, place, side)
         where = place_of(k, len(places))
         if not len(cloud.speed):
             continue
         _points(plot, cloud, where, k == 0)
-        curves = [_curve(data, effects, place, side, cloud)]
-        _band(plot, curves[0], where, "model", BLUE, k == 0)
-        if both and place in coupled:
-            curves.append(_curve(data, (*effects, *ARM_SIDE), place, side, cloud))
-            _band(plot, curves[1], where, "with the arm's side", ORANGE, place == shown)
+        curve = _curve(data, effects, place, side, cloud)
+        _band(plot, curve, where, k == 0)
         _marks(plot, cloud, where, k == 0)
-        reach = [float(np.quantile(np.abs(cloud.left), OUTER)), *(float(np.abs(c.friction).max()) for c in curves)]
-        plot.update_yaxes(range=[-1.15 * max(reach), 1.15 * max(reach)], row=where[0], col=where[1])
+        reach = 1.15 * max(float(np.quantile(np.abs(cloud.left), OUTER)), float(np.abs(curve.friction).max()))
+        plot.update_yaxes(range=[-reach, reach], row=where[0], col=where[1])
     height = 520 if len(places) > 3 else 340
     return finish(plot, len(places), height, f"speed of the {side}, rad/s", f"friction at the {side}, Nm")
 
@@ -130,12 +120,23 @@ def _at_side(values: Array, rows: Rows, side: str) -> Array:
     return np.asarray(np.einsum("jm,nm...->nj...", np.linalg.inv(rows.robot.transmission), values))
 
 
+def _alone(rows: Rows, place: int, side: str, speed: Array) -> Rows:
+    """The rows with one motor or joint turning at ``speed`` ``(N,)``, rad/s, and no other."""
+    T = np.asarray(rows.robot.transmission)
+    alone = np.outer(speed, np.eye(len(T))[place])
+    joint, motor = (alone @ T, alone) if side == "motor" else (alone, alone @ np.linalg.inv(T))
+    turning = {"joint_speed": joint, "motor_speed": motor}
+    turning |= {"joint_motion": np.sign(joint), "motor_motion": np.sign(motor)}
+    return replace(rows, signals={**rows.signals, **turning})
+
+
 def _cloud(data: StageData, effects: Sequence[str], place: int, side: str) -> _Cloud:
+    """Component plus residual: the model's friction of each row as if nothing else turned, and what is left there."""
     piece = data.first
     usable = np.flatnonzero(piece.good.any(axis=1))
     rows = usable[thin(len(usable), 6 * MOST_POINTS)]
     part = piece.rows.take(rows)
-    trial = piece.experiment.with_rows(part)
+    trial = piece.experiment.with_rows(_alone(part, place, side, part.signals[f"{side}_speed"][:, place]))
     runs = np.zeros(trial.offsets)
     theta = data.model.theta
     own = trial.residual(np.r_[_without(trial, theta, effects), runs])[0] - trial.residual(np.r_[theta, runs])[0]
@@ -157,12 +158,7 @@ def _curve(data: StageData, effects: Sequence[str], place: int, side: str, cloud
     for name in ("motor_temperature", "elapsed", "torque", "gravity_torque"):
         if name in signals:
             signals[name] = np.broadcast_to(np.median(piece.rows.signals[name], axis=0), signals[name].shape)
-    T = np.asarray(middle.robot.transmission)
-    alone = np.outer(speed, np.eye(len(T))[place])
-    joint, motor = (alone @ T, alone) if side == "motor" else (alone, alone @ np.linalg.inv(T))
-    signals |= {"joint_speed": joint, "motor_speed": motor}
-    signals |= {"joint_motion": np.sign(joint), "motor_motion": np.sign(motor)}
-    trial = piece.experiment.with_rows(replace(middle, signals=signals))
+    trial = piece.experiment.with_rows(_alone(replace(middle, signals=signals), place, side, speed))
     runs = np.zeros(trial.offsets)
     theta = data.model.theta
     full, jacobian = trial.residual(np.r_[theta, runs])
@@ -201,7 +197,7 @@ def _points(plot: go.Figure, cloud: _Cloud, where: tuple[int, int], show: bool) 
         y=cloud.left[drawn].astype(np.float32),
         mode="markers",
         marker={"size": 3, "color": GREY, "opacity": 0.35},
-        name="measured less all else",
+        name="model and residual",
         legendgroup="m",
         showlegend=show,
     )
@@ -223,29 +219,29 @@ def _marks(plot: go.Figure, cloud: _Cloud, where: tuple[int, int], show: bool) -
     plot.add_trace(means, *where)
 
 
-def _band(plot: go.Figure, curve: _Curve, where: tuple[int, int], name: str, color: str, show: bool) -> None:
+def _band(plot: go.Figure, curve: _Curve, where: tuple[int, int], show: bool) -> None:
     """A curve with its interval, on either side of standstill, where friction jumps."""
-    pale = "rgba(" + ",".join(str(int(color[k : k + 2], 16)) for k in (1, 3, 5)) + ",0.22)"
     for side in (curve.speed < 0, curve.speed > 0):
         x, y, half = curve.speed[side], curve.friction[side], TWO_SIDED_95 * curve.std[side]
         band = go.Scatter(
             x=np.r_[x, x[::-1]],
             y=np.r_[y + half, (y - half)[::-1]],
             fill="toself",
-            fillcolor=pale,
+            fillcolor=PALE,
             line={"width": 0},
             mode="lines",
-            legendgroup=name,
+            legendgroup="interval",
+            name="its 95 % interval",
             hoverinfo="skip",
-            showlegend=False,
+            showlegend=show and bool(x[0] < 0),
         )
         line = go.Scatter(
             x=x,
             y=y,
             mode="lines",
-            line={"color": color, "width": 2},
-            name=name,
-            legendgroup=name,
+            line={"color": BLUE, "width": 2},
+            name="model",
+            legendgroup="model",
             showlegend=show and bool(x[0] < 0),
         )
         plot.add_trace(band, *where)

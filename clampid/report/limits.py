@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.report.display import number, scale_for, with_std
+from clampid.display import scale_for, with_std
 from clampid.report.style import Table, as_table
+from clampid.verbs.limits import limit_rows, not_testable
 
 __all__ = ["detection_limits", "exported", "shifted"]
 
@@ -41,34 +42,14 @@ def exported(shifts: Sequence[Json]) -> list[Table]:
 
 
 def detection_limits(testability: Sequence[Json]) -> list[Table]:
-    """For each absent effect the smallest size that would have been found with 90 % probability, place by place."""
-    cells: dict[tuple[str, str, str], dict[str, tuple[float | None, str]]] = {}
-    for entry in testability:
-        state = str(entry.get("state", ""))
-        for limit in entry.get("limits") or ():
-            label, _, place = str(limit["name"]).partition("@")
-            key = (str(entry.get("name", "")), label.rpartition(".")[2], str(limit.get("unit", "")))
-            value = limit.get("limit")
-            seen = cells.setdefault(key, {})
-            if value is not None and state != "testable" and place in seen:
-                continue
-            seen[place] = (None if value is None else float(value), state)
-    rows = []
-    for (effect, parameter, unit), places in cells.items():
-        known = [v for v, state in places.values() if v is not None and state == "testable"]
-        weak = [p for p, (v, state) in places.items() if v is None or state != "testable"]
-        scale = scale_for(unit, known)
-        told = [
-            f"{place} {number(value / scale.factor, 2)}"
-            for place, (value, state) in places.items()
-            if value is not None and state == "testable"
-        ]
-        name = f"{effect} {parameter}" + (f", {scale.unit}" if scale.unit else "")
-        rows.append((name, ", ".join(told) or "–", ", ".join(weak) or "–"))
+    """For each absent effect the size from which it would have been found with 90 % probability, and what is untold."""
+    groups = "; ".join(f"{', '.join(names)} ({why})" for why, names in not_testable(testability).items())
     caption = (
-        "Not in the model: sizes above these would have been found with 90 % probability. Hardly testable: the model "
-        "takes up nearly all of it on these rows, it does not act on them, or only a size that cannot be would be seen."
+        "Detection limits: more than this of an effect that is not in the model would have been found with 90 % "
+        "probability; over places the best and the worst, of several parameters the one seen best."
     )
-    return (
-        [as_table(("Effect", "Found with 90 % probability above", "Hardly testable at"), rows, caption)] if rows else []
-    )
+    caption += f" Not testable here: {groups}." if groups else ""
+    rows = limit_rows(testability)
+    if rows:
+        return [as_table(("Absent effect", "At", "Detection limit"), rows, caption)]
+    return [as_table(("Not testable here",), [(groups,)])] if groups else []

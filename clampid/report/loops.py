@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
+from clampid.display import Scale, with_error, with_std
 from clampid.drives import Drives, drives_of
 from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
@@ -12,6 +13,8 @@ from clampid.report.style import BLUE, GREEN, GREY, INK, ORANGE, Figure
 from clampid.stages.rows import Integers
 
 __all__ = ["loops_figure"]
+
+DEGREES = Scale(180.0 / np.pi, "deg")
 
 
 def loops_figure(data: StageData) -> Figure:
@@ -68,9 +71,9 @@ def loops_figure(data: StageData) -> Figure:
     plot.update_yaxes(zeroline=True, zerolinecolor=INK, zerolinewidth=0.5)
     caption = (
         "Clamped: torque against angle of the motor driven, all sweeps of a joint. The slope is the drive's stiffness, "
-        "the height of the loop twice its friction, the flat stretch in the middle its clearance. Dashed: spring and "
-        "clearance as identified, without friction, of the first sweep; the band is the clearance; where the clamp "
-        "yields, loops are flatter than the spring. Rows right after a reversal (light) are not used."
+        "the height of the loop twice its friction, the flat stretch in the middle its clearance (band; numbers at the "
+        "motor, ± one standard error). Dashed: spring and clearance as identified, without friction, of the first "
+        "sweep; where the clamp yields, loops are flatter. Light rows, right after a reversal, are not used."
     )
     return Figure("loops", plot, caption, 560)
 
@@ -103,7 +106,11 @@ def _mark(
         *place,
     )
     plot.add_vrect(x0=x[1], x1=x[2], fillcolor=ORANGE, opacity=0.15, line_width=0, row=place[0], col=place[1])
-    told = f"clearance {np.degrees(gap):.2g}° at the motor" if np.isfinite(drives.gap[joint]) else ""
-    text = f"k = {k:.3g} ± {drives.stiffness_std[joint]:.2g} Nm/rad<br>{told}"
+    text = f"k = {with_error(float(k), float(drives.stiffness_std[joint]), 'Nm/rad')}"
+    if np.isfinite(drives.gap[joint]):
+        spread = float(drives.gap_std[joint]) / abs(float(piece.rows.robot.transmission[joint][joint]))
+        text += f"<br>clearance {with_std(gap, spread, DEGREES)}"
+        text += "" if drives.told[joint] else "<br>(not told from none)"
     where = {"xref": "x domain", "yref": "y domain", "x": 0.02, "y": 0.98, "xanchor": "left", "yanchor": "top"}
-    plot.add_annotation(text=text, showarrow=False, align="left", row=place[0], col=place[1], **where)
+    looks = {"showarrow": False, "align": "left", "font": {"size": 11}, "bgcolor": "rgba(255,255,255,0.7)"}
+    plot.add_annotation(text=text, row=place[0], col=place[1], **looks, **where)

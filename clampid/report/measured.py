@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from clampid.display import count_text, number
 from clampid.model import Model
-from clampid.report.display import count_text, number
 from clampid.report.style import Section, as_table
 from experiments.campaign import Campaign
 

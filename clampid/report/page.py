@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,14 @@ from clampid.report.origin import origin_section
 from clampid.report.parameters import parameters_section
 from clampid.report.robot3d import robot_section
 from clampid.report.rounds import rounds_section
+from clampid.report.spread import spread_sentences, spreads
 from clampid.report.stage_data import stage_data
 from clampid.report.steps import steps_section
 from clampid.report.style import Figure, Section
 from clampid.report.torque import torque_section
+from clampid.report.truth import truth_and_found
 from clampid.report.unknown_shape import unknown_shape_section
-from clampid.report.verdict import headline, truth_section, verdict_section
+from clampid.report.verdict import headline, verdict_section
 from clampid.report.where import where_section
 from experiments.campaign import Campaign
 
@@ -50,16 +53,17 @@ def page(
     opened = reopen(model, campaign, own)
     effects, stages = opened.effects, stage_data(opened)
     poses = stages.get("poses")
-    before = stage_data(reopen(first_model, campaign, own)).get("poses") if first_model is not None else None
+    before = stage_data(reopen(first_model, campaign, own)) if first_model is not None else {}
+    sure = spreads(stages, before, model.seed)
     sections = [
         measured_section(model, campaign),
-        rounds_section(model, first_model, stages),
+        rounds_section(model, first_model, stages, sure),
         steps_section(model, first_model),
         verdict_section(diagnosis, comparison),
         unknown_shape_section(diagnosis),
-        truth_section(truth),
+        truth_and_found(truth, model, effects),
         where_section(stages, model.seed),
-        robot_section(campaign.robot, poses, before) if poses is not None else None,
+        robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
         budget_section(stages),
         torque_section(stages),
         drives_section(stages.get("clamped")),
@@ -71,7 +75,7 @@ def page(
     return render(
         f"{campaign.robot.title}: calibration report",
         campaign.name,
-        headline(model, first_model, comparison, diagnosis),
+        [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)],
         [s for s in sections if s is not None],
     )
 
@@ -91,10 +95,17 @@ def render(title: str, campaign: str, verdict: Sequence[str], sections: Sequence
         verdict=verdict,
         sections=sections,
         kind=lambda block: type(block).__name__,
+        typeset=_typeset,
         plot_json=_plot_json,
         choices_json=_choices_json,
         plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
     )
+
+
+def _typeset(cell: str) -> str:
+    """A cell of numbers as a page has them, which nobody types again: a true minus, and groups of three from 10 000."""
+    grouped = re.sub(r"(?<![\w.])\d{5,}", lambda digits: f"{int(digits[0]):,}".replace(",", "\u202f"), cell)
+    return re.sub(r"(?<![\w.)])-(?=\d)", "−", grouped)
 
 
 def _embedded(text: str) -> Markup:

@@ -19,20 +19,20 @@ def grid(panels: int, titles: list[str]) -> go.Figure:
 
 
 def finish(plot: go.Figure, panels: int, height: int, x: str, y: str) -> go.Figure:
-    """Axes, with titles at the edges only, and layout."""
+    """Axes, with one title below all panels and one at the left of each row, and layout."""
     across = 3 if panels > 2 else panels
-    down = int(np.ceil(panels / across))
     plot.update_xaxes(axes())
     plot.update_yaxes(axes())
     for k in range(panels):
         row, column = k // across + 1, k % across + 1
-        if row == down:
-            plot.update_xaxes(title=x, row=row, col=column)
         if column == 1:
             plot.update_yaxes(title=y, row=row, col=column)
     plot.update_layout(layout(height, margin={"l": 64, "r": 16, "t": 74, "b": 52}))
-    for note in plot.layout.annotations:
+    for note in plot.layout.annotations[:panels]:
         note.font = {"size": 12}
+    below = {"xref": "paper", "yref": "paper", "x": 0.5, "y": 0.0, "xanchor": "center", "yanchor": "top", "yshift": -24}
+    looks = {"showarrow": False, "font": {"size": 14}}
+    plot.add_annotation(text=x, **looks, **below)  # panels are narrower than what their axis says
     return plot
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from clampid.correlations import SHOWN, STRONG, correlations
+from clampid.display import Scale, fixed, number, scale_for, with_std
 from clampid.effect import Effect
 from clampid.model import Model, StageModel
 from clampid.observability import index_words
-from clampid.report.display import Scale, fixed, number, scale_for, stage_title, with_std
-from clampid.report.stage_data import in_order
-from clampid.report.style import Figure, Section, Table, as_table
+from clampid.report.stage_data import in_order, stage_title
+from clampid.report.style import Figure, Section, Table, Weak, as_table
 from clampid.slots import find_parameter, on_bound
 
 __all__ = ["OPEN", "parameters_section"]
 
 OPEN = "not identifiable"
-_ON_BOUND = "limit"
+_ON_BOUND, _BEYOND = "limit", "below zero"
+TOLD = 2.0  # standard errors from zero
 _PREFIXES = {"base_": "base", "target_": "targets", "flange_": "flange"}
 _MANY = 40  # parameters of an effect at a place, which nobody reads one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
@@ -43,7 +44,10 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
             notes.append(f"{stage_title(stage)}: {index_words(stage_model.observability)}")
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
         blocks += _correlated(stage_model)
-    text = "Value ± one standard error."
+    text = (
+        "Value ± one standard error. Grey: within two standard errors of zero, so that these data do not tell it from "
+        "none or, of masses and geometry, from what the description says."
+    )
     if open_ones:
         text += (
             f" “{OPEN}” stands for: not identifiable from these data, that is, not known to within the size that it "
@@ -55,6 +59,11 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
             f" “({_ON_BOUND})” stands for: the value is on its physical limit, such as a friction or a clearance of "
             "zero. The data alone would have it at the limit or beyond, and the standard error is theirs: of the "
             "interval only the side within the limit counts."
+        )
+    if any(_outside(s, effects, k) for s in model.stages.values() for k in range(len(s.slots))):
+        text += (
+            f" “({_BEYOND})”: this fit is not kept to zero, the physical limit of such as a friction, and has the "
+            "value past it; take the error for how badly these data know it."
         )
     return Section(
         "model", "The model with standard errors", (text,), tuple(blocks), tuple(notes), "What these data cannot tell"
@@ -150,8 +159,22 @@ def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale
         return ""
     if not stage.identified[k]:
         return OPEN
-    told = with_std(float(stage.theta[k]), float(stage.std[k]), scale, unit=False)
-    return f"{told} ({_ON_BOUND})" if _rests(stage, effects, k) else told
+    value, std = float(stage.theta[k]), float(stage.std[k])
+    told = with_std(value, std, scale, unit=False)
+    if _rests(stage, effects, k):
+        return f"{told} ({_ON_BOUND})"
+    if _outside(stage, effects, k):
+        told = f"{told} ({_BEYOND})"
+    return Weak(told) if abs(value) < TOLD * std else told
+
+
+def _outside(stage: StageModel, effects: Mapping[str, Effect], k: int) -> bool:
+    """Whether an identified value is below zero where none is physical: not every stage's fit is kept to that.
+
+    Zero is the same for every gear; other limits are stated at the joint.
+    """
+    low = find_parameter(stage.slots[k], effects).bounds[0]
+    return bool(stage.identified[k]) and low == 0.0 > float(stage.theta[k])
 
 
 def _rests(stage: StageModel, effects: Mapping[str, Effect], k: int) -> bool:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import plotly.graph_objects as go
 
-from clampid.report.display import number
+from clampid.display import error_text
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREY, INK, Figure, Section, layout, thin
 from clampid.stages.rows import Array, Integers
@@ -17,7 +17,7 @@ from kinematics.screws import cayley
 
 __all__ = ["arm_points", "base_pose", "robot_section"]
 
-MOST_VECTORS = 900
+MOST_VECTORS = 400  # more of them hide the arm
 POSES_DRAWN = 3
 REACH = 0.08  # of the workspace: how long the 95th percentile of the errors is drawn
 
@@ -54,15 +54,15 @@ def robot_section(robot: RobotDescription, data: StageData, before: StageData | 
     points = (data.stacked("position")[pick] - p) @ R  # R' (x - p), row by row
     after = data.residual[pick] @ R
     shown = [("now", after)] if before is None else [("before", before.residual[pick] @ R), ("now", after)]
-    largest = max(float(np.quantile(np.linalg.norm(v, axis=1), 0.95)) for _, v in shown)
     extent = float(np.ptp(points, axis=0).max()) or 1.0
-    scale = _nice(REACH * extent / max(largest, 1e-12))
     plot = go.Figure()
     hover = _hover(data, pick)
-    top = 1e6 * max(float(np.quantile(np.linalg.norm(v, axis=1), 0.98)) for _, v in shown)
+    longer = []
     for k, (name, vectors) in enumerate(shown):
         visible = k == len(shown) - 1
-        for trace in _vectors(points, vectors, scale, top, hover, name):
+        size = np.linalg.norm(vectors, axis=1)
+        longer.append(_nice(REACH * extent / max(float(np.quantile(size, 0.95)), 1e-12)))
+        for trace in _vectors(points, vectors, longer[-1], hover, name):
             trace.visible = visible
             plot.add_trace(trace)
     for trace in _arms(robot, data.stacked("q")[pick]):
@@ -75,7 +75,7 @@ def robot_section(robot: RobotDescription, data: StageData, before: StageData | 
         arms = len(plot.data) - 4
         buttons = [
             {
-                "label": f"Errors {name}",
+                "label": f"Errors {name} (×{longer[k]:.0f})",
                 "method": "restyle",
                 "args": [{"visible": [j // 2 == k for j in range(4)] + [True] * arms}],
             }
@@ -103,10 +103,15 @@ def robot_section(robot: RobotDescription, data: StageData, before: StageData | 
     )
     drawn = "" if len(pick) == good.sum() else f" {len(pick)} of {int(good.sum())} points are drawn."
     caption = (
-        f"Error vectors (measured less predicted), drawn {number(scale)} times longer than they are, in the robot base "
-        f"frame; coloured by size. Black: the arm at the zero pose; grey: at poses of the campaign; both as straight "
-        f"lines between points on the joints' axes.{drawn} "
-        + ("The buttons change between the errors before anything was added and now." if len(shown) > 1 else "")
+        f"Error vectors (measured less predicted) from the points measured (dots), drawn {longer[-1]:.0f} times longer "
+        "than they are, in the robot base frame. Black: the arm at the zero pose; grey: at poses of the campaign, as "
+        f"straight lines between points on the joints' axes.{drawn}"
+        + (
+            " The buttons change between the errors before anything was added and now; length and colour have a scale "
+            "of their own in each."
+            if len(shown) > 1
+            else ""
+        )
     )
     return Section("robot", "The errors in space", (), (Figure("robot", plot, caption, 640),))
 
@@ -128,21 +133,22 @@ def _hover(data: StageData, pick: Integers) -> list[str]:
 
 
 def _vectors(
-    points: Array, vectors: Array, scale: float, top: float, hover: list[str], name: str
+    points: Array, vectors: Array, scale: float, hover: list[str], name: str
 ) -> tuple[go.Scatter3d, go.Scatter3d]:
     size = 1e6 * np.linalg.norm(vectors, axis=1)
     tip = points + scale * vectors
     gap = np.full(len(points), np.nan)
     lines = [np.c_[points[:, k], tip[:, k], gap].ravel().astype(np.float32) for k in range(3)]
     color = np.repeat(size, 3).astype(np.float32)
-    bar = {"title": {"text": "error, µm"}, "thickness": 14, "len": 0.6, "x": 1.0}
+    bar = {"title": {"text": f"error {name}, µm"}, "thickness": 14, "len": 0.6, "x": 1.0}
+    colors = {"colorscale": "Viridis", "reversescale": True, "cmin": 0, "cmax": float(np.quantile(size, 0.98))}
     strokes = go.Scatter3d(
         x=lines[0],
         y=lines[1],
         z=lines[2],
         mode="lines",
         hoverinfo="skip",
-        line={"color": color, "colorscale": "Viridis", "reversescale": True, "cmin": 0, "cmax": top, "width": 4},
+        line={"color": color, "width": 5, "showscale": True, "colorbar": bar, **colors},
     )
     dots = go.Scatter3d(
         x=points[:, 0].astype(np.float32),
@@ -150,17 +156,9 @@ def _vectors(
         z=points[:, 2].astype(np.float32),
         mode="markers",
         name=name,
-        text=[f"{h}<br>{number(s)} µm" for h, s in zip(hover, size, strict=True)],
+        text=[f"{h}<br>{error_text(1e-6 * s, 'm')}" for h, s in zip(hover, size, strict=True)],
         hovertemplate="%{text}<extra></extra>",
-        marker={
-            "size": 2.4,
-            "color": size.astype(np.float32),
-            "colorscale": "Viridis",
-            "reversescale": True,
-            "cmin": 0,
-            "cmax": top,
-            "colorbar": bar,
-        },
+        marker={"size": 1.6, "color": GREY},
     )
     return strokes, dots
 
@@ -182,7 +180,7 @@ def _arms(robot: RobotDescription, q: Array) -> list[go.Scatter3d]:
                 y=arm[:, 1],
                 z=arm[:, 2],
                 mode="lines+markers",
-                line={"color": color, "width": 7 if zero else 4},
+                line={"color": color, "width": 10 if zero else 5},
                 marker={"size": 4 if zero else 2.5, "color": BLUE if zero else color},
                 hovertemplate=("zero pose" if zero else "a pose of the campaign") + "<extra></extra>",
             )

@@ -8,10 +8,11 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from clampid.display import error_text
 from clampid.effect import Stage
 from clampid.model import Model, Round
-from clampid.report.display import error_text, stage_title
-from clampid.report.stage_data import StageData, in_order
+from clampid.report.spread import Spread, spread_table
+from clampid.report.stage_data import StageData, in_order, stage_title
 from clampid.report.style import BLUE, GREEN, GREY, ORANGE, Figure, Section, as_table, axes, layout
 from clampid.stages.pose_rows import align
 
@@ -45,7 +46,9 @@ def nominal_error(data: StageData) -> float | None:
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
-def rounds_section(model: Model, first: Model | None, stages: Mapping[Stage, StageData]) -> Section | None:
+def rounds_section(
+    model: Model, first: Model | None, stages: Mapping[Stage, StageData], spreads: Mapping[Stage, Spread] | None = None
+) -> Section | None:
     """Section "The error, round by round"."""
     listed = [(s, rounds_of(model, first, s)) for s in in_order(model.stages)]
     listed = [(s, r) for s, r in listed if r]
@@ -117,7 +120,9 @@ def rounds_section(model: Model, first: Model | None, stages: Mapping[Stage, Sta
     if any(s != "poses" for s, _ in listed):
         norms.append("Torques: in units of each motor's noise, so that the floor is 1.")
     caption = f"Root mean square error after each round. {' '.join(norms)} The floor has the same norm."
-    return Section("rounds", "The error, round by round", (), (Figure("rounds", plot, caption, 430), table))
+    sure = spread_table(spreads or {})
+    blocks = (Figure("rounds", plot, caption, 430), table, *(() if sure is None else (sure,)))
+    return Section("rounds", "The error, round by round", (), blocks)
 
 
 def _label(entry: Round, index: int) -> str:

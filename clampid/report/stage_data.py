@@ -17,10 +17,11 @@ from clampid.stages.experiment import Experiment
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Array, Bools, Rows
 
-__all__ = ["Piece", "StageData", "in_order", "stage_data"]
+__all__ = ["Piece", "StageData", "in_order", "stage_data", "stage_title"]
 
 ORDER: tuple[Stage, ...] = ("poses", "free_air", "clamped")
 """Poses first: they are what the robot is calibrated for."""
+_TITLES = {"free_air": "Free air and wrist (torques)", "clamped": "Clamped (torques)", "poses": "Filtered poses"}
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,11 @@ class StageData:
                     return None
                 parts.append(self.frames[table][name])
         return pd.concat(parts, ignore_index=True)
+
+
+def stage_title(stage: str) -> str:
+    """A stage's name for people."""
+    return _TITLES.get(stage, stage)
 
 
 def in_order(stages: Iterable[str]) -> tuple[Stage, ...]:

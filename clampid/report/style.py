@@ -21,6 +21,7 @@ __all__ = [
     "Section",
     "Selector",
     "Table",
+    "Weak",
     "axes",
     "layout",
     "packed",
@@ -33,6 +34,10 @@ INK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
 FONT = "Inter, 'Helvetica Neue', Helvetica, Arial, sans-serif"
 
 
+class Weak(str):
+    """A cell whose number is not told from zero, set in grey."""
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of text.
@@ -41,11 +46,14 @@ class Table:
     ----------
     columns
         Heads; one that ends in ``#`` holds numbers, which are set flush right.
+    folded
+        Whether the page shows its caption only, until it is opened; long tables with a caption are in any case.
     """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
+    folded: bool = False
 
 
 @dataclass(frozen=True)

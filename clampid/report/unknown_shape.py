@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from clampid.report.display import Scale, number, scale_for, stage_title
+from clampid.display import Scale, number, scale_for
 from clampid.report.panels import finish, grid, place_of
-from clampid.report.stage_data import in_order
+from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import BLUE, GREEN, ORANGE, Figure, Section
 
 __all__ = ["unknown_shape_section"]
@@ -18,7 +18,7 @@ __all__ = ["unknown_shape_section"]
 Json = Mapping[str, Any]
 COLORS = (BLUE, ORANGE, GREEN)
 BANDS = ("rgba(0,114,178,0.22)", "rgba(213,94,0,0.22)", "rgba(0,158,115,0.22)")
-DEGREES = Scale(np.pi / 180.0, "degrees")
+DEGREES = Scale(180.0 / np.pi, "degrees")
 
 
 def unknown_shape_section(diagnosis: Json | None) -> Section | None:
@@ -74,7 +74,7 @@ def _scale_of_variable(name: str, unit: str) -> Scale:
     if unit == "rad" and name.startswith("q"):
         return DEGREES
     if unit == "s":
-        return Scale(60.0, "min")
+        return Scale(1.0 / 60.0, "min")
     if unit == "K":
         return Scale(1.0, "K above 20 °C")
     return Scale(1.0, unit)
@@ -95,8 +95,8 @@ def _given(curve: Json) -> str:
 
 def _traces(curve: Json, scale: Scale, index: int, first: bool) -> list[go.Scatter]:
     across = _scale_of_variable(str(curve["variable"]), str(curve["variable_unit"]))
-    x = np.asarray(curve["x"]) / across.factor
-    value, low, high = (np.asarray(curve[k], dtype=float) / scale.factor for k in ("value", "low", "high"))
+    x = np.asarray(curve["x"]) * across.factor
+    value, low, high = (np.asarray(curve[k], dtype=float) * scale.factor for k in ("value", "low", "high"))
     name, color = _given(curve), COLORS[index % len(COLORS)]
     band = go.Scatter(
         x=np.r_[x, x[::-1]], y=np.r_[high, low[::-1]], fill="toself", fillcolor=BANDS[index % len(BANDS)],

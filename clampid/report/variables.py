@@ -14,6 +14,8 @@ __all__ = ["Trend", "Variable", "explained", "trend", "variables_of"]
 
 BINS = 12
 FLIPS = 99
+GAP = 0.1  # of a variable's range without a row: no line is drawn across
+FEWEST = 3  # rows that a median is drawn of
 FEW = 8  # distinct values up to which a variable is grouped by value instead of by quantiles
 
 
@@ -43,12 +45,24 @@ class Variable:
 
 @dataclass(frozen=True)
 class Trend:
-    """Running median and quartiles of a residual along a variable ``(bins,)``."""
+    """Running median and quartiles of a residual along a variable ``(bins,)``, in stretches parted by NaN."""
 
     x: Array
     median: Array
     low: Array
     high: Array
+
+    def band(self) -> tuple[Array, Array]:
+        """Between the quartiles: a closed outline of each stretch, parted by NaN; x and y."""
+        x: list[Array] = []
+        y: list[Array] = []
+        apart = np.array([np.nan])
+        breaks = np.flatnonzero(np.isnan(self.x))
+        for own in np.split(np.arange(len(self.x)), breaks):
+            k = own[np.isfinite(self.x[own])]
+            x += [self.x[k], self.x[k][::-1], apart]
+            y += [self.high[k], self.low[k][::-1], apart]
+        return np.concatenate(x)[:-1], np.concatenate(y)[:-1]
 
 
 def variables_of(data: StageData) -> tuple[Variable, ...]:
@@ -137,12 +151,30 @@ def groups_of(x: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
 
 
 def trend(x: Array, y: Array, good: Bools) -> Trend:
-    """Running median and quartiles of ``y`` along ``x``."""
-    group = groups_of(np.where(good, x, np.nan))
-    members = [np.flatnonzero(group == g) for g in np.unique(group[group >= 0])]
-    members = [m for m in members if len(m) >= 3]
-    low, median, high = (np.array([np.quantile(y[m], f) for m in members]) for f in (0.25, 0.5, 0.75))
-    return Trend(np.array([np.median(x[m]) for m in members]), median, low, high)
+    """Running median and quartiles of ``y`` along ``x``; where nothing was measured, nothing is drawn across."""
+    x = np.where(good, x, np.nan)
+    group, stretch = groups_of(x), _stretches(x)
+    columns: list[list[float]] = []
+    before = 0
+    for s, g in np.unique(np.c_[stretch, group][group >= 0], axis=0).tolist():
+        rows = np.flatnonzero((stretch == s) & (group == g))
+        if len(rows) < FEWEST:
+            continue
+        if columns and s != before:
+            columns.append([np.nan] * 4)
+        columns.append([float(np.median(x[rows])), *np.quantile(y[rows], (0.5, 0.25, 0.75)).tolist()])
+        before = s
+    return Trend(*np.array(columns).reshape(-1, 4).T)
+
+
+def _stretches(x: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Which stretch of neighbouring values each ``(N,)`` is of: a variable of many values parts at wide gaps."""
+    out = np.zeros(len(x), dtype=np.int64)
+    distinct = np.unique(x[np.isfinite(x)])
+    if len(distinct) > FEW:
+        gaps = np.flatnonzero(np.diff(distinct) > GAP * np.ptp(distinct))
+        out = np.searchsorted(0.5 * (distinct[gaps] + distinct[gaps + 1]), x)
+    return np.asarray(out)
 
 
 def explained(data: StageData, variables: Sequence[Variable], seed: int) -> tuple[list[float], float]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from clampid.display import error_text
 from clampid.effect import Stage
 from clampid.model import Model, Round
-from clampid.report.display import error_text, stage_title
-from clampid.report.evidence import comparison_table, evidence, parameters_text, placing_table
+from clampid.report.evidence import comparison_table, evidence, parameters_text
+from clampid.report.placing import placing_tables
 from clampid.report.rounds import rounds_of, unit_of
-from clampid.report.stage_data import in_order
+from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, as_table
 
 __all__ = ["headline", "truth_section", "verdict_section"]
@@ -88,8 +89,7 @@ def verdict_section(diagnosis: Json | None, comparison: Json | None) -> Section 
         blocks += [stage_title(stage), *evidence(stages[stage], unit_of(stage))]
     tables: Json = (comparison or {}).get("tables") or {}
     if tables:
-        placing = placing_table(tables)
-        blocks += ["Model against measurement", comparison_table(tables), *(() if placing is None else (placing,))]
+        blocks += ["Model against measurement", comparison_table(tables), *placing_tables(tables)]
     notes = (
         "p, alone: asymptotic score test of the candidate by itself. p, family-wise: sign-flip maximum over all "
         "candidates at once; only this one decides. “Adequate” means that nothing was found beyond the noise, not "

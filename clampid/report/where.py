@@ -9,10 +9,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from clampid.display import number
 from clampid.effect import Stage
-from clampid.report.display import number, stage_title
 from clampid.report.sizes import sizes_figure
-from clampid.report.stage_data import StageData
+from clampid.report.stage_data import StageData, stage_title
 from clampid.report.style import (
     BLUE,
     GREEN,
@@ -46,21 +46,35 @@ def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | Non
         shares, chance = explained(data, variables, seed)
         order = sorted(range(len(variables)), key=lambda k: -shares[k])
         rows = [(variables[k].title, _percent(shares[k]), _percent(chance)) for k in order[:LISTED]]
-        beyond = sum(s > chance for s in shares)
         blocks.append(stage_title(stage))
         blocks.append(
             as_table(
                 ("Residual against", "Explained#", "Chance gives up to#"),
                 rows,
-                "Share of the residual's variance that a running mean along one variable explains; the "
-                f"{min(LISTED, len(variables))} largest of {len(variables)}. {beyond or 'None'} of them "
-                f"{'exceed' if beyond > 1 else 'exceeds'} what chance gives to the largest (95 %, signs flipped unit "
-                "by unit). An order to look in, not a test.",
+                _beyond(shares, chance),
             )
         )
         blocks.append(_against(data, variables, order))
         blocks.append(sizes_figure(data))
     return Section("where", "Where it fails", (), tuple(blocks)) if blocks else None
+
+
+def _beyond(shares: Sequence[float], chance: float) -> str:
+    """What the shares say, and what a structure beyond chance amounts to."""
+    beyond, largest = sum(s > chance for s in shares), max(shares)
+    text = (
+        "Share of the residual's variance that a running mean along one variable explains: the "
+        f"{min(LISTED, len(shares))} largest of {len(shares)}, {beyond or 'none'} beyond what chance gives to the "
+        "largest of them (95 %, signs flipped unit by unit)."
+    )
+    if beyond:
+        text += (
+            " Beyond chance need not be large: all that goes with the first is "
+            f"{_percent(1.0 - np.sqrt(1.0 - largest))} of the RMS error. The verdict asks more: that a known effect or "
+            "a curve over a variable, makes rows that no fit saw more predictable. Noise that goes on for a while, as "
+            "in logs, does not. So it may be “adequate”."
+        )
+    return text
 
 
 def _percent(share: float) -> str:
@@ -97,9 +111,10 @@ def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int
         y = np.where(good[drawn, c], residual[drawn, c], np.nan)
         values.append({"y": packed(y)})
         line = trend(first.of(c), residual[:, c], good[:, c])
+        around = line.band()
         band = go.Scatter(
-            x=[*line.x, *line.x[::-1]],
-            y=[*line.high, *line.low[::-1]],
+            x=around[0],
+            y=around[1],
             fill="toself",
             fillcolor="rgba(90,90,90,0.28)",
             line={"width": 0},
@@ -188,6 +203,6 @@ def _choice(variable: Variable, data: StageData, residual: Array, drawn: Array, 
         "labels": list(variable.labels),
         "x": [packed(variable.of(c)[drawn] + shake) for c in range(channels if several else 1)],
         "trend": [
-            {"x": packed(t.x), "median": packed(t.median), "low": packed(t.low), "high": packed(t.high)} for t in lines
+            {"x": packed(t.x), "y": packed(t.median), "around": [packed(side) for side in t.band()]} for t in lines
         ],
     }

@@ -4,11 +4,11 @@ import math
 
 import pytest
 
+from clampid.display import error_text, quantity, readable, with_error
 from clampid.effect import UNITS
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import split_effects, split_terms
 from clampid.verbs.output import finite
-from clampid.verbs.units import error_text, quantity, readable, with_error
 
 
 @pytest.mark.parametrize(

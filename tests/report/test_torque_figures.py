@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,52 +51,75 @@ def bands(figure, k, color):
     return np.concatenate(halves)
 
 
-BLUE, ORANGE = "#0072B2", "#D55E00"
+BLUE = "#0072B2"
 
 
-def test_the_motors_curve_is_coulomb_and_viscous_with_their_covariance(drawn):
+def whole_friction(data, k, w):
+    """What a motor feels when it turns alone at ``w``: slots, and their columns."""
+    T = np.asarray(load_robot(ROBOT).transmission)
+    slots = [Slot("coulomb_friction", "Fc", f"joint{k + 1}"), Slot("viscous_friction", "Fv", f"joint{k + 1}")]
+    columns = [np.sign(w), w]
+    if k >= 3:  # joint j turns with T_kj w, and its friction comes back through T_kj
+        slots += [Slot("wrist_coupling_friction", "F", f"joint{j + 1}") for j in (3, 4, 5)]
+        columns += [T[k, j] * np.sign(T[k, j] * w) for j in (3, 4, 5)]
+    return slots, np.array(columns).T
+
+
+def test_the_curve_is_the_friction_of_a_motor_that_turns_alone_with_its_covariance(drawn):
     data, _, figures = drawn
     values, slots = data.model.values(), list(data.model.slots)
     for k in range(6):
         w, friction = lines(figures["friction"], k, BLUE)
-        own = [Slot("coulomb_friction", "Fc", f"joint{k + 1}"), Slot("viscous_friction", "Fv", f"joint{k + 1}")]
-        columns = np.c_[np.sign(w), w]
+        own, columns = whole_friction(data, k, w)
         np.testing.assert_allclose(friction, columns @ [values[s] for s in own], rtol=1e-6, atol=1e-9)
         C = data.model.covariance[np.ix_([slots.index(s) for s in own], [slots.index(s) for s in own])]
         expected = 1.96 * np.sqrt(np.einsum("ik,kl,il->i", columns, C, columns))
         np.testing.assert_allclose(bands(figures["friction"], k, BLUE), expected, rtol=1e-4)
 
 
-def test_with_the_arms_side_the_whole_friction_of_one_motor_is_drawn(drawn):
-    data, _, figures = drawn
-    values, T = data.model.values(), np.asarray(load_robot(ROBOT).transmission)
-    for k in (3, 4, 5):
-        w, friction = lines(figures["friction"], k, ORANGE)
-        expected = values[Slot("coulomb_friction", "Fc", f"joint{k + 1}")] * np.sign(w)
-        expected = expected + values[Slot("viscous_friction", "Fv", f"joint{k + 1}")] * w
-        for j in (3, 4, 5):  # joint j turns with T_kj w, and its friction comes back through T_kj
-            arm = values[Slot("wrist_coupling_friction", "F", f"joint{j + 1}")]
-            expected = expected + T[k, j] * arm * np.sign(T[k, j] * w)
-        np.testing.assert_allclose(friction, expected, rtol=1e-6, atol=1e-9)
-    assert not any(
-        t.xaxis in ("x", "x2", "x3") and t.mode == "lines" and t.line.color == ORANGE
-        for t in figures["friction"].plot.data
-    )
+def test_points_lie_about_the_curve_also_in_the_wrist(drawn):
+    """What is drawn of a row is the curve at its speed and the row's residual, whatever else turned then."""
+    data, _, _ = drawn
+    theta = np.where([s.parameter == "F" for s in data.model.slots], 3.0, data.model.theta)  # much, on the arm's side
+    rows = data.first.rows
+    others = np.random.default_rng(0).choice([-1.0, 1.0], rows.signals["joint_motion"].shape)
+    turning = replace(data.first, rows=replace(rows, signals={**rows.signals, "joint_motion": others}))
+    data = replace(data, model=replace(data.model, theta=theta), pieces=(turning,))
+    figure = friction_figures(data)[0]
+    for k in range(6):
+        (points,) = [t for t in figure.plot.data if (t.xaxis or "x") == axis(k) and t.name == "model and residual"]
+        own, columns = whole_friction(data, k, np.asarray(points.x))
+        beside = points.y - columns @ [data.model.values()[s] for s in own]
+        assert abs(np.mean(beside)) < 0.2 * data.floor.sigma[k]
+        assert np.sqrt(np.mean(beside**2)) < 1.5 * data.floor.sigma[k]
 
 
 def test_the_sum_of_both_sides_is_known_where_neither_is(drawn):
     """Joint 4 turns with its own motor alone: its two sides are one number, known far better than either."""
     data, plant, figures = drawn
-    own, both = bands(figures["friction"], 3, BLUE), bands(figures["friction"], 3, ORANGE)
-    assert np.median(both) < 0.1 * np.median(own)
+    slots = list(data.model.slots)
+    own = data.model.std[slots.index(Slot("coulomb_friction", "Fc", "joint4"))]
+    both = bands(figures["friction"], 3, BLUE)
+    assert np.median(both) < 0.1 * 1.96 * own
     T = np.asarray(load_robot(ROBOT).transmission)
-    w, friction = lines(figures["friction"], 3, ORANGE)
+    w, friction = lines(figures["friction"], 3, BLUE)
     true = plant.friction.coulomb[3] + np.abs(T[3]) @ plant.friction.arm + plant.friction.viscous[3] * np.abs(w)
     assert np.abs(np.abs(friction) - true).max() < 2.0 * both.max()
-    keys = [f.key for f in friction_figures(data)]
-    known = {s.place: ok for s, ok in zip(data.model.slots, data.model.identified, strict=True) if s.parameter == "F"}
-    assert not known["joint4"]
-    assert ("friction-arm" in keys) == any(known.values())
+
+
+def test_the_arms_side_is_drawn_where_it_is_told_from_zero(drawn):
+    data, _, _ = drawn
+    told = {
+        s.place
+        for s, ok, value, std in zip(
+            data.model.slots, data.model.identified, data.model.theta, data.model.std, strict=True
+        )
+        if s.parameter == "F" and ok and abs(value) > 2.0 * std
+    }
+    by_key = {f.key: f for f in friction_figures(data)}
+    assert ("friction-arm" in by_key) == bool(told)
+    for joint in {"joint4", "joint5", "joint6"} - told:
+        assert joint.removeprefix("joint") in by_key["friction"].caption.rpartition("at joint ")[2]
 
 
 def test_means_are_the_true_friction_within_their_intervals(drawn):

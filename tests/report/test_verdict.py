@@ -83,13 +83,16 @@ def test_variants_that_are_confusable_at_one_place_are_named_once():
 def test_limits_and_shifts():
     testability = [
         {"effect": "backlash", "name": "backlash", "where": [f"joint{i}"], "state": state,
-         "limits": [{"name": f"backlash.gap@joint{i}", "limit": limit, "unit": "rad"}]}
+         "limits": [{"name": f"backlash.gap@joint{i}", "limit": limit, "unit": "rad", "size": 1e-4}]}
         for i, state, limit in ((1, "testable", 2e-5), (2, "absorbed", None), (3, "weak", 1e-2))
     ]  # fmt: skip
     omission = [{"name": "geometry.x@link2", "shift": 2.1e-4, "std": 1.3e-5, "unit": "m"}]
     shifts, limits = evidence({"testability": testability, "omission": omission}, "m")
     assert shifts.rows == (("geometry.x@link2", "210 ± 13 µm"),)
-    assert limits.rows == (("backlash gap, µrad", "joint1 20", "joint2, joint3"),)
+    assert limits.rows == (("backlash.gap", "joint1", "20 µrad"),)
+    assert (
+        "backlash at joint2 (the model takes it up)" in limits.caption or "backlash@joint2 (the model" in limits.caption
+    )
 
 
 def test_parameters_of_a_candidate_and_of_a_truth():
@@ -106,6 +109,33 @@ def test_nothing_to_tell():
     assert verdict_section(None, None) is None
     assert truth_section(None) is None
     assert "Nothing." in truth_section([]).paragraphs
+
+
+def test_what_was_found_is_not_among_what_was_not_confirmed():
+    either = {"effect": "gear_eccentricity", "where": ["joint1"], "p_value": 1e-9, "p_familywise": 0.005}
+    other = {"effect": "backlash", "where": ["joint1"], "p_value": 0.2, "p_familywise": 0.9}
+    elsewhere = {**either, "where": ["joint2"]}
+    found, looked = evidence(
+        {"candidates": [{**either, "alternative": True}], "considered": [either, other, elsewhere]}, "m"
+    )
+    assert found.rows[0][0] == "gear_eccentricity (one of the alternatives)"
+    assert sorted(row[:2] for row in looked.rows) == [("backlash", "joint1"), ("gear_eccentricity", "joint2")]
+
+
+def test_no_median_is_drawn_across_a_gap():
+    from clampid.report.variables import trend
+
+    x = np.r_[np.linspace(0, 10, 300), np.linspace(20, 30, 300)]
+    line = trend(x, x, np.ones(600, dtype=bool))
+    (cut,) = np.flatnonzero(np.isnan(line.x))
+    assert line.x[cut - 1] < 10.0 < 20.0 < line.x[cut + 1]
+    assert np.isnan(line.median[cut])
+    around, height = line.band()
+    (parted,) = np.flatnonzero(np.isnan(around))
+    assert max(around[:parted]) < 10.0 < 20.0 < min(around[parted + 1 :])
+    assert len(around) == len(height) == 2 * (len(line.x) - 1) + 1
+    few = trend(np.repeat([0.0, 10.0], 50), np.arange(100.0), np.ones(100, dtype=bool))  # a category has no gaps
+    assert np.isfinite(few.x).all()
 
 
 def test_medians_and_chance():

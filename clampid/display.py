@@ -1,0 +1,181 @@
+"""The only place where SI becomes what people read: one choice of units, one rule for digits.
+
+A number with a standard error: two significant digits of the error, the value to the same place. A number without one:
+three significant digits. Lengths are µm below 1 mm and mm from there on, angles µrad below 0.2 degrees.
+Several numbers of one column share the unit that suits the largest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+__all__ = [
+    "Scale",
+    "count_text",
+    "error_text",
+    "fixed",
+    "length",
+    "number",
+    "quantity",
+    "ranged",
+    "ranged_text",
+    "readable",
+    "scale_for",
+    "span",
+    "with_error",
+    "with_std",
+]
+
+_SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
+    # From which size on, factor, symbol: the first that fits.
+    "m": ((1e-3, 1e3, "mm"), (0.0, 1e6, "µm")),
+    "rad": ((math.radians(0.2), 180 / math.pi, "deg"), (0.0, 1e6, "µrad")),
+    "microrad": ((0.0, 1e6, "µrad"),),  # an angle, rad, that stays in µrad whatever its size
+    "rad/Nm": ((1e-3, 1e3, "mrad/Nm"), (0.0, 1e6, "µrad/Nm")),
+    "rad/Nm^3": ((1e-3, 1e3, "mrad/Nm³"), (1e-6, 1e6, "µrad/Nm³"), (0.0, 1e9, "nrad/Nm³")),
+    "rad/K": ((0.0, 1e6, "µrad/K"),),
+    "rad/m": ((0.0, 1e6, "µrad/m"),),
+    "1/K": ((0.0, 1e6, "ppm/K"),),
+    "m/N": ((1e-6, 1e6, "µm/N"), (0.0, 1e9, "nm/N")),
+    "m/Nm": ((1e-6, 1e6, "µm/Nm"), (0.0, 1e9, "nm/Nm")),
+    "m/s": ((0.0, 3.6e9, "µm/h"),),
+    "1/(N m^2)": ((1e-6, 1e6, "1e-6/(N·m²)"), (0.0, 1e9, "1e-9/(N·m²)")),
+    "Nm s/rad": ((1.0, 1.0, "Nm·s/rad"), (0.0, 1e3, "mNm·s/rad")),
+}
+_EXACT = 12  # significant digits of a number without an uncertainty; nobody reads more
+_PLAIN = range(-4, 7)  # powers of ten that a number is printed without
+_THIN = "\u202f"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A display unit: ``value * factor`` is in ``unit``."""
+
+    factor: float
+    unit: str
+
+
+def scale_for(unit: str, values: Iterable[float]) -> Scale:
+    """The display unit of numbers given in SI, chosen by the largest of them.
+
+    Parameters
+    ----------
+    unit
+        Of the values, one of :data:`clampid.effect.UNITS`, or ``sigma``.
+    """
+    size = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    for least, factor, symbol in _SCALES.get(unit, ()):
+        if size >= least:
+            return Scale(factor, symbol)
+    return Scale(1.0, unit.replace("^2", "²").replace("^3", "³").replace(" ", "·"))
+
+
+def fixed(value: float, decimals: int) -> str:
+    """A number to so many decimals, or to tens and hundreds where negative; without a negative zero."""
+    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number without an uncertainty, to so many significant digits."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")  # 9.996 is 10.0, not 10.00
+    if int(exponent) not in _PLAIN:
+        return f"{mantissa}·10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    return fixed(value, digits - 1 - int(exponent))
+
+
+def _place(std: float) -> int:
+    """The decimals that leave two significant digits of a standard error."""
+    return min(_EXACT, 1 - int(f"{std:.1e}".split("e")[1]))
+
+
+def _pair(value: float, std: float) -> tuple[str, str]:
+    if not (math.isfinite(std) and std > 0.0):
+        return number(value, 4), ""
+    return fixed(value, _place(std)), fixed(std, _place(std))
+
+
+def with_std(value: float, std: float, scale: Scale, *, unit: bool = True) -> str:
+    """``12.34 ± 0.42 µm``: a value and its standard error, SI, in a unit chosen before."""
+    told, error = _pair(value * scale.factor, std * scale.factor)
+    both = f"{told} ± {error}" if error else told
+    return f"{both} {scale.unit}".rstrip() if unit else both
+
+
+def readable(value: float, unit: str, digits: int = 3) -> str:
+    """A number in the unit that suits its size, such as ``123 µm``.
+
+    Parameters
+    ----------
+    value
+        In SI.
+    unit
+        Of the value, one of :data:`clampid.effect.UNITS`, or ``sigma``.
+    digits
+        Significant digits.
+    """
+    if not math.isfinite(value):
+        return "not known"
+    scale = scale_for(unit, [value])
+    return f"{number(value * scale.factor, digits)} {scale.unit}".rstrip()
+
+
+def quantity(value: float, std: float, unit: str) -> tuple[str, str, str]:
+    """Value, standard error and unit as three columns of a table; both in the unit that suits the larger of them."""
+    scale = scale_for(unit, (value, std))
+    told, error = _pair(value * scale.factor, std * scale.factor)
+    return told, error or "–", scale.unit
+
+
+def with_error(value: float, std: float, unit: str) -> str:
+    """``12.34 ± 0.42 µm``, in the unit that suits the larger; without an error ``±`` is followed by a dash."""
+    told, error, symbol = quantity(value, std, unit)
+    return f"{told} ± {error} {symbol}".rstrip()
+
+
+def span(low: float, high: float, unit: str) -> str:
+    """``12 – 340 µm``, both to two digits in the unit that suits the larger; one number where they read the same."""
+    scale = scale_for(unit, [high]) if unit or abs(high) > 1e-2 else Scale(1e6, "ppm")
+    ends = dict.fromkeys(number(v * scale.factor, 2) for v in (low, high))
+    return f"{' – '.join(ends)} {scale.unit}".rstrip()
+
+
+def ranged_text(ends: Iterable[float], unit: str) -> str:
+    """``78.0 – 171 µm``: an interval, both ends to three digits in the unit that suits the larger."""
+    values = tuple(ends)
+    scale = scale_for(unit, values)
+    return f"{' – '.join(number(value * scale.factor) for value in values)} {scale.unit}".rstrip()
+
+
+def length(value: float) -> str:
+    """A length with its unit, for sentences."""
+    return readable(value, "m")
+
+
+def ranged(value: float, unit: str) -> str:
+    """An angle, length, torque, temperature or mass, as one compares it with the edge of a range."""
+    factor, symbol, decimals = {
+        "rad": (180 / math.pi, "deg", 1),
+        "m": (1e3, "mm", 1),
+        "degC": (1.0, "degC", 1),
+        "kg": (1.0, "kg", 2),
+    }.get(unit, (1.0, unit, 1))
+    return f"{value * factor:.{decimals}f} {symbol}"
+
+
+def error_text(value: float | None, unit: str) -> str:
+    """An error of a table or stage: metres as mm or µm, ``sigma`` as a multiple of the noise."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{number(value)} σ" if unit == "sigma" else readable(value, unit)
+
+
+def count_text(value: int) -> str:
+    """A count, in groups of three."""
+    return f"{value:,}".replace(",", _THIN)
