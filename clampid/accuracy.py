@@ -14,14 +14,13 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
+from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
 __all__ = ["Floor", "StageErrors", "cross_validated", "noise_floor", "predicted", "stage_errors"]
 
 FOLDS = 5
 QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
 QUIET_ROWS = 6  # the same for sweeps of single steps
-SAME_TEMPERATURE_K = 0.5
-ENOUGH_RETURNS = 30  # degrees of freedom (7 % of a sigma) below which the maker knows better than replicates
 
 
 @dataclass(frozen=True)
@@ -77,19 +76,18 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
 
 def _returns(rows: Rows) -> Array | None:
     """Pooled standard deviation ``(3,)`` of positions over comparable returns, or None if there are too few."""
-    key = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["direction"]]
+    place = np.c_[rows.session, rows.fold, rows.signals["target_is"]]
     warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
-    known = np.all(rows.signals["direction"] != 0, axis=1)
-    _, group = np.unique(key, axis=0, return_inverse=True)
-    squares, freedom = np.zeros(3), 0
-    for g in np.unique(group[known]):
-        members = np.flatnonzero((group == g) & known)
-        if len(members) < 2 or np.max(np.ptp(warm[members], axis=0)) > SAME_TEMPERATURE_K:
-            continue
-        x = rows.measured[members, :3]
+    told = rows.used[:, :3].all(axis=1)  # an outlier is no noise
+    returns = comparable_returns(place[told], rows.unit[told], rows.signals["direction"][told], warm[told])
+    freedom = freedom_of(returns)
+    if freedom < ENOUGH_RETURNS:
+        return None
+    measured, squares = rows.measured[told, :3], np.zeros(3)
+    for members in returns:
+        x = measured[members]
         squares += ((x - x.mean(axis=0)) ** 2).sum(axis=0)
-        freedom += len(members) - 1
-    return np.sqrt(squares / freedom) if freedom >= ENOUGH_RETURNS else None
+    return np.sqrt(squares / freedom)
 
 
 def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:

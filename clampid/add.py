@@ -85,8 +85,7 @@ def add(
     ----------
     terms
         ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a
-        stage:
-        in every stage where the effect acts.
+        stage: in every stage where the effect acts.
 
     Raises
     ------

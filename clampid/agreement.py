@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import linalg, stats
 
 from clampid.model import StageModel
 from clampid.slots import Slot
 
-__all__ = ["Agreement", "agreement_of", "shared_drives"]
+__all__ = ["Agreement", "agreement_of", "shared_drives", "stands_out"]
 
 SHARED = ("joint_compliance", "backlash", "nonlinear_stiffness", "soft_near_zero", "cross_coupled_stiffness")
 """Effects of the drives, which act with the same parameters in clamped sweeps and in poses."""
@@ -89,10 +90,7 @@ def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreemen
     p = 2.0 * stats.norm.sf(np.abs(z))
     differs = np.zeros(len(slots), dtype=bool)
     tested = np.flatnonzero(known)
-    for rank, k in enumerate(tested[np.argsort(p[tested])]):
-        if p[k] > LEVEL / (len(tested) - rank):
-            break
-        differs[k] = True
+    differs[tested] = stands_out(p[tested], LEVEL)
     words = np.where(~known, "not testable", np.where(differs, "differs", "agrees"))
     found = tuple(
         Agreement(
@@ -112,6 +110,16 @@ def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreemen
         covariance[np.ix_(tested, tested)] / np.outer(scale, scale), difference[tested] / scale, assume_a="pos"
     )
     return found, float(stats.chi2.sf(float(white @ (difference[tested] / scale)), len(tested)))
+
+
+def stands_out(p: npt.NDArray[np.float64], level: float) -> npt.NDArray[np.bool_]:
+    """Which of some p-values ``(k,)`` stand out, with the chance ``level`` that any does by chance (Holm, 1979)."""
+    out = np.zeros(len(p), dtype=bool)
+    for rank, k in enumerate(np.argsort(p)):
+        if p[k] > level / (len(p) - rank):
+            break
+        out[k] = True
+    return out
 
 
 def shared_drives(clamped: Sequence[Slot], poses: Sequence[Slot]) -> tuple[Slot, ...]:

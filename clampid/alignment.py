@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, optimize
 
+from clampid.display import readable
 from clampid.effect import Effect
 from clampid.evidence import evidence, rows_say
 from clampid.fitting.solve import Estimate
@@ -175,7 +176,7 @@ def _summary(found: Alignment) -> str:
     return (
         f"the angle errors of {', '.join(names)} are one curve, that of {names[0]}, turned: {', '.join(turns)}; the "
         f"odds of that against a curve each are e^{found.log_odds:.0f}, and they differ by "
-        f"{1e6 * found.deviation:.0f} µrad rms"
+        f"{readable(found.deviation, 'rad')} rms"
     )
 
 

@@ -8,7 +8,6 @@ counted. How far the base would be off otherwise is told.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,23 +15,18 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from clampid.carried import LOADS, STARTS
 from clampid.catalogue import with_user_effects
 from clampid.circles import Circle, CircleFit, circles_of, fit_circles
-from clampid.effect import Effect
 from clampid.layout import layout_of
 from clampid.model import Model, ModelError
-from clampid.slots import Slot
-from clampid.stages.experiment import experiment
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Integers, Rows
+from clampid.yielding import gives_way, what_yields
 from experiments.campaign import Campaign, CampaignError
 from kinematics.screws import inverse, log_se3
 
 __all__ = ["BaseFrame", "base_from_circles"]
 
-SPRINGS = "joint_compliance"
-GEOMETRY = "geometry"
 PASSES = 2  # the second bends the arm as seen from the base that the first has found
 
 
@@ -133,7 +127,7 @@ def base_from_circles(
         raise ModelError(f"the model is of the robot {model.robot}, the campaign of {campaign.robot.name}")
     effects = with_user_effects(user_effects or (Path(model.user_effects) if model and model.user_effects else None))
     layout = layout_of([campaign])
-    yielding = _rigid() if rigid else _of_description(campaign) if model is None else _of_model(model)
+    yielding = what_yields(campaign.robot, model, rigid=rigid)
     rows = pose_rows([campaign], layout, "poses")
     circles = circles_of(rows)
     measured = rows.measured[:, :3]
@@ -141,7 +135,7 @@ def base_from_circles(
     found, way, by = plain, np.zeros_like(measured), np.zeros((len(rows), 3, 0))
     for _ in range(0 if rigid else PASSES):
         rows = pose_rows([campaign], layout, "poses", {0: found.base})
-        way, by = _gives_way(rows, effects, yielding)
+        way, by = gives_way(rows, effects, yielding)
         found = fit_circles(rows, circles, measured - way, found.base)
     on = np.unique(np.concatenate([c.rows for c in circles]))
     return BaseFrame(
@@ -156,67 +150,6 @@ def base_from_circles(
         freedom=_freedom(found, rows),
         springs=yielding.said,
     )
-
-
-@dataclass(frozen=True)
-class _Yielding:
-    """What gives way: slots of the pose stage with values ``(P,)`` and covariance ``(P, P)``, and where from."""
-
-    slots: tuple[Slot, ...]
-    theta: Array
-    covariance: Array
-    said: str
-
-
-def _rigid() -> _Yielding:
-    return _Yielding(
-        (), np.zeros(0), np.zeros((0, 0)), "none; nothing was put back, and the frame is biased by deflection"
-    )
-
-
-def _of_description(campaign: Campaign) -> _Yielding:
-    robot = campaign.robot
-    if robot.motor_spring is None or not robot.has_masses:
-        raise ModelError(
-            f"the description of {robot.name} has no springs or no masses, so that circles cannot be corrected for "
-            "deflection: give a model with joint_compliance, or have nothing put back (--rigid)"
-        )
-    slots = tuple(Slot(SPRINGS, "c", f"joint{i + 1}") for i in range(robot.n))
-    theta = 1.0 / np.asarray(robot.motor_spring)
-    return _Yielding(slots, theta, np.zeros((robot.n, robot.n)), "those of the description, taken as exact")
-
-
-def _of_model(model: Model) -> _Yielding:
-    """All but geometry of the pose stage, if that has springs; else what the pose stage would start from."""
-    poses = model.stages.get("poses")
-    if poses is not None and any(s.effect == SPRINGS for s in poses.slots):
-        parts = [(poses, [k for k, s in enumerate(poses.slots) if s.effect != GEOMETRY])]
-        said = "those of the model's stage poses"
-    else:
-        clamped, free = model.stages.get("clamped"), model.stages.get("free_air")
-        if clamped is None or not any(s.effect == SPRINGS for s in clamped.slots):
-            raise ModelError(f"expected a model with {SPRINGS} in its stage poses or clamped, found none")
-        held = [s for s in STARTS if s not in LOADS] if free is not None else list(STARTS)
-        parts = [(clamped, [k for k, s in enumerate(clamped.slots) if s.effect in held])]
-        if free is not None:
-            parts.append((free, [k for k, s in enumerate(free.slots) if s.effect in LOADS]))
-        said = "those of the model's stage clamped"
-    slots = tuple(stage.slots[k] for stage, chosen in parts for k in chosen)
-    theta = np.concatenate([stage.theta[chosen] for stage, chosen in parts])
-    covariance, at = np.zeros((len(theta), len(theta))), 0
-    for stage, chosen in parts:
-        end = at + len(chosen)
-        covariance[at:end, at:end] = stage.covariance[np.ix_(chosen, chosen)]
-        at = end
-    return _Yielding(slots, theta, covariance, said)
-
-
-def _gives_way(rows: Rows, effects: Mapping[str, Effect], yielding: _Yielding) -> tuple[Array, Array]:
-    """How far the points give way ``(N, 3)`` m, instrument frame, and its derivative ``(N, 3, P)``."""
-    trial = experiment(rows, effects, yielding.slots).with_flanks(yielding.theta)
-    bent, by = trial.residual(yielding.theta)
-    straight, _ = experiment(rows, effects, ()).residual(np.zeros(0))
-    return straight[:, :3] - bent[:, :3], by[:, :3]
 
 
 def _covariance(found: CircleFit, rows: Rows, by: Array, spread: Array) -> Array:

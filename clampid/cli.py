@@ -21,7 +21,7 @@ __all__ = ["app", "main"]
 GROUP = "clampid.verbs"
 ORDER = (
     "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "undo", "export", "base", "effects",
-    "effect", "simulate", "plan", "run", "ik", "serve", "studio", "virtual-robot",
+    "effect", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
 )  # fmt: skip
 """Verbs in the order in which one meets them; others follow by name."""
 

@@ -79,8 +79,7 @@ def compare(
     ----------
     refit
         ``base``, ``tool`` or both: only these are fitted to the campaign's poses, on a share of whole poses; the rest
-        is
-        held out.
+        is held out.
     sample
         x, y, z, m, robot base frame: a point about which held-out errors of poses are split into radial ones and those
         along the sphere.
@@ -174,7 +173,7 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
         out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
         if stage == "poses":
             out[table] |= _beyond(opened, test, chosen)
-            out[table] |= placing(rows, residual, test, test_residual, chosen, sample)
+            out[table] |= placing(rows, residual, test, test_residual, chosen, opened.effects, sample)
     return out
 
 
@@ -198,8 +197,13 @@ def _table(
     }
     seen = test.used[:, 0] if poses else test.used.any(axis=1)
     entry["heldout"] = {"rows": int((chosen & seen).sum()), **_numbers(test, test_residual, chosen, floor)}
-    if wrong := [int(row) for row in test.row[chosen & ~seen & (test.table == "verification")]]:
-        entry["heldout"]["outliers"] = wrong
+    wrong = chosen & ~seen & (test.table == "verification")
+    if wrong.any():
+        whole = np.linalg.norm(test_residual[chosen, :3], axis=1)
+        entry["heldout"] |= {
+            "outliers": test.row[wrong].tolist(),
+            "rms_with_outliers": float(np.sqrt(np.mean(whole**2))),
+        }
     if not poses:
         entry["per_motor"] = [
             {
@@ -257,7 +261,7 @@ def _refitted(
     residual = predicted(trial.with_rows(rows), estimate.theta)
     floor = noise_floor(rows, residual)
     entry = _table(rows, residual, ~out, rows, residual, out, floor) | _beyond(opened, rows, out)
-    return entry | placing(rows, residual, rows, residual, out, sample)
+    return entry | placing(rows, residual, rows, residual, out, opened.effects, sample)
 
 
 def _beyond(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]:

@@ -21,6 +21,7 @@ import numpy as np
 from scipy import stats
 
 from clampid.chain import Deviations
+from clampid.display import with_error
 from clampid.fitting.noise import NORMAL
 from clampid.reopen import Reopened
 from clampid.stages import poses
@@ -258,9 +259,10 @@ def _in_words(factors: Array, covariance: Array, mistake: str | None) -> str:
     if mistake == "" or std[0] > KNOWN * max(1.0, abs(float(factors[0] - 1.0))):
         return ""
     what = mistake or "no mistake that is known explains this"
+    arm, tool = (with_error(float(f), float(s), "") for f, s in zip(factors, std, strict=True))
     return (
-        f"Of the model's deflection, {factors[0]:.3g} ± {std[0]:.1g} of that by the arm's own weight stands in the "
-        f"poses, and {factors[1]:.3g} ± {std[1]:.1g} of that by the tool (1: none is compensated, 0: all is): {what}."
+        f"Of the model's deflection, {arm} of that by the arm's own weight stands in the poses, and {tool} of that by "
+        f"the tool (1: none is compensated, 0: all is): {what}."
     )
 
 
@@ -274,9 +276,7 @@ def _like_deflection(base: Array, covariance: Array, columns: Array) -> str:
     size, whole, along = base @ weight @ base, taken @ weight @ taken, base @ weight @ taken
     if size <= stats.chi2.isf(LEVEL, 6) or along >= 0.0 or along**2 < ALIKE * size * whole:
         return ""
-    turn, shift = 1e6 * np.linalg.norm(base[:3]), 1e6 * np.linalg.norm(base[3:])
-    std = 1e6 * np.sqrt(np.diag(covariance))
-    return (
-        f"{shift:.0f} ± {np.linalg.norm(std[3:]):.0f} µm and {turn:.0f} ± {np.linalg.norm(std[:3]):.0f} µrad from the "
-        "model's, which is what a base takes up of the deflections"
-    )
+    std = np.sqrt(np.diag(covariance))
+    shift = with_error(float(np.linalg.norm(base[3:])), float(np.linalg.norm(std[3:])), "m")
+    turn = with_error(float(np.linalg.norm(base[:3])), float(np.linalg.norm(std[:3])), "rad")
+    return f"{shift} and {turn} from the model's, which is what a base takes up of the deflections"

@@ -31,7 +31,7 @@ from kinematics.dynamics import inertial_parameters
 from kinematics.pseudo_inertia import BASIS, about_centre, pseudo_inertia
 from kinematics.robot import Link, RobotDescription
 
-__all__ = ["ConsistentArm", "consistent_arm", "reference_bodies"]
+__all__ = ["ConsistentArm", "consistent_arm", "off_by", "reference_bodies"]
 
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 WEIGHTS = 10.0 ** np.arange(2.0, -2.1, -0.25)  # 25 holds masses to 10 %, 1 to a factor of two

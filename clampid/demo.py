@@ -18,9 +18,9 @@ import numpy as np
 from clampid.add import add
 from clampid.compare import compare
 from clampid.diagnose import diagnose
+from clampid.display import error_text
 from clampid.identify import identify
 from clampid.model import Model, save_model, write_text
-from clampid.verbs.units import error_text
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import hidden_file, simulate
 

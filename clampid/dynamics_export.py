@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.accuracy import predicted
 from clampid.base_names import base_json
-from clampid.consistent import ConsistentArm, consistent_arm
+from clampid.consistent import ConsistentArm, consistent_arm, off_by
 from clampid.described import robot_of
 from clampid.model import Model, ModelError, StageModel
 from clampid.reopen import reopen
@@ -63,9 +63,10 @@ def dynamics(
     if not consistent:
         return out
     arm = consistent_arm(model, nominal)
-    for entry, value, parameter in zip(out["base_parameters"], arm.base.tolist(), stage.base, strict=True):
+    off = off_by(stage.base, arm).tolist()
+    for entry, value, apart in zip(out["base_parameters"], arm.base.tolist(), off, strict=True):
         entry["consistent"] = value
-        entry["off_by_std"] = (value - parameter.value) / parameter.std
+        entry["off_by_std"] = apart
     out["links"] = [
         {
             "link": i + 1,

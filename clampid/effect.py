@@ -16,6 +16,7 @@ __all__ = [
     "PRESLIDING_LENGTHS",
     "RELAXATION_TIMES",
     "SIGNALS",
+    "STAGES",
     "STATIONS",
     "UNITS",
     "Effect",
@@ -270,6 +271,8 @@ class Effect:
     revealed_by
         A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
         the catalogue, and the probe asks the same question of the same rows.
+    asked
+        Whether it is fitted where somebody asks for it only: diagnosis does not look for it.
     """
 
     name: str
@@ -293,6 +296,7 @@ class Effect:
     meaning: str = field(default="")
     caveat: str = field(default="")
     known_within: Within | None = None
+    asked: bool = False
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from clampid.apart import moved_by_joint_fit
 from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitted_stage import Cost, FittedStage, fit_stage
 from clampid.fitting.bootstrap import bootstrap as by_poses
 from clampid.fitting.solve import FitError
 from clampid.identify_log import LogStage
-from clampid.joint import JointPart, fit_jointly
+from clampid.joint import JointPart, fit_jointly, shared_slots
 from clampid.layout import layout_of
 from clampid.model import Model, Round, Session, StageModel
 from clampid.slots import Layout, Term, parse_term
@@ -224,18 +225,22 @@ def identify(
             held, own = held_out_folds(rows, holdout, seed), cost if stage == "poses" else "least-squares"
             parts.append(fit_stage(rows, catalogue, wanted, before, held=held, cost=own))
         before[stage] = parts[-1].model
+    alone = parts
     if joint:
-        parts = fit_jointly(parts)
+        parts = fit_jointly(alone)
     ledger = []
     reference: dict[int, Array] = {}
-    for part in parts:
+    for part, apart in zip(parts, alone, strict=True):
         verification = None
         if isinstance(part, FittedStage):
             reference |= part.base_reference
             verification = verification_rows(several, layout, part.model.stage, part.base_reference)
         errors = part.errors(verification, seed)
         labels = tuple(t.label for t in part.model.terms)
-        evidence = part.evidence | ({"joint": True} if joint else {})
+        evidence = part.evidence
+        if joint:
+            moved = moved_by_joint_fit(apart.model, part.model, shared_slots(alone))
+            evidence |= {"joint": True, "moved": [m.to_json() for m in moved]}
         stage = part.model.stage
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor, evidence))
     stages = {part.model.stage: part.model for part in parts}
@@ -281,7 +286,8 @@ def session_of(campaign: Campaign, reference: Array | None) -> Session:
         columns = [c for c in campaign.tables.get(table, ()) if str(c).startswith("temp_")]
         if columns and temperature is None:
             values = campaign.tables[table][columns].to_numpy(float)
-            temperature = (float(np.nanmin(values)), float(np.nanmax(values)))
+            values = values[np.isfinite(values)]
+            temperature = (float(values.min()), float(values.max())) if values.size else None
     com, gravity = (tuple(np.asarray(v, dtype=float).tolist()) for v in (campaign.tool.com, campaign.gravity))
     targets, mass = tuple(campaign.targets), campaign.tool.mass
     return Session(campaign.name, campaign.fingerprint, reference, targets, mass, temperature, com, gravity)

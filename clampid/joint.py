@@ -18,6 +18,7 @@ counting any row twice; to first order the result is that of the joint fit.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -37,7 +38,7 @@ from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["JointPart", "fit_jointly", "is_shared"]
+__all__ = ["JointPart", "fit_jointly", "is_shared", "shared_slots"]
 
 JointPart = FittedStage | FittedLog
 """A stage as it was fitted alone."""
@@ -134,15 +135,14 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
 
 def _union(parts: Sequence[JointPart]) -> _Union:
     """Number the parameters; those that stages share have one number."""
-    contradicted = any(isinstance(p, FittedStage) and p.contradicted for p in parts)
+    shared = shared_slots(parts)
     number: dict[Key, int] = {}
     columns = []
     for part in parts:
         trial = _experiment(part)
         own: list[int] = []
         for slot in trial.slots:
-            shared = is_shared(trial.effects[slot.effect]) and not (contradicted and slot.effect in OF_DRIVES)
-            own.append(number.setdefault((None if shared else trial.stage, slot), len(number)))
+            own.append(number.setdefault((None if slot in shared else trial.stage, slot), len(number)))
         own += [number.setdefault((trial.stage, j), len(number)) for j in range(trial.offsets)]
         columns.append(np.array(own, dtype=np.int64))
     size = len(number)
@@ -157,6 +157,19 @@ def _union(parts: Sequence[JointPart]) -> _Union:
         bounded[here] |= limits.bounded
         mean[here] = np.where(trial.held(), _alone(part), own_mean)
     return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
+
+
+def shared_slots(parts: Sequence[JointPart]) -> frozenset[Slot]:
+    """The parameters that have one value in several stages of this fit."""
+    contradicted = any(isinstance(p, FittedStage) and p.contradicted for p in parts)
+    count: Counter[Slot] = Counter()
+    for trial in map(_experiment, parts):
+        count.update(
+            s
+            for s in trial.slots
+            if is_shared(trial.effects[s.effect]) and not (contradicted and s.effect in OF_DRIVES)
+        )
+    return frozenset(slot for slot, stages in count.items() if stages > 1)
 
 
 def _start(parts: Sequence[JointPart], union: _Union) -> Array:

@@ -159,10 +159,6 @@ class Model:
         """The same model with one stage replaced."""
         return replace(self, stages={**self.stages, stage.stage: stage})
 
-    def with_round(self, entry: Round) -> Model:
-        """The same model with one more line in its ledger."""
-        return replace(self, ledger=(*self.ledger, entry))
-
 
 def save_model(model: Model, path: str | Path) -> None:
     """Write a model as readable JSON, through a temporary name."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from clampid.display import with_error
 from clampid.export import FRAME_COLUMNS, ROW_COLUMNS, static_table
 from clampid.model import Model, ModelError
 from kinematics.dh_conversion import DHError
@@ -58,14 +59,13 @@ def exported_shift(before: Model, after: Model, robot: RobotDescription) -> list
 
 
 def shift_in_words(shifts: list[dict[str, Any]]) -> str:
-    """One sentence on the largest shifts, in millimetres and milliradians; empty where there are none."""
+    """One sentence on the largest shifts; empty where there are none."""
     if not shifts:
         return ""
     named = []
     for entry in shifts[:MOST]:
-        unit, size, std = entry["unit"], 1e6 * entry["shift"], 1e6 * entry["std"]
-        digits = max(0, int(np.ceil(-np.log10(std))) + 1) if std < 1 else 0
+        off = with_error(entry["shift"], entry["std"], entry["unit"])
         row = f"row {entry['row']}" if entry["row"].isdigit() else entry["row"]
-        named.append(f"{entry['parameter']} of {row} by {size:.{digits}f} ± {std:.{max(digits, 1)}f} µ{unit}")
+        named.append(f"{entry['parameter']} of {row} by {off}")
     more = f", and {len(shifts) - MOST} more numbers" if len(shifts) > MOST else ""
     return f"Leaving it out had shifted the exported table: {', '.join(named)}{more}."

@@ -2,8 +2,7 @@
 
 In motion the drive carries it against the motion. After a stop from direction `dir` the springs stay wound up by it,
 so that it supplies load and flank to the pose stage too. In torque logs it can be told from the motor's own friction
-only
-where the transmission couples a joint with another; in poses it shows at every joint.
+only where the transmission couples a joint with another; in poses it shows at every joint.
 """
 
 from __future__ import annotations

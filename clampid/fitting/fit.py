@@ -165,7 +165,8 @@ def without_outlying(rows: Rows, residual: Array, fitted: Rows, left: Array) -> 
     """Pose rows that no fit has seen, those that are wrong no longer used: as in a fit, if they are not too many.
 
     What a model lacks shows in such rows more than in those that were fitted. So they are wrong only if they are
-    clearly farther off than any row that the fit has kept.
+    clearly farther off than any row that the fit has kept, and if not most points of their visit are: what a model
+    lacks moves all of them, an instrument's error one.
 
     Parameters
     ----------
@@ -175,6 +176,8 @@ def without_outlying(rows: Rows, residual: Array, fitted: Rows, left: Array) -> 
     known = fitted.used[:, :3].all(axis=1)
     most = BEYOND * float(_distance(fitted, left)[known].max(initial=0.0))
     bad = outlying(rows, residual) & (_distance(rows, residual) > most)
+    points = np.bincount(rows.unit, rows.used[:, :3].all(axis=1))[rows.unit]
+    bad &= (points < 2) | (np.bincount(rows.unit, bad)[rows.unit] <= points / 2)  # of one point nobody can say
     return rows.without(bad) if bad.any() and bad.mean() <= OUTLIER_SHARE else rows
 
 

@@ -35,7 +35,17 @@ from experiments.plans.press import SINGULAR, flange_jacobian, holding_torque, w
 from experiments.plans.validate import sweep_fault, validate_plan
 from kinematics.description import RobotDescription
 
-__all__ = ["STANDARD", "Press", "plan_clamping", "press_limits", "stiffness_of"]
+__all__ = [
+    "STANDARD",
+    "Press",
+    "careful_limits",
+    "in_order",
+    "plan_clamping",
+    "planned_sweep",
+    "postures_for",
+    "press_limits",
+    "stiffness_of",
+]
 
 STANDARD = ("joint_compliance", "backlash", "coulomb_friction")
 POSTURES = 16
@@ -148,12 +158,12 @@ def plan_clamping(
     driven = tuple(range(cell.robot.n)) if joints is None else tuple(joints)
     blank = Plan("clamping", cell, limits, 0.0, stiffness=press.margin * press.stiffness)
     around = scene or Scene.floor_only(cell)
-    places = _postures(cell, limits, around, seed) if postures is None else np.asarray(postures, dtype=float)
+    places = postures_for(cell, limits, around, seed) if postures is None else np.asarray(postures, dtype=float)
     allowed = _allowed(blank, press, places, driven)
     best: tuple[float, list[Sweep], Array, int] | None = None
     bench = _Bench(cell, noise, press, effects)
     for steps in STEPS:
-        sweeps = [_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
+        sweeps = [planned_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
         told = bench.tell(sweeps)
         for order in _choices(bench, sweeps, told, driven, press, time):
             information = np.sum([told[k] for k in order], axis=0)
@@ -162,11 +172,11 @@ def plan_clamping(
                 rows = sum(sweeps[k].offset.size for k in order) * cell.robot.n
                 best = (value, [sweeps[k] for k in order], information, rows)
     if best is None:
-        need = press.clamping_time + sum(_cost(_sweep(blank, press, places[0], j, STEPS[0])) for j in driven)
+        need = press.clamping_time + sum(_cost(planned_sweep(blank, press, places[0], j, STEPS[0])) for j in driven)
         raise PlanError(
             f"time: expected at least {need:.0f} s, for one clamping and a sweep of each joint, found {time:g} s"
         )
-    chosen = _in_order(best[1])
+    chosen = in_order(best[1])
     plan = replace(
         blank,
         duration=_duration(chosen, press),
@@ -210,7 +220,7 @@ def _check(cell: Cell, press: Press, time: float) -> None:
         )
 
 
-def _postures(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
+def postures_for(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
     """Postures clear of everything, far from singular, unlike each other."""
     q = configurations(limits, TRIED, scene.clear, seed, why="clear of floor and obstacles")
     condition = np.array([np.linalg.cond(flange_jacobian(cell.robot, row)) for row in q])
@@ -229,7 +239,7 @@ def _postures(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
     return np.array(chosen)
 
 
-def _sweep(blank: Plan, press: Press, posture: Array, joint: int, steps: int) -> Sweep:
+def planned_sweep(blank: Plan, press: Press, posture: Array, joint: int, steps: int) -> Sweep:
     """Forward, back, beyond and forward again, twice, in equal steps."""
     robot = blank.cell.robot
     turn = np.abs(np.linalg.inv(np.asarray(robot.transmission)).T[joint, joint])  # own motor per joint angle
@@ -244,10 +254,10 @@ def _sweep(blank: Plan, press: Press, posture: Array, joint: int, steps: int) ->
 def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) -> list[tuple[Array, int]]:
     """The sweeps that keep the limits; those that would not are refused, and if none is left for a joint, all are."""
     found = []
-    careful = [_careful(blank, press, posture) for posture in places]
+    careful = [careful_limits(blank, press, posture) for posture in places]
     for joint in driven:
         faults = [
-            (sweep_fault(plan, _sweep(blank, press, posture, joint, STEPS[0])), posture)
+            (sweep_fault(plan, planned_sweep(blank, press, posture, joint, STEPS[0])), posture)
             for plan, posture in zip(careful, places, strict=True)
         ]
         mine = [(p, joint) for fault, p in faults if fault is None]
@@ -261,7 +271,7 @@ def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) ->
     return found
 
 
-def _careful(blank: Plan, press: Press, posture: Array) -> Plan:
+def careful_limits(blank: Plan, press: Press, posture: Array) -> Plan:
     """The plan with as much taken off its limits as friction and preload may add to what is read in a posture."""
     limits, ratio = blank.limits, np.abs(np.diag(np.asarray(blank.cell.robot.transmission)))
     n = blank.cell.robot.n
@@ -423,7 +433,7 @@ def _each_once(
     return first
 
 
-def _in_order(sweeps: Sequence[Sweep]) -> list[Sweep]:
+def in_order(sweeps: Sequence[Sweep]) -> list[Sweep]:
     """Clamping by clamping, in each the sweeps that load the clamp least first: if it slips, little is spoilt."""
     places = list(dict.fromkeys(tuple(sweep.posture) for sweep in sweeps))
     numbered = [replace(sweep, clamping=places.index(tuple(sweep.posture)) + 1) for sweep in sweeps]

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy import linalg
 
 from clampid.effect import Effect
-from clampid.layout import layout_of
+from clampid.layout import coupled_joints, layout_of
 from clampid.planning.bench import imagined
 from clampid.slots import Slot, parse_term, slots_of_terms
 from clampid.stages.counting import counting, negligible
@@ -28,7 +28,7 @@ from experiments.plans.model import Cell
 from experiments.plans.motion import Course
 from experiments.plans.press import rated_motor_torque
 
-__all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise", "torque_noise_of"]
+__all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise", "planned_log", "planned_rows", "torque_noise_of"]
 
 STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
 NOISE_SHARE = 0.01  # of the rated torque
@@ -136,7 +136,7 @@ class LogBench:
     ) -> None:
         self.cell, self.noise, self.rate, self.fastest = cell, noise, rate, fastest
         n = cell.robot.n
-        self._blank = imagined(cell, free_air=self._table([_still(n)]))
+        self._blank = imagined(cell, free_air=planned_log([_still(n)], rate))
         self.layout = layout_of([self._blank])
         terms = [parse_term(name, effects, self.layout) for name in wanted]
         for term in terms:
@@ -149,22 +149,12 @@ class LogBench:
         self.experiment: Experiment = experiment(torque_rows([self._blank], self.layout), effects, self.slots)
         self.size: Array = self.experiment.sizes()[: len(self.slots)]
 
-    def _table(self, courses: Sequence[Course]) -> pd.DataFrame:
-        """The logs of courses, each a run of its own, without torques."""
-        times = [np.arange(0.0, course.length, 1 / self.rate) for course in courses]
-        parts = [course.at(time)[:2] for course, time in zip(courses, times, strict=True)]
-        q, qd = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        run = np.repeat(np.arange(len(courses)), [len(t) for t in times])
-        data = {"run": run, "time_s": np.concatenate(times)}
-        for name, values, unit in (("q", q, "rad"), ("qd", qd, "rad_s"), ("tau", 0 * q, "Nm")):
-            data |= {f"{name}{i + 1}_{unit}": values[:, i] for i in range(q.shape[1])}
-        return pd.DataFrame(data)
-
     def tell(self, courses: Sequence[Course]) -> list[Told]:
         """Information of every move of every course; each course is a run of its own."""
-        joined = self._table(courses)
+        joined = planned_log(courses, self.rate)
         rows = torque_rows([imagined(self.cell, free_air=joined)], self.layout)
-        used = self._used(rows.signals, courses, rows.constants["run"])
+        run = rows.constants["run"]
+        used = planned_rows(self.cell, self.noise, self.rate, rows.signals, courses, run, self.fastest)
         here = self.experiment.with_rows(rows)
         _, jacobian = here.residual(np.zeros(len(self.slots) + rows.offsets))
         time, run = joined["time_s"].to_numpy(), joined["run"].to_numpy()
@@ -174,29 +164,6 @@ class LogBench:
             move, _ = course.phase(time[inside])
             out.append(self._course(jacobian[inside], used[inside], time[inside], move, len(course.duration)))
         return out
-
-    def _used(self, signals: Mapping[str, Array], courses: Sequence[Course], run: Integers) -> Bools:
-        """Which motors' torques a fit would use ``(N, n)``."""
-        robot = self.cell.robot
-        T = np.asarray(robot.transmission)
-        gear = np.abs(np.diag(T))
-        top = np.array([j.max_speed or 1.0 for j in robot.joints]) / gear
-        motor_speed, speed = (np.abs(signals[f"{which}_speed"]) for which in ("motor", "joint"))
-        moving = signals["joint_motion"] != 0
-        between = 1 - self.noise.slow * np.exp(-1 / self.rate / self.noise.memory)
-        planned = _Planned(
-            rest=np.full(robot.n, STILL),
-            rest_motor=np.full(robot.n, STILL),
-            clear=CLEAR_MOTION * np.maximum(speed.max(axis=0), self.fastest * top * gear),
-            clear_motor=CLEAR_MOTION * np.maximum(motor_speed.max(axis=0), max(self.fastest, 1e-3) * top),
-            steady=np.full(robot.n, np.inf),
-            noise=self.noise.sigma * np.sqrt(between),
-            moved=np.array([moving[run == r].any(axis=0) for r in range(len(courses))]),
-        )
-        # The course itself says where it is steady.
-        steady = np.concatenate([_steady(course, self.rate) for course in courses])
-        counts = counting(signals, T, planned, run, self.layout.wrist, accelerating=True)
-        return np.asarray(counts & steady[:, None] & negligible(signals["inertia_torque"] @ T.T, planned))
 
     def _course(self, jacobian: Array, used: Bools, time: Array, move: Integers, moves: int) -> Told:
         """Information of each move of one run, the run's unknown constants taken off the whole in proportion."""
@@ -222,6 +189,50 @@ class LogBench:
             own[-1] += projected - own.sum(axis=0)  # cross terms between moves: only the sum is meant
             information = own
         return Told(information[:, :count, :count], rows)
+
+
+def planned_log(courses: Sequence[Course], rate: float) -> pd.DataFrame:
+    """The logs of courses at ``rate``, Hz, as a campaign has them, each a run of its own, without torques."""
+    times = [np.arange(0.0, course.length, 1 / rate) for course in courses]
+    parts = [course.at(time)[:2] for course, time in zip(courses, times, strict=True)]
+    q, qd = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    run = np.repeat(np.arange(len(courses)), [len(t) for t in times])
+    data = {"run": run, "time_s": np.concatenate(times)}
+    for name, values, unit in (("q", q, "rad"), ("qd", qd, "rad_s"), ("tau", 0 * q, "Nm")):
+        data |= {f"{name}{i + 1}_{unit}": values[:, i] for i in range(q.shape[1])}
+    return pd.DataFrame(data)
+
+
+def planned_rows(
+    cell: Cell,
+    noise: TorqueNoise,
+    rate: float,
+    signals: Mapping[str, Array],
+    courses: Sequence[Course],
+    run: Integers,
+    fastest: float = 0.0,
+) -> Bools:
+    """Which motors' torques ``(N, n)`` of planned logs a fit would use; ``fastest`` as in :class:`LogBench`."""
+    robot = cell.robot
+    T = np.asarray(robot.transmission)
+    gear = np.abs(np.diag(T))
+    top = np.array([j.max_speed or 1.0 for j in robot.joints]) / gear
+    motor_speed, speed = (np.abs(signals[f"{which}_speed"]) for which in ("motor", "joint"))
+    moving = signals["joint_motion"] != 0
+    between = 1 - noise.slow * np.exp(-1 / rate / noise.memory)
+    planned = _Planned(
+        rest=np.full(robot.n, STILL),
+        rest_motor=np.full(robot.n, STILL),
+        clear=CLEAR_MOTION * np.maximum(speed.max(axis=0), fastest * top * gear),
+        clear_motor=CLEAR_MOTION * np.maximum(motor_speed.max(axis=0), max(fastest, 1e-3) * top),
+        steady=np.full(robot.n, np.inf),
+        noise=noise.sigma * np.sqrt(between),
+        moved=np.array([moving[run == r].any(axis=0) for r in range(len(courses))]),
+    )
+    # The course itself says where it is steady.
+    steady = np.concatenate([_steady(course, rate) for course in courses])
+    counts = counting(signals, T, planned, run, coupled_joints(robot), accelerating=True)
+    return np.asarray(counts & steady[:, None] & negligible(signals["inertia_torque"] @ T.T, planned))
 
 
 def _still(n: int) -> Course:

@@ -27,6 +27,7 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
 from experiments.signals import slip_states
+from experiments.temperatures import filled
 from kinematics.poe import forward, space_jacobian
 
 __all__ = ["BLOCK_ROWS", "clamped_rows", "fixture_motion", "joint_torques", "loop_compliance", "residual"]
@@ -184,7 +185,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
 
     robot, n = campaigns[0].robot, campaigns[0].robot.n
     T = np.asarray(robot.transmission)
-    frames = [c.tables["clamped"] for c in campaigns if "clamped" in c.tables]
+    frames = [filled(c.tables["clamped"]) for c in campaigns if "clamped" in c.tables]
     session = np.concatenate(
         [np.full(len(c.tables["clamped"]), s) for s, c in enumerate(campaigns) if "clamped" in c.tables]
     )

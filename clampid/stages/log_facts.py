@@ -17,6 +17,7 @@ from experiments.campaign import Campaign
 from experiments.columns import LOGS
 from experiments.log_windows import LogTable, Window, windows
 from experiments.signals import acceleration, medians, speed_counts, speeds, threshold_of_counts
+from experiments.temperatures import filled
 
 __all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked", "steady_share"]
 
@@ -41,13 +42,15 @@ class LogPart:
 
 
 def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
-    """The tables free_air and wrist of campaigns, in order."""
-    return [
-        LogPart(campaign, s, name, campaign.long[name].table if name in campaign.long else LogTable.of(table))
-        for s, campaign in enumerate(campaigns)
-        for name in LOGS
-        if (table := campaign.tables.get(name)) is not None
-    ]
+    """The tables free_air and wrist of campaigns, in order; temperatures that were not read are filled in."""
+    out = []
+    for s, campaign in enumerate(campaigns):
+        held = {name: campaign.tables[name] for name in LOGS if name in campaign.tables}
+        for name, table in held.items():
+            others = [other for key, other in held.items() if key != name]
+            whole = campaign.long[name].table if name in campaign.long else LogTable.of(filled(table, others))
+            out.append(LogPart(campaign, s, name, whole))
+    return out
 
 
 class Motion(NamedTuple):

@@ -12,7 +12,9 @@ from clampid.stages.loads import bearing_signals, declared_weight, gravity_signa
 from clampid.stages.rows import Array, Rows
 from clampid.stages.temperatures import link_recorded, temperatures
 from experiments.campaign import Campaign, Instrument
+from experiments.temperatures import filled
 from kinematics.poe import forward
+from kinematics.screws import nearest_rotation
 
 __all__ = ["align", "join_rows", "pose_rows", "quaternion_to_rotation"]
 
@@ -56,7 +58,9 @@ def _one(
     campaign: Campaign, session: int, sessions: int, layout: Layout, table: str, base: Mapping[int, Array] | None
 ) -> Rows:
     robot, n = campaign.robot, campaign.robot.n
-    frame = campaign.tables[table]
+    recorded = campaign.tables[table]
+    both = (campaign.tables[t] for t in ("poses", "verification") if t != table and t in campaign.tables)
+    frame = filled(recorded, both)
     count = len(frame)
     q = frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
     direction = frame[[f"dir{i + 1}" for i in range(n)]].to_numpy(float)
@@ -127,7 +131,7 @@ def _one(
             "rotation": rotation,
             "base_reference": np.tile(reference, (count, 1, 1)),
             "time": time,
-            "link_recorded": link_recorded(frame, n),
+            "link_recorded": link_recorded(recorded, n),
             "tool_mass": np.full(count, float(campaign.tool.mass)),
             **axes,
         },
@@ -203,8 +207,7 @@ def align(points: Array, measured: Array) -> Array:
     out = np.eye(4)
     for _ in range(3):  # once more without what is far off: a wrong row must not turn the frame
         a, b = points[keep].mean(axis=0), measured[keep].mean(axis=0)
-        U, _, Vt = np.linalg.svd((points[keep] - a).T @ (measured[keep] - b))
-        R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+        R = nearest_rotation(points[keep] - a, measured[keep] - b)
         out[:3, :3], out[:3, 3] = R, b - R @ a
         far = np.linalg.norm(points @ R.T + out[:3, 3] - measured, axis=1)
         keep = far <= 6 * np.median(far) + 1e-12

@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from clampid.stages.rows import Array, Bools
+from experiments.temperatures import readings
 
 __all__ = ["link_recorded", "temperatures"]
 
 
 def temperatures(table: object, n: int) -> dict[str, Array]:
-    """Temperatures of links and motors less 20 degC, ``(N, n)``; zeros where no sensor is."""
+    """Temperatures of links and motors less 20 degC, ``(N, n)``; zeros where no sensor is.
+
+    The table is one that :func:`experiments.temperatures.filled` has filled, or several of them one after the other, of
+    which one without a sensor leaves its rows empty.
+    """
     out = {}
     for kind in ("link", "motor"):
         values = np.zeros((len(table), n))  # type: ignore[arg-type]
@@ -23,8 +28,8 @@ def temperatures(table: object, n: int) -> dict[str, Array]:
 
 
 def link_recorded(table: object, n: int) -> Bools:
-    """Where a sensor gave a link's temperature ``(N, n)``."""
+    """Where a sensor gave a link's temperature ``(N, n)``; the table is one that has not been filled."""
     nowhere = np.full(len(table), False)  # type: ignore[arg-type]
     columns = (f"temp_link{i + 1}_C" for i in range(n))
-    sensors = (np.isfinite(table[c].to_numpy(float)) if c in table.columns else nowhere for c in columns)  # type: ignore[index, attr-defined]
+    sensors = (readings(table, c)[1] if c in table.columns else nowhere for c in columns)  # type: ignore[arg-type, attr-defined]
     return np.column_stack(list(sensors))

@@ -49,6 +49,7 @@ def auto(
     from clampid.identify import identify
     from clampid.model import save_model
     from clampid.verbs.findings import show_diagnosis
+    from clampid.verbs.rejected import rejected_words
     from clampid.verbs.show import model_json, show_model
 
     with out.working("reading"):
@@ -59,7 +60,8 @@ def auto(
         model, diagnosis = mend(first, read, seed=seed, user_effects=effects_from, progress=out.step)
     save_model(model, output)
     found = diagnosis.to_json()
-    show_model(model, with_user_effects(effects_from), out)
+    rejected = rejected_words(model, read, effects_from)
+    show_model(model, with_user_effects(effects_from), read[0].robot, rejected, out)
     show_diagnosis(found, out)
     if report is not None:
         _write_report(report, model, read[0], found, first, seed, effects_from, out)

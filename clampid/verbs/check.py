@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from clampid.verbs.inputs import finding_text
 from clampid.verbs.options import Json, OneCampaign, Quiet
 from clampid.verbs.output import Output
 
+if TYPE_CHECKING:
+    from experiments.campaign import Campaign
+
 __all__ = ["check"]
 
 
-def check(campaign: OneCampaign, json: Json = None, quiet: Quiet = False) -> None:
+def check(
+    campaign: OneCampaign,
+    iso9283: Annotated[
+        bool, typer.Option("--iso9283", help="Accuracy and repeatability of the robot itself, from returns to poses.")
+    ] = False,
+    json: Json = None,
+    quiet: Quiet = False,
+) -> None:
     """Read and validate a campaign folder; say what it holds and what can be identified from it."""
     from clampid.catalogue import catalogue
     from clampid.identify import TABLES_OF, stages_of, standard_effects
@@ -47,12 +59,39 @@ def check(campaign: OneCampaign, json: Json = None, quiet: Quiet = False) -> Non
         {"severity": f.severity, "table": f.table, "column": f.column, "row": f.row, "message": f.message}
         for f in findings
     ]
-    out.result({**holds, "stages": stages, "findings": shown})
     wrong = sum(f.severity == "error" for f in findings)
+    measured = {} if wrong or not iso9283 else {"iso9283": _iso9283(read, out)}
+    out.result({**holds, "stages": stages, "findings": shown, **measured})
     if wrong:
         first = next(finding_text(f) for f in findings if f.severity == "error")
         more = f" (and {wrong - 1} more)" if wrong > 1 else ""
         raise CampaignError(f"{campaign}: {first}{more}")
+
+
+def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
+    """Metrics of the robot as its controller has it, of each table of poses."""
+    import numpy as np
+
+    from clampid.attained import as_sent
+    from clampid.attained import iso9283 as metrics_of
+    from clampid.catalogue import catalogue
+    from clampid.layout import layout_of
+    from clampid.stages.pose_rows import pose_rows
+    from clampid.verbs.errors import CallError
+    from clampid.verbs.placing import show_iso9283
+    from experiments.metrics import norm_metrics
+
+    found: dict[str, Any] = {}
+    for table in ("poses", "verification"):
+        if table in campaign.tables:
+            rows = pose_rows([campaign], layout_of([campaign]), table)
+            error = as_sent(rows, catalogue()).residual
+            norms = np.linalg.norm(error[rows.used[:, 0], :3], axis=1)
+            found[table] = metrics_of(rows, error) | {"universal": norm_metrics(norms)}
+            show_iso9283(table, found[table], out)
+    if not found:
+        raise CallError(f"--iso9283: expected a table poses or verification, {campaign.name} has none")
+    return found
 
 
 def _contents(table: Mapping[str, Any]) -> str:

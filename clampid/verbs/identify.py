@@ -50,6 +50,7 @@ def identify(
     from clampid.drives import clamped_drives
     from clampid.identify import identify as fit_model
     from clampid.model import save_model
+    from clampid.verbs.rejected import rejected_words
     from clampid.verbs.show import model_json, show_drives, show_model
     from experiments.long_log import LONG_ROWS
 
@@ -67,7 +68,8 @@ def identify(
             cost=cost,
         )
     save_model(model, output)
-    show_model(model, with_user_effects(effects_from), out)
+    rejected = rejected_words(model, read, effects_from)
+    show_model(model, with_user_effects(effects_from), read[0].robot, rejected, out)
     data = {"model": str(output), **model_json(model)}
     drives = clamped_drives(model, read[0].robot)
     if drives is not None:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet
 from clampid.verbs.output import Output
+
+if TYPE_CHECKING:
+    from experiments.campaign import Campaign
+    from experiments.finding import Finding
+    from experiments.foreign import Imported, Mapping
+    from experiments.header import Header
 
 __all__ = ["import_table"]
 
@@ -19,12 +25,17 @@ def import_table(
     mapping: Annotated[
         Path, typer.Argument(metavar="MAPPING.toml", help="Which column is what, in which unit.", show_default=False)
     ],
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE…", help="Tables as the instrument wrote them.", show_default=False)
-    ],
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="CAMPAIGN", help="A new folder.", show_default=False)
     ],
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FILE…",
+            help="Tables as the instrument wrote them, where the mapping does not name them.",
+            show_default=False,
+        ),
+    ] = None,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -33,34 +44,73 @@ def import_table(
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CallError(f"{output}: expected a new or empty folder, found something there")
 
-    from clampid.verbs.inputs import read_checked
     from experiments.campaign import write_campaign
-    from experiments.errors import CampaignError
-    from experiments.mapping import import_tables, read_mapping
-    from kinematics.description import DescriptionError, load_robot
+    from experiments.foreign import import_tables, read_mapping
 
-    read = read_mapping(mapping)
+    read = read_mapping(mapping, files or ())
+    header = _header(read)
+    tables = import_tables(read, header.robot, tuple(header.targets))
+    for table in tables:
+        for note in table.notes:
+            out.warn(f"note: {table.table}: {note}")
+    content = dict(read.campaign)
+    if Path(str(content["robot"])).suffix:
+        content["robot"] = str((mapping.parent / str(content["robot"])).resolve())
+    _look_at(_campaign(content, tables), mapping, tables, out)
+    write_campaign(output, content, {table.table: table.frame for table in tables}, "csv")
+    out.say(f"campaign: {output}")
+    for table in tables:
+        out.say(f"{table.table}: {len(table.frame)} rows of {table.samples} read")
+        if table.scatter is not None:
+            scatter = ", ".join(f"{1e6 * s:.3g}" for s in table.scatter)
+            out.say(f"{table.table}: scatter of one sample along x, y, z: {scatter} um")
+    out.result({"campaign": str(output), "tables": {table.table: _json(table) for table in tables}})
+
+
+def _json(table: Imported) -> dict[str, Any]:
+    rows = {"rows": len(table.frame), "samples": table.samples}
+    return {**rows, "scatter_m": table.scatter, "notes": list(table.notes)}
+
+
+def _header(mapping: Mapping) -> Header:
+    """What ``campaign.toml`` shall say, checked; errors name the mapping and its keys."""
+    from experiments.errors import CampaignError
+    from experiments.header import FORMAT, parse_header
+
+    names = {table.table: f"{table.table}.csv" for table in mapping.tables}
+    said = {key: value for key, value in mapping.campaign.items() if key not in ("format", "tables")}
     try:
-        robot = load_robot(str(read.campaign.get("robot", "")), relative_to=mapping.parent)
-    except DescriptionError as error:
-        raise CampaignError(f"{mapping}, key campaign.robot: {error}") from error
-    table = import_tables(read, files, robot.n)
-    header = dict(read.campaign)
-    if Path(str(header["robot"])).suffix:
-        header["robot"] = str((mapping.parent / str(header["robot"])).resolve())
-    # Looked at in a place of its own first, so that a campaign that cannot be right is never written.
+        return parse_header({**said, "format": FORMAT, "tables": names}, mapping.path)
+    except CampaignError as error:
+        raise CampaignError(str(error).replace(f"{mapping.path}, key ", f"{mapping.path}, key campaign.", 1)) from error
+
+
+def _campaign(header: dict[str, Any], tables: tuple[Imported, ...]) -> Campaign:
+    """The campaign as it would be read, from a place of its own: one that cannot be right is never written."""
+    from experiments.campaign import read_campaign, write_campaign
+
     with tempfile.TemporaryDirectory() as folder:
-        read_checked([write_campaign(Path(folder) / "import", header, {read.table: table.frame}, "csv")], out)
-    write_campaign(output, header, {read.table: table.frame}, "csv")
-    out.say(f"campaign: {output}; {read.table}, {len(table.frame)} rows of {table.samples} samples")
-    if table.scatter is not None:
-        out.say("scatter of one sample, x, y, z: " + ", ".join(f"{1e6 * s:.3g}" for s in table.scatter) + " um")
-    out.result(
-        {
-            "campaign": str(output),
-            "table": read.table,
-            "rows": len(table.frame),
-            "samples": table.samples,
-            "scatter_m": table.scatter,
-        }
-    )
+        write_campaign(Path(folder) / "import", header, {table.table: table.frame for table in tables}, "csv")
+        return read_campaign(Path(folder) / "import")
+
+
+def _look_at(campaign: Campaign, mapping: Path, tables: tuple[Imported, ...], out: Output) -> None:
+    """Print warnings; refuse numbers that cannot mean what the mapping says. Rows are those of the files."""
+    from experiments.campaign import CampaignError
+    from experiments.check import check_campaign
+
+    sources = {table.table: table.source for table in tables}
+
+    def words(finding: Finding) -> str:
+        where = finding.table if finding.column is None else f"{finding.table}, column {finding.column}"
+        if finding.row is not None and finding.table in sources:
+            where += f", from {sources[finding.table].words(finding.row - 1)}"
+        return f"{mapping}: {where}: {finding.message}"
+
+    findings = check_campaign(campaign)
+    for finding in findings:
+        if finding.severity == "warning":
+            out.warn(f"warning: {words(finding)}")
+    wrong = [words(finding) for finding in findings if finding.severity == "error"]
+    if wrong:
+        raise CampaignError("; ".join(wrong))

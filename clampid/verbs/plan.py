@@ -191,7 +191,7 @@ def poses(
     ] = None,
     sight_tolerance: Annotated[float, typer.Option(metavar="RAD", help="Taken off both cones.")] = 0.05,
     approach: Annotated[float, typer.Option(metavar="RAD", help="Last move of every joint to a pose.")] = 0.05,
-    spread: Annotated[float, typer.Option(metavar="SHARE", help="Share of the poses taken for being far apart.")] = 0.3,
+    spread: Annotated[float, typer.Option(metavar="SHARE", help="Share of the poses taken for being far apart.")] = 0.2,
     measure_time: Annotated[float, typer.Option(metavar="S", help="For each tracked point.")] = 3.0,
     effects: Effects = None,
     acceleration: Acceleration = None,

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clampid.display import error_text, quantity, readable
 from clampid.verbs.output import Output
-from clampid.verbs.units import error_text, quantity
 
 if TYPE_CHECKING:
     from clampid.base_names import BaseParameter
     from clampid.drives import Drives
-    from clampid.effect import Effect
+    from clampid.effect import Effect, Parameter
     from clampid.model import Model, Round, StageModel
+    from kinematics.description import RobotDescription
 
 __all__ = [
     "evidence_words",
@@ -37,20 +39,28 @@ def stage_unit(stage: str) -> str:
     return "m" if stage == "poses" else "sigma"
 
 
-def parameter_rows(stage: StageModel, effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:
-    """One row per parameter: name, place, value, standard error, unit, remark."""
-    from clampid.slots import on_bound
+def parameter_rows(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription) -> list[tuple[str, ...]]:
+    """One row per parameter: name, place, value, standard error, unit (and on which side of a gear), remark."""
+    from clampid.slots import find_parameter, on_bound
 
-    units = {(e.name, p.name): p.unit for e in effects.values() for p in e.parameters}
     rows: list[tuple[str, ...]] = []
     for slot, value, std, known in zip(
         stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True
     ):
-        number, error, symbol = quantity(value, std, units.get((slot.effect, slot.parameter), ""))
+        parameter = find_parameter(slot, effects)
+        number, error, symbol = quantity(value, std, parameter.unit)
         name = f"{slot.effect}.{slot.parameter}"
         remark = (ON_BOUND if on_bound(slot, value, effects) else "") if known else NOT_KNOWN
-        rows.append((name, slot.place, number, error, symbol, remark))
+        rows.append((name, slot.place, number, error, symbol + _side(parameter, robot), remark))
     return rows
+
+
+def _side(parameter: Parameter, robot: RobotDescription) -> str:
+    """On which side of the gear a number counts that is not the same on both."""
+    if not parameter.gearing:
+        return ""
+    geared = np.any(np.abs(np.diag(robot.transmission)) != 1.0)
+    return " at the motor" if geared else " at the joint"
 
 
 def base_rows(base: Iterable[BaseParameter]) -> list[tuple[str, ...]]:
@@ -63,24 +73,29 @@ def base_rows(base: Iterable[BaseParameter]) -> list[tuple[str, ...]]:
     return rows
 
 
-def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None:
-    """Every stage's parameters with standard errors, and what the data leave open."""
+def show_model(
+    model: Model, effects: Mapping[str, Effect], robot: RobotDescription, rejected: Mapping[str, str], out: Output
+) -> None:
+    """Every stage's parameters with standard errors, and what the data leave open.
+
+    ``rejected``: stage → its outliers in words.
+    """
     from clampid.observability import index_words
 
     columns = ("parameter", "at", "value", "± std", "unit", "")
     for name, stage in model.stages.items():
-        out.table(name, columns, parameter_rows(stage, effects), left=2)
+        out.table(name, columns, parameter_rows(stage, effects, robot), left=2)
+        _show_sessions(name, stage, effects, out)
         for effect in dict.fromkeys(s.effect for s in stage.slots):
             if effects[effect].caveat:
                 out.say(f"{name}: {effect}: {effects[effect].caveat}")
-        if stage.outliers:
-            rows = ", ".join(f"{table} row {row}" for _, table, row in stage.outliers[:10])
-            more = f" and {len(stage.outliers) - 10} more" if len(stage.outliers) > 10 else ""
-            out.say(f"{name}: rejected as outliers: {rows}{more}")
+        if name in rejected:
+            out.say(f"{name}: rejected as outliers: {rejected[name]}")
         if stage.bootstrap is not None:
             out.say(f"{name}: {bootstrap_words(stage)}")
         if stage.observability:
             out.say(f"{name}: {index_words(stage.observability)}")
+        _show_unknown(name, stage, effects, robot, out)
         for sentence in stage.null_directions:
             out.say(f"{name}: {NOT_KNOWN}: {sentence}")
         _show_correlations(name, stage, out)
@@ -92,8 +107,55 @@ def show_model(model: Model, effects: Mapping[str, Effect], out: Output) -> None
     for sentence in universal_words(model):
         out.say(sentence)
     if model.joint:
-        out.say("all tables in one fit, with the parameters that they share")
+        _show_moved(model, out)
     show_rounds(model.ledger, out)
+
+
+def _show_moved(model: Model, out: Output) -> None:
+    """Where the joint fit and the stages one by one disagree; both values."""
+    out.say("all tables in one fit, with the parameters that they share")
+    found = [(entry.stage, moved) for entry in model.ledger for moved in entry.evidence.get("moved") or ()]
+    if not found:
+        out.say("stage by stage, the same rows say the same: no shared parameter differs by more than chance (5 %)")
+        return
+    out.warn("joint and stage by stage disagree by more than chance (5 %): some stage's rows contradict another's")
+    rows = []
+    for stage, moved in found:
+        figures = [f"{moved[key]:.4g} ± {moved[f'{key}_std']:.2g}" for key in ("apart", "joint")]
+        rows.append((stage, moved["parameter"], moved["where"], *figures, f"{abs(moved['z']):.1f}"))
+    out.table("", ("stage", "parameter", "at", "stage alone, SI", "jointly, SI", "standard errors apart"), rows, left=3)
+
+
+def _show_sessions(name: str, stage: StageModel, effects: Mapping[str, Effect], out: Output) -> None:
+    """What differs from session to session of what each has of its own."""
+    from clampid.session_differences import session_differences
+
+    rows = []
+    for d in session_differences(stage, effects):
+        number, error, symbol = quantity(d.value, d.std, d.unit)
+        rows.append((d.parameter, f"{d.session} less {d.less}", number, error, symbol))
+    if rows:
+        out.table(f"{name}: from session to session", ("parameter", "", "difference", "± std", "unit"), rows, left=2)
+
+
+def _show_unknown(
+    name: str, stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, out: Output
+) -> None:
+    """By what rule a parameter is called not identifiable, with the numbers for those that are."""
+    from clampid.stages.experiment import parameter_of
+
+    limits: dict[tuple[str, str], list[str]] = {}
+    for slot, known in zip(stage.slots, stage.identified, strict=True):
+        if not known:
+            parameter = parameter_of(slot, effects, robot)
+            size = readable(parameter.clear, parameter.unit, 2)
+            limits.setdefault((f"{slot.effect}.{slot.parameter}", size), []).append(slot.place)
+    if limits:
+        listed = ", ".join(f"{parameter} at {places_text(at)} {size}" for (parameter, size), at in limits.items())
+        out.say(
+            f"{name}: {NOT_KNOWN}: the standard error is not below the size that the parameter may reasonably have, "
+            f"whatever its value: {listed}"
+        )
 
 
 def _show_correlations(name: str, stage: StageModel, out: Output) -> None:
@@ -197,7 +259,7 @@ def show_rounds(rounds: Iterable[Round], out: Output) -> None:
         p = entry.evidence.get("p_familywise")
         rows.append((str(k), entry.stage, what, *errors, *(["–" if p is None else f"{p:.2g}"] if told else [])))
         notes += [f"round {k}: {said}" for said in evidence_words(entry)]
-    columns = ("", "stage", "effects", "rms", "held out", "noise floor", *(["p family"] if told else []))
+    columns = ("", "stage", "effects", "rms", "rms held out", "noise floor", *(["p family"] if told else []))
     out.table("rounds", columns, rows, left=3)
     for said in notes:
         out.say(said)
@@ -264,9 +326,12 @@ def _bootstrap_json(stage: StageModel) -> dict[str, Any] | None:
 def model_json(model: Model) -> dict[str, Any]:
     """What ``identify`` and ``auto`` tell programs beside the model file."""
     from clampid.base_names import base_json
+    from clampid.catalogue import with_user_effects
     from clampid.correlations import correlations
+    from clampid.session_differences import session_differences
 
-    stages = {}
+    stages: dict[str, Any] = {}
+    effects = with_user_effects(Path(model.user_effects) if model.user_effects else None)
     for name, stage in model.stages.items():
         last = next((r for r in reversed(model.ledger) if r.stage == name), None)
         stages[name] = {
@@ -285,6 +350,8 @@ def model_json(model: Model) -> dict[str, Any]:
             "heldout_rms": last and last.heldout_rms,
             "noise_floor": last and last.noise_floor,
         }
+        if apart := session_differences(stage, effects):
+            stages[name]["session_differences"] = [d.to_json() for d in apart]
     return {
         "robot": model.robot,
         "sessions": [s.name for s in model.sessions],

@@ -30,6 +30,10 @@ def simulate(
         typer.Option(metavar="EFFECT[@jointN][:MAGNITUDE],…", help="What to hide.", show_default=False),
     ] = None,
     seed: Seed = 0,
+    session: Annotated[
+        int,
+        typer.Option(min=1, metavar="N", help="The robot of this seed on another day, measured from elsewhere."),
+    ] = 1,
     poses: Annotated[int, typer.Option(help="Number of poses.")] = 250,
     tables: Annotated[
         str | None,
@@ -50,7 +54,10 @@ def simulate(
     only = None if tables is None else [name.strip() for name in tables.split(",")]
     items = [part.strip() for text in hide or () for part in text.split(",")]
     with out.working("measuring on the virtual robot"):
-        measure(output, robot, items, seed=seed, poses=poses, tables=only, file_format=file_format.value)
+        measure(
+            output, robot, items, seed=seed, session=session, poses=poses, tables=only, file_format=file_format.value
+        )
     out.say(f"campaign: {output}")
     out.say(f"what was hidden: {hidden_file(output)}")
-    out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), "robot": robot, "seed": seed})
+    told = {"robot": robot, "seed": seed, "session": session}
+    out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), **told})

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from clampid.display import quantity
 from clampid.verbs.options import Json, Quiet, Seed
 from clampid.verbs.output import Output
-from clampid.verbs.units import quantity
 
 if TYPE_CHECKING:
     from clampid.worked_example import WorkedExample

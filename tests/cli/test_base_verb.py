@@ -56,3 +56,27 @@ def test_base_refuses_what_it_cannot_do(clampid: Clampid, circles: Path, poses_o
         ran = clampid("base", *arguments, "-q")
         assert ran.code == 2, ran.err
         assert words in ran.complaint
+
+
+def test_base_from_touches(clampid: Clampid, tmp_path: Path) -> None:
+    robot, rng = load_robot("ur10"), np.random.default_rng(0)
+    q = rng.uniform(-1, 1, (6, 6)) + np.array([0.0, -1.0, 1.2, 0.1, 0.3, 0.2])
+    there = (WHERE @ forward(robot.screws, robot.flange, q) @ np.r_[TARGET, 1.0])[:, :3]
+    table = pd.DataFrame({f"q{i + 1}_rad": q[:, i] for i in range(6)})
+    table.assign(feature=[f"p{k}" for k in range(6)]).to_csv(tmp_path / "touches.csv", index=False)
+    text = 'format = "clampid-touched/1"\nrobot = "ur10"\ngravity_m_s2 = [0, 0, -9.81]\ntouches = "touches.csv"\n'
+    text += f"[targets_m]\ntip = {TARGET}\n[instrument]\nposition_std_m = 2e-5\n"
+    text += "".join(f'[features.p{k}]\nkind = "point"\npoint_m = {p.tolist()}\n' for k, p in enumerate(there))
+    path = tmp_path / "cell.toml"
+    path.write_text(text)
+    ran = clampid("base", path, "--rigid", "--json", "-", "-q")
+    assert ran.code == 0, ran.err
+    np.testing.assert_allclose(ran.json["base"], WHERE, atol=1e-9)
+    assert ran.json["degrees_of_freedom"] == 12
+    shown = clampid("base", path, "--rigid", "-q").out
+    assert "6 touches" in shown
+    assert "base in the frame of the cell" in shown
+    path.write_text(text.partition("[features.p1]")[0])
+    refused = clampid("base", path, "--rigid", "-q")
+    assert refused.code == 2
+    assert "row 2" in refused.complaint

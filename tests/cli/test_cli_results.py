@@ -19,6 +19,19 @@ def test_check(clampid: Clampid, whole: Path) -> None:
     assert "geometry" in ran.json["stages"]["poses"]["standard"]
 
 
+def test_iso_9283_of_the_robot_itself(clampid: Clampid, poses_only: Path, whole: Path) -> None:
+    ran = clampid("check", whole, "--iso9283", "--json", "-")
+    assert ran.code == 0, ran.err
+    poses = ran.json["iso9283"]["poses"]
+    assert poses["position"]["AP"]["mean"] > 10 * poses["position"]["RP"]["mean"]
+    assert poses["returns_wanted"] == 30
+    shown = clampid("check", whole, "--iso9283", "-q").out
+    assert "dRP not determinable from these data: no pose was visited four times" in shown
+    assert "RP as 30 returns would show it" in shown
+    assert "verification: ISO 9283: not determinable from these data: no pose was visited twice" in shown
+    assert "iso9283" not in clampid("check", poses_only, "--json", "-").json
+
+
 def test_effects(clampid: Clampid) -> None:
     ran = clampid("effects", "--json", "-")
     assert ran.code == 0, ran.err

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
+from clampid.display import span
 from clampid.model import Round
 from clampid.verbs.findings import show_diagnosis
 from clampid.verbs.limits import limit_rows, not_testable
 from clampid.verbs.output import Output
 from clampid.verbs.show import show_rounds, terms_text
-from clampid.verbs.units import span
 
 Capture = pytest.CaptureFixture[str]
 
@@ -110,5 +110,5 @@ def test_a_span_has_one_unit() -> None:
     assert span(1.5e-5, 1.2e-4, "m") == "15 – 120 µm"
     assert span(3.4e-6, 2.6e-5, "") == "3.4 – 26 ppm"
     assert span(0.0123, 0.0861, "") == "0.012 – 0.086"
-    assert span(4.4e-12, 4.6e-11, "rad/Nm^3") == "4.4e-12 – 4.6e-11 rad/Nm^3"
+    assert span(4.4e-12, 4.6e-11, "rad/Nm^3") == "0.0044 – 0.046 nrad/Nm³"
     assert span(0.05, 0.05, "Nm") == "0.050 Nm"

@@ -17,6 +17,7 @@ from clampid.report.style import Table
 from clampid.slots import Layout, Slot, Term
 from clampid.verbs.output import Output
 from clampid.verbs.show import model_json, show_model
+from kinematics.description import load_robot
 
 
 def stage_of(R: np.ndarray, std: np.ndarray, identified: tuple[bool, ...]) -> StageModel:
@@ -66,7 +67,7 @@ def test_programs_get_all_and_people_the_strongest(monkeypatch: pytest.MonkeyPat
     out = Output(quiet=True)
     text = io.StringIO()
     monkeypatch.setattr(out, "console", Console(file=text, width=120), raising=False)
-    show_model(model, catalogue(), out)
+    show_model(model, catalogue(), load_robot("ur10"), {}, out)
     assert "poses: correlations of identified parameters beyond ±0.9, the strongest 20 of 28:" in text.getvalue()
     assert text.getvalue().count("+0.9500") == SHOWN
     tables = [b for b in parameters_section(model, catalogue()).blocks if isinstance(b, Table)]
@@ -76,7 +77,7 @@ def test_programs_get_all_and_people_the_strongest(monkeypatch: pytest.MonkeyPat
 
 def test_nothing_is_said_where_nothing_is_strong(stage: StageModel, capsys: pytest.CaptureFixture[str]) -> None:
     model = model_of(replace(stage, covariance=np.diag(np.diag(stage.covariance))))
-    show_model(model, catalogue(), Output(quiet=True))
+    show_model(model, catalogue(), load_robot("ur10"), {}, Output(quiet=True))
     said = capsys.readouterr().out
     assert "geometry.x" in said
     assert "correlations" not in said

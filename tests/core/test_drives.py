@@ -14,7 +14,7 @@ from clampid.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot, Term
 from clampid.verbs.output import Output
 from clampid.verbs.show import parameter_rows, show_drives
-from kinematics.description import load_robot
+from kinematics.description import RobotDescription, load_robot
 from kinematics.transmission import Transmission
 
 EFFECTS = (("joint_compliance", "c"), ("backlash", "gap"), ("coulomb_friction", "Fc"))
@@ -106,8 +106,9 @@ def test_tables_are_in_the_units_of_the_thesis(stage: StageModel, robot, capsys:
     assert set(data) >= {"stiffness_Nm_rad", "compliance_std_rad_Nm", "friction_Nm", "gap_told_from_zero"}
 
 
-def test_a_clearance_on_its_limit_is_said_to_be(stage: StageModel):
+def test_a_clearance_on_its_limit_is_said_to_be(stage: StageModel, robot: RobotDescription):
     theta = stage.theta.copy()
     theta[8] = 0.0
-    rows = parameter_rows(replace(stage, theta=theta), catalogue())
+    rows = parameter_rows(replace(stage, theta=theta), catalogue(), robot)
+    assert {row[4] for row in rows if row[0] == "joint_compliance.c"} == {"mrad/Nm at the motor"}
     assert [row[:2] for row in rows if "one side" in row[-1]] == [("backlash.gap", "joint3")]

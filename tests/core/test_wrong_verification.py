@@ -46,4 +46,17 @@ def test_compare_and_the_ledger_leave_them_out(campaign: Campaign):
     assert model.ledger[-1].heldout_rms == pytest.approx(clean.ledger[-1].heldout_rms, rel=0.1)
     table = compare(model, bad).tables["poses"]["heldout"]
     assert table["outliers"] == rows
+    assert table["rms_with_outliers"] > 2 * table["rms"]
     assert "outliers" not in compare(clean, campaign).tables["poses"]["heldout"]
+
+
+def test_a_whole_visit_is_no_single_wrong_row(campaign: Campaign):
+    """What a model lacks moves all points of a visit: such rows count, however far off they are."""
+    table = campaign.tables["verification"].copy()
+    first = table.index[table["pose_id"] == table["pose_id"].iloc[0]] if "pose_id" in table else table.index[:3]
+    table.loc[first, ["x_m", "y_m", "z_m"]] += OFF
+    bad = replace(campaign, tables={**campaign.tables, "verification": table})
+    model = identify([campaign])
+    held = compare(model, bad).tables["poses"]["heldout"]
+    assert "outliers" not in held
+    assert held["max"] > OFF

@@ -1,6 +1,7 @@
 """The examples of the documentation run: every python and console block of a page, in order, in one folder.
 
-A file that a page prints lies in that folder, too, if a remark before it names it.
+A file that a page prints lies in that folder, too, if a remark before it names it. What a page shows as printed by a
+command is what the command prints: the same words, and numbers that differ by little.
 """
 
 from __future__ import annotations
@@ -17,10 +18,15 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-# An optional remark before a block: "not run: …" leaves it out, "first: …" is run before it, "file: …" writes it there.
+# An optional remark before a block: "not run: …" leaves it out, "first: …" is run before it, "file: …" writes it there,
+# "printed" says that a text block is what the console block before it prints.
 BLOCK = re.compile(
-    r"(?:<!--(?P<remark>[^>]*?)-->\n)?```(?P<kind>python|console|toml)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
+    r"(?:<!--(?P<remark>[^>]*?)-->\n)?```(?P<kind>python|console|toml|csv|text)\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
 )
+NUMBER = re.compile(r"(?<![\w.])[-−+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w@)")
+# Another machine's BLAS ends a fit a little elsewhere: of a number, this share may differ, or one of its last digit.
+NUMBERS_DIFFER = 0.02
 
 
 @dataclass(frozen=True)
@@ -36,9 +42,15 @@ def blocks(page: Path) -> list[Block]:
     for match in BLOCK.finditer(content):
         remark = (match["remark"] or "").strip()
         line = content[: match.start("text")].count("\n") + 1
+        if match["kind"] == "text":
+            if remark == "printed":
+                found.append(Block("text", match["text"], line))
+            elif remark.startswith("file:"):
+                found.append(Block(remark.removeprefix("file:").strip(), match["text"], line))
+            continue
         if remark.startswith("not run") or (page.name == "README.md" and "make demo" in match["text"]):
             continue
-        if match["kind"] == "toml":
+        if match["kind"] in ("toml", "csv"):
             if remark.startswith("file:"):
                 found.append(Block(remark.removeprefix("file:").strip(), match["text"], line))
             continue
@@ -53,7 +65,36 @@ def commands(text: str) -> str:
     return "\n".join(line[2:] for line in text.splitlines() if line.startswith("$ "))
 
 
-LONG = ("calibration-engineer.md", "unknown-effect.md")  # of the better part of a minute
+def printed(text: str) -> str:
+    """Give what a console block shows as printed, an ellipsis for what is typed."""
+    return "\n".join("…" if line.startswith("$ ") else line for line in text.splitlines())
+
+
+def unlike(shown: str, output: str) -> str | None:
+    """Say which piece of what a page shows (pieces end at an ellipsis) a command's output does not have, or None."""
+    told = " ".join(output.replace("−", "-").split())
+    for piece in re.split(r"(?:,|;)?\s*…", shown.replace("−", "-")):
+        words = " ".join(piece.split())
+        if not words:
+            continue
+        numbers = [m.group() for m in NUMBER.finditer(words)]
+        pattern = r"([-+]?[\d.]+(?:e[-+]?\d+)?)".join(re.escape(part) for part in NUMBER.split(words))
+        found = [m.groups() for m in re.finditer(f"(?={pattern})", told)]  # also where they overlap
+        if not found:
+            return f"not printed: {words}"
+        if not any(all(map(near, numbers, groups)) for groups in found):
+            return f"shown: {words}\nprinted: {found}"
+    return None
+
+
+def near(shown: str, is_now: str) -> bool:
+    """Whether a number of a page is what it is now, nearly."""
+    a, b = float(shown), float(is_now.rstrip("."))
+    digit = 10.0 ** -len(shown.partition("e")[0].partition(".")[2]) if "e" not in shown else 0.0
+    return abs(a - b) <= max(NUMBERS_DIFFER * abs(b), 1.001 * digit)
+
+
+LONG = ("README.md", "exports.md", "calibration-engineer.md", "unknown-effect.md")  # of the better part of a minute
 
 
 @pytest.mark.parametrize(
@@ -68,10 +109,14 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.chdir(tmp_path)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     names: dict[str, Any] = {"__name__": "example"}
+    output = ""
     for block in blocks(page):
         where = f"{page.name}:{block.line}"
         if block.kind == "python":
             exec(compile("\n" * (block.line - 1) + block.text, str(page), "exec"), names)
+            continue
+        if block.kind == "text":
+            assert (wrong := unlike(block.text, output)) is None, f"{where}:\n{wrong}"
             continue
         if block.kind != "console":
             Path(block.kind).write_text(block.text, encoding="utf-8")
@@ -81,6 +126,26 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
             ["bash", "-c", script], env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, f"{where}:\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        output = done.stdout
+        assert (wrong := unlike(printed(block.text), output)) is None, f"{where}:\n{wrong}"
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed_now", "wrong"),
+    [
+        ("error 107 µm, floor\n46.8 µm. …", "the error 107 µm, floor 46.8 µm. Beyond", None),
+        ("error 107 µm", "error 109 µm", None),
+        ("link 2 7 kg link 3 8 kg", "link 1 6 kg link 2 7 kg link 3 8 kg", None),
+        ("error 107 µm", "error 110 µm", "shown"),
+        ("shift −35 ± 3.7 µrad", "shift -34.6 ± 3.8 µrad", None),
+        ("shift −35 ± 3.7 µrad", "shift 35 ± 3.7 µrad", "shown"),
+        ("error 107 µm", "a fault of 107 µm", "not printed"),
+        ("first … third 3", "first second third 5", "shown"),
+    ],
+)
+def test_what_is_shown_is_held_against_what_is_printed(shown: str, printed_now: str, wrong: str | None) -> None:
+    found = unlike(shown, printed_now)
+    assert (found is None) if wrong is None else (found is not None and found.startswith(wrong))
 
 
 def test_links_between_pages_lead_somewhere() -> None:

@@ -1,0 +1,131 @@
+"""Where a robot went at each pose against where it was sent: as its controller has it, and with a model's help.
+
+Sent: the nominal chain at the mean of the joint angles reported at a pose's returns, so that all returns share one
+command. Nobody knows where the instrument sees the base or where targets sit on the flange; both are fitted to these
+rows, and are thus as good as a workshop could make them: errors of a robot as its controller has it are at least these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clampid.effect import Effect
+from clampid.fitting.fit import fit
+from clampid.slots import Slot
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Array, Bools, Integers, Rows
+from experiments.iso9283 import WANTED, expected_repeatability, pose_metrics
+from kinematics.screws import log_so3, nearest_rotation
+
+__all__ = ["Attained", "as_sent", "iso9283"]
+
+STILL = 1e-4  # rad: a joint that moves less than this in a whole table stands still, and comes from no side
+FLAT = 1e-3  # m: targets that are on a line to this tell nothing of a turn about it
+
+
+@dataclass(frozen=True)
+class Attained:
+    """Errors of the robot as its controller has it.
+
+    Attributes
+    ----------
+    residual
+        ``(N, m)``: measured less sent, instrument frame, m and, with orientations, rad.
+    reported
+        m: how far the angles reported at returns to one pose are from their mean, at the farthest, at the point.
+    """
+
+    residual: Array
+    reported: float
+
+
+def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
+    """Errors of rows of poses of one session against the nominal chain, base and targets fitted to the same rows."""
+    _, place = np.unique(np.c_[rows.session, rows.fold], axis=0, return_inverse=True)
+    sums = np.zeros((int(place.max()) + 1, rows.robot.n))
+    np.add.at(sums, place, rows.signals["q"])
+    shared = (sums / np.bincount(place)[:, None])[place]
+    sent = replace(rows, signals={**rows.signals, "q": shared})
+    session = rows.layout.sessions[0]
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    slots = [Slot("geometry", f"base_{a}", session) for a in axes]
+    if rows.measured.shape[1] == 6:
+        slots += [Slot("geometry", f"flange_{a}", session) for a in axes]
+    seen = np.flatnonzero(rows.signals["target_is"].any(axis=0))
+    slots += [Slot("geometry", f"target_{a}", rows.layout.targets[t]) for t in seen for a in "xyz"]
+    trial = experiment(sent, effects, slots)
+    theta = fit(trial).theta
+    residual = trial.residual(theta)[0]
+    own = trial.with_rows(rows).residual(theta)[0]
+    return Attained(residual, float(np.linalg.norm((own - residual)[:, :3], axis=1).max()))
+
+
+def iso9283(rows: Rows, residual: Array) -> dict[str, Any]:
+    """Metrics of ISO 9283 of rows of poses, for programs.
+
+    Parameters
+    ----------
+    residual
+        ``(N, m)``: measured less commanded, instrument frame, m and, with orientations, rad.
+
+    Returns
+    -------
+    dict
+        ``returns_wanted``, ``position`` and, where orientations were measured or follow from three targets or more of
+        one visit, ``orientation``; both as :class:`experiments.iso9283.PoseMetrics` says them. ``RP_by_instrument`` of
+        positions is what thirty returns of a perfect robot would show with the instrument's stated noise.
+    """
+    used = np.flatnonzero(rows.used[:, 0])
+    frame = rows.constants["base_reference"][:, :3, :3]
+    out: dict[str, Any] = {"returns_wanted": WANTED}
+    labels = _labels(rows, used, rows.signals["target_is"])
+    error = np.einsum("nji,nj->ni", frame, residual[:, :3])[used]
+    out["position"] = pose_metrics(error, *labels).to_json()
+    stated = np.diag(np.mean(rows.sigma[used, :3] ** 2, axis=0))
+    out["position"]["RP_by_instrument"] = expected_repeatability(stated)
+    turned = _turns(rows, residual)
+    if turned is not None:
+        chosen, turns = turned
+        turns = np.einsum("nji,nj->ni", frame[chosen], turns)
+        labels = _labels(rows, chosen, np.zeros((len(rows), 0)))
+        out["orientation"] = pose_metrics(turns, *labels, "orientation").to_json()
+    return out
+
+
+def _labels(rows: Rows, chosen: Integers, target: Array) -> tuple[Integers, Integers, Integers, Array]:
+    """Numbers of pose and target, of pose, and of side of approach, -1 if not known, and time, ``(k,)`` each."""
+    pose = np.c_[rows.session, rows.fold]
+    direction = rows.signals["direction"][chosen]
+    moved = np.ptp(rows.signals["q"], axis=0) > STILL
+    _, place = np.unique(np.c_[pose, target][chosen], axis=0, return_inverse=True)
+    _, number = np.unique(pose[chosen], axis=0, return_inverse=True)
+    _, side = np.unique(direction[:, moved], axis=0, return_inverse=True)
+    side = np.where(np.all(direction[:, moved] != 0, axis=1), side, -1)
+    place, number, side = (a.astype(np.int64) for a in (place, number, side))
+    return place, number, side, np.asarray(rows.constants["time"][chosen], dtype=float)
+
+
+def _turns(rows: Rows, residual: Array) -> tuple[Integers, Array] | None:
+    """One row of each visit and its error of orientation ``(k, 3)``, instrument frame; None where none is known."""
+    if residual.shape[1] == 6:
+        chosen = np.flatnonzero(rows.used[:, 0] & rows.used[:, 3])
+        _, first = np.unique(rows.unit[chosen], return_index=True)
+        return (chosen[first], residual[chosen[first], 3:]) if len(first) else None
+    used: Bools = rows.used[:, 0]
+    order = np.flatnonzero(used)[np.argsort(rows.unit[used], kind="stable")]
+    found, turns = [], []
+    for here in np.split(order, np.flatnonzero(np.diff(rows.unit[order])) + 1):
+        if len(here) < 3:
+            continue
+        there = rows.measured[here, :3]
+        sent = there - residual[here, :3]
+        a, b = sent - sent.mean(axis=0), there - there.mean(axis=0)
+        if np.linalg.svd(a, compute_uv=False)[1] < FLAT:
+            continue
+        found.append(here[0])
+        turns.append(log_so3(nearest_rotation(a, b)))
+    return (np.array(found), np.array(turns)) if found else None

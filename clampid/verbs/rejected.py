@@ -1,0 +1,64 @@
+"""The rows that a fit rejected as outliers, as one looks for them: by pose and visit, with how far off they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from clampid.accuracy import predicted
+from clampid.display import error_text
+from clampid.model import Model
+from clampid.reopen import reopen
+from experiments.campaign import Campaign
+
+__all__ = ["rejected_words"]
+
+SHOWN = 10
+
+
+def rejected_words(model: Model, campaigns: Sequence[Campaign], effects_from: Path | None = None) -> dict[str, str]:
+    """Stage → its rejected rows in words: points by pose and visit, with their distance from the model; logs by row.
+
+    Parameters
+    ----------
+    model
+        Fitted on these campaigns.
+    campaigns
+        In their order.
+    effects_from
+        A file of the user's own effects.
+    """
+    out: dict[str, str] = {}
+    for name, stage in model.stages.items():
+        if not stage.outliers:
+            continue
+        if name == "poses":
+            listed = _visits(model, campaigns, effects_from)
+        else:
+            listed = [f"{table} row {row}" for _, table, row in stage.outliers]
+        more = f" and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
+        out[name] = f"{len(stage.outliers)} rows: {'; '.join(listed[:SHOWN])}{more}"
+    return out
+
+
+def _visits(model: Model, campaigns: Sequence[Campaign], effects_from: Path | None) -> list[str]:
+    """Visits with rejected points, the worst first."""
+    opened = reopen(model, campaigns, effects_from)
+    rows = opened.rows("poses")
+    residual = predicted(opened.experiment("poses", rows), model.stages["poses"].theta)
+    visits: dict[tuple[int, str, int, int], list[tuple[str, float]]] = {}
+    for session, table, row in model.stages["poses"].outliers:
+        cells = campaigns[session].tables[table].iloc[row - 1]
+        (at,) = np.flatnonzero((rows.session == session) & (rows.table == table) & (rows.row == row))
+        off = float(np.linalg.norm(residual[at, :3]))
+        visits.setdefault((session, table, int(cells["pose"]), int(cells["visit"])), []).append((cells["target"], off))
+    told = []
+    for (session, table, pose, visit), points in visits.items():
+        where = f"{campaigns[session].name}, " if len(campaigns) > 1 else ""
+        where += "" if table == "poses" else f"{table} "
+        most = max(off for _, off in points)
+        off_by = error_text(most, "m") + (" at most" if len(points) > 1 else "")
+        told.append((most, f"{where}pose {pose} visit {visit} ({', '.join(t for t, _ in points)}) off by {off_by}"))
+    return [text for _, text in sorted(told, key=lambda entry: -entry[0])]

@@ -1,0 +1,76 @@
+"""One rule for what tells the noise floor: what ``check`` announces is what ``compare`` uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clampid.accuracy import noise_floor
+from clampid.layout import layout_of
+from clampid.stages.pose_rows import pose_rows
+from experiments.campaign import Campaign
+from experiments.check_motion import motion_findings
+from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
+
+SCATTER = 200e-6  # m, one axis; the instrument states less
+
+
+@pytest.fixture(scope="module")
+def base(simulated: Callable[..., Campaign]) -> Campaign:
+    return simulated(seed=5, poses=30, tables=("poses",))
+
+
+def returned(base: Campaign, count: int) -> Campaign:
+    """The first visits, and of ``count`` rows of them a second one that differs by scatter only."""
+    table = base.tables["poses"]
+    first = table[table["visit"] == 1].reset_index(drop=True)
+    again = first.iloc[:count].assign(visit=2, time_s=first["time_s"].max() + 100.0 + np.arange(count))
+    xyz = ["x_m", "y_m", "z_m"]
+    again[xyz] += np.sqrt(2) * SCATTER * np.random.default_rng(1).standard_normal((count, 3))
+    return replace(base, tables={"poses": pd.concat([first, again], ignore_index=True)})
+
+
+@pytest.mark.parametrize("count", [0, ENOUGH_RETURNS - 1, ENOUGH_RETURNS])
+def test_check_and_the_floor_say_the_same(base: Campaign, count: int) -> None:
+    campaign = returned(base, count)
+    rows = pose_rows([campaign], layout_of([campaign]), "poses")
+    floor = noise_floor(rows, np.zeros_like(rows.measured))
+    (said,) = (f.message for f in motion_findings(campaign, frozenset()) if f.column == "visit")
+    if count < ENOUGH_RETURNS:
+        assert floor.source == "instrument"
+        assert said.startswith(f"{count or 'no'} point")
+        assert said.endswith(f"it takes {ENOUGH_RETURNS}, so the noise floor is the instrument's")
+        return
+    assert floor.source == "replicates"
+    assert floor.norm == pytest.approx(np.sqrt(3) * SCATTER, rel=0.25)
+    assert said.startswith(f"{count} points measured again")
+    assert said.endswith("they give the noise floor")
+
+
+def test_what_does_not_return_in_the_same_way_does_not_count() -> None:
+    place = np.zeros((6, 1))
+    visit = np.array([1, 1, 2, 3, 4, 5])
+    direction = np.array([[1.0], [1.0], [1.0], [-1.0], [0.0], [1.0]])
+    warmth = np.array([[20.0], [20.0], [20.4], [20.0], [20.0], [20.6]])
+    found = comparable_returns(place, visit, direction, warmth)
+    assert [members.tolist() for members in found] == [[0, 2]]  # not: same visit, other side, unknown side, warmer
+    assert freedom_of(found) == 1
+    assert freedom_of(comparable_returns(place, visit, direction, np.zeros((6, 0)))) == 2
+
+
+def test_a_wrong_row_is_no_noise(base: Campaign) -> None:
+    campaign = returned(base, ENOUGH_RETURNS + 5)
+    clean = pose_rows([campaign], layout_of([campaign]), "poses")
+    spoilt = campaign.tables["poses"].copy()
+    spoilt.loc[2, "x_m"] += 0.01
+    rows = pose_rows([replace(campaign, tables={"poses": spoilt})], layout_of([campaign]), "poses")
+    wrong = rows.row == 3
+    residual = np.zeros_like(rows.measured)
+    assert noise_floor(rows, residual).norm > 3 * noise_floor(clean, residual).norm
+    left_out = noise_floor(rows.without(wrong), residual)
+    assert left_out.source == "replicates"
+    assert left_out.norm == pytest.approx(noise_floor(clean, residual).norm, rel=0.2)
