@@ -14,7 +14,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from clampid.demo import demo
-from clampid.verbs.units import error_text
+from clampid.display import error_text
 
 IMAGES = Path(__file__).parent / "images"
 SEED = 1
