@@ -24,11 +24,11 @@ import numpy as np
 from coverage_table import TWO_SIDED_95, coverage
 
 from clampid.catalogue import catalogue
-from clampid.drives import DETECTION, Drives, drives_of
-from clampid.fitted_stage import fit_stage
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import stage_rows
+from clampid.models.drives import DETECTION, Drives, drives_of
 from clampid.slots import Term
+from clampid.stages.layout import layout_of
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Plant, measure
 from kinematics.description import load_robot

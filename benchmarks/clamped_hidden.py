@@ -19,13 +19,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from coverage_table import TWO_SIDED_95
 
-from clampid.add import add
 from clampid.catalogue import catalogue
-from clampid.diagnose import diagnose
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.stage import StageDiagnosis
 from clampid.effect import EffectError
-from clampid.identify import identify
-from clampid.model import Model
+from clampid.identification.identify import identify
+from clampid.loop.add import add
+from clampid.models.model import Model
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, Measured, measure

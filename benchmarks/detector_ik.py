@@ -21,7 +21,7 @@ from ik_arms import MOUNT, conditions, drawn_arm, postures
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from clampid.compiled import compiler
+from clampid.chain.compiled import compiler
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 from offline_ik.arm import nominal_arm

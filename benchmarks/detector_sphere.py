@@ -21,8 +21,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from clampid.identify import identify
-from clampid.model import Model
+from clampid.identification.identify import identify
+from clampid.models.model import Model
 from clampid.stages.pose_rows import align
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

@@ -22,9 +22,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from clampid.diagnose import diagnose
+from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import Stage
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate
 

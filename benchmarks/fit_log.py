@@ -29,12 +29,12 @@ from virtual_log import rows_of, virtual_log
 
 from clampid.catalogue import catalogue
 from clampid.fitting.fit_log import LogNoise, LogPrior, fit_log, summed
+from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import limits_of, prior_of, start_of
-from clampid.identify_folder import STANDARD
-from clampid.identify_log import LogStage
-from clampid.layout import layout_of
-from clampid.priors import description_priors
+from clampid.identification.identify_folder import STANDARD
+from clampid.identification.identify_log import LogStage
 from clampid.slots import Term
+from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import facts_of, log_parts
 from clampid.stages.prewhitening import Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.threads import single_threaded

@@ -29,13 +29,13 @@ from scipy.optimize import least_squares
 
 from clampid.catalogue import catalogue
 from clampid.fitting.bootstrap import bootstrap
+from clampid.fitting.gauge import independent_geometry
 from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import Estimate, solve
-from clampid.gauge import independent_geometry
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
+from clampid.identification.identify import stage_rows
 from clampid.slots import Slot
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

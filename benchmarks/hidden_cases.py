@@ -16,9 +16,9 @@ import numpy as np
 
 from clampid.effect import Stage
 from clampid.fitting.solve import Estimate
-from clampid.identify import identify
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate
 from experiments.virtual_robot import Hidden, Measured, Plant, measure

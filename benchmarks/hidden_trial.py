@@ -11,12 +11,12 @@ from typing import Any
 
 from hidden_cases import Bench, Case, start_model
 
-from clampid.add import add
 from clampid.catalogue import catalogue
-from clampid.diagnose import diagnose
+from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import EffectError, Stage
-from clampid.identify import identify
-from clampid.model import Model
+from clampid.identification.identify import identify
+from clampid.loop.add import add
+from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import hidden_file, simulate
 

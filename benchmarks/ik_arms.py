@@ -8,7 +8,7 @@ import numpy as np
 
 from clampid.catalogue import catalogue
 from clampid.effect import Parameter
-from clampid.model import Model, Session, StageModel
+from clampid.models.model import Model, Session, StageModel
 from clampid.slots import Layout, Term, slots_of_terms
 from clampid.stages.experiment import parameter_of
 from kinematics.description import load_robot

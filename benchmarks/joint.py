@@ -19,11 +19,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from coverage_table import TWO_SIDED_95
 
-from clampid.accuracy import noise_floor, predicted, size_of
 from clampid.effect import Stage
-from clampid.identify import identify
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.fitting.accuracy import noise_floor, predicted, size_of
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

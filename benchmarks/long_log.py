@@ -31,10 +31,10 @@ from kinematics.description import load_robot
 TEMPLATE_ROWS = 100_000  # of the virtual robot; a longer log repeats them with noise of its own
 NOISE = 0.05  # Nm
 
-IMPORTS = "import clampid.identify_folder"
+IMPORTS = "import clampid.identification.identify_folder"
 FIT = """
 import sys
-from clampid.identify_folder import identify_folder
+from clampid.identification.identify_folder import identify_folder
 model = identify_folder(sys.argv[1])
 print(f"{len(model.stages['free_air'].slots)} parameters, held out {model.ledger[0].heldout_rms:.4f} times the noise")
 """

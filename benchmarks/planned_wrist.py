@@ -25,8 +25,8 @@ import numpy as np
 import numpy.typing as npt
 from coverage_table import TWO_SIDED_95
 
-from clampid.identify import identify
-from clampid.model import StageModel
+from clampid.identification.identify import identify
+from clampid.models.model import StageModel
 from clampid.planning.logs import torque_noise_of
 from clampid.planning.wrist import plan_wrist
 from experiments.campaign import read_campaign

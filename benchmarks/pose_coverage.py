@@ -28,8 +28,8 @@ from coverage_table import coverage
 from virtual_arms import ARMS, arm
 
 from clampid.catalogue import catalogue
-from clampid.identify import identify, stage_rows
-from clampid.model import StageModel
+from clampid.identification.identify import identify, stage_rows
+from clampid.models.model import StageModel
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows

@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 from coverage_table import coverage
 
-from clampid.compare import compare
-from clampid.identify import identify
-from clampid.model import StageModel
+from clampid.comparison.compare import compare
+from clampid.identification.identify import identify
+from clampid.models.model import StageModel
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Measured, measure
 from experiments.virtual_robot.bodies import Bodies

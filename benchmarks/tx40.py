@@ -23,10 +23,10 @@ from scipy.signal import butter, filtfilt
 
 from clampid.catalogue import catalogue
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
+from clampid.identification.identify import stage_rows
 from clampid.slots import Term, slots_of_terms
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Bools, Rows
 from experiments.campaign import Campaign, read_campaign
 

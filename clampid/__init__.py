@@ -1,1 +1,63 @@
-"""Why the real robot deviates: effects, the chain, fit, diagnosis, comparison, reports, command line."""
+"""Why the real robot deviates: effects, the chain, fit, diagnosis, comparison, reports, command line.
+
+What a notebook needs can be had from here, ``from clampid import identify, diagnose``; each is loaded when it is asked
+for, so that nothing of the product has to be there for the rest of it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clampid.comparison.compare import compare
+    from clampid.diagnosis.diagnose import diagnose
+    from clampid.exports.export import dh_export, dh_table, urdf_export
+    from clampid.identification.identify import identify
+    from clampid.loop.add import add
+    from clampid.loop.auto import auto
+    from clampid.loop.undo import undo
+    from clampid.models.calibrated import calibrated_chain
+    from clampid.models.model import Model, load_model, save_model
+
+__all__ = [
+    "Model",
+    "add",
+    "auto",
+    "calibrated_chain",
+    "compare",
+    "dh_export",
+    "dh_table",
+    "diagnose",
+    "identify",
+    "load_model",
+    "save_model",
+    "undo",
+    "urdf_export",
+]
+
+_HOME = {
+    "Model": "clampid.models.model",
+    "add": "clampid.loop.add",
+    "auto": "clampid.loop.auto",
+    "calibrated_chain": "clampid.models.calibrated",
+    "compare": "clampid.comparison.compare",
+    "dh_export": "clampid.exports.export",
+    "dh_table": "clampid.exports.export",
+    "diagnose": "clampid.diagnosis.diagnose",
+    "identify": "clampid.identification.identify",
+    "load_model": "clampid.models.model",
+    "save_model": "clampid.models.model",
+    "undo": "clampid.loop.undo",
+    "urdf_export": "clampid.exports.export",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

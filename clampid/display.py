@@ -8,7 +8,7 @@ Several numbers of one column share the unit that suits the largest.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 __all__ = [
@@ -16,8 +16,10 @@ __all__ = [
     "count_text",
     "error_text",
     "fixed",
+    "label_text",
     "length",
     "number",
+    "places_text",
     "quantity",
     "ranged",
     "ranged_text",
@@ -179,3 +181,24 @@ def error_text(value: float | None, unit: str) -> str:
 def count_text(value: int) -> str:
     """A count, in groups of three."""
     return f"{value:,}".replace(",", _THIN)
+
+
+def label_text(effect: str, places: Sequence[str]) -> str:
+    """``backlash@joint1``, ``backlash at joints 1, 2``, or the effect alone."""
+    return f"{effect} at {places_text(places)}" if len(places) > 1 else "@".join([effect, *places])
+
+
+def places_text(places: Sequence[str]) -> str:
+    """``joints 1, 3–6``, or each with its own name."""
+    kind = places[0].rstrip("0123456789") if places else ""
+    numbers = [place.removeprefix(kind) for place in places]
+    if len(places) < 2 or not all(number.isdigit() for number in numbers):
+        return ", ".join(places)
+    runs: list[list[int]] = []
+    for number in sorted(map(int, numbers)):
+        if runs and runs[-1][-1] == number - 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    spans = [f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
+    return f"{kind}s {', '.join(spans)}"

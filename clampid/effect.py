@@ -1,6 +1,6 @@
 """What a physical effect is: parameters, the signals it needs, and the deviation it causes at a station of the chain.
 
-An effect is *location × covariate function*. Its file states the function; the chain (:mod:`clampid.chain`) knows
+An effect is *location × covariate function*. Its file states the function; the chain (:mod:`clampid.chain.chain`) knows
 what a deviation at each location does to the measurement. Zero amplitudes mean that the effect is absent.
 """
 
@@ -252,11 +252,12 @@ class Effect:
         Whether it is there to hold the arm's weight: at a joint that bears none, such as an upright one, there is none.
     sized_by
         Its shape parameter that is the size of all its amplitudes, which are counted in it and have a prior of one.
-        Where nobody gives it, the rows do (:mod:`clampid.evidence`); a fit holds it.
+        Where nobody gives it, the rows do (:mod:`clampid.evidence.of_size`); a fit holds it.
     aligns
         An effect with a curve of each joint's own, of which this one says that they are one curve, turned and mirrored.
-        From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.alignment`), and takes
-        its place where they are one. Diagnosis tests for it there, and does not look for it among the candidates.
+        From nothing it has no start: it begins with that effect's curves, aligned (:mod:`clampid.evidence.alignment`),
+        and takes its place where they are one. Diagnosis tests for it there, and does not look for it among the
+        candidates.
     event
         Its shape parameter that says when, in ``sweep_progress``, of an effect that happens once. It shows in the sweep
         in which it happens, and like the posture at which that was clamped its amplitudes are that sweep's own: no
@@ -265,7 +266,7 @@ class Effect:
         What standard errors of its parameters leave out, for people.
     known_within
         Of an empirical form per joint or link: the signal inside whose measured range alone the form is known, so that
-        its stated uncertainty grows beyond (:mod:`clampid.ranges`). None of a law.
+        its stated uncertainty grows beyond (:mod:`clampid.models.ranges`). None of a law.
     without
         A recorded signal that tells the same better: diagnosis looks for it only at places that have none of it.
     revealed_by

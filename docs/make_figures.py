@@ -13,8 +13,8 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-from clampid.demo import demo
 from clampid.display import error_text
+from clampid.loop.demo import demo
 
 IMAGES = Path(__file__).parent / "images"
 SEED = 1

@@ -16,10 +16,10 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from clampid.catalogue import catalogue
-from clampid.curves import angle_errors, shared_curve
-from clampid.identify import identify
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.curves import angle_errors, shared_curve
+from clampid.models.model import Model
 from clampid.report.angle_curves import points_on
 from clampid.report.stage_data import stage_data
 from experiments.campaign import Campaign, read_campaign

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from clampid.ranges import Beyond
+from clampid.models.ranges import Beyond
 from offline_ik.uncertainty import Uncertainty
 
 __all__ = ["Answer", "Solution"]

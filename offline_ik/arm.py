@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.catalogue import with_user_effects
-from clampid.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
-from clampid.described import robot_of
+from clampid.chain.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
 from clampid.effect import Effect
-from clampid.model import Model, ModelError, StageModel
-from clampid.ranges import Ranges
+from clampid.models.described import robot_of
+from clampid.models.model import Model, ModelError, StageModel
+from clampid.models.ranges import Ranges
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION

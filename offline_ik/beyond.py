@@ -1,4 +1,4 @@
-"""Where a command asks the identified arm for what its model was not identified on: see :mod:`clampid.ranges`.
+"""Where a command asks the identified arm for what its model was not identified on: see :mod:`clampid.models.ranges`.
 
 Angles and the torques of the weight are a matter of each posture: one small kernel has them and says whether any is
 beyond. Temperatures and the tool's mass are the same for all postures.
@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.ranges import QUANTITIES, Beyond, Ranges, doubt, empirical, place_of, reads_temperature
+from clampid.models.ranges import QUANTITIES, Beyond, Ranges, doubt, empirical, place_of, reads_temperature
 from offline_ik.arm import REFERENCE_TEMPERATURE, IdentifiedArm
 from offline_ik.kernel import Kernel
 from offline_ik.loads_sx import Loads

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from clampid.described import robot_of
-from clampid.model import Model, load_model
-from clampid.ranges import Beyond
+from clampid.models.described import robot_of
+from clampid.models.model import Model, load_model
+from clampid.models.ranges import Beyond
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 from offline_ik.answer import Answer, Solution

@@ -1,7 +1,7 @@
 """One casadi function of one row, for single rows and for whole blocks of them.
 
-It runs compiled (see :mod:`clampid.compiled`), eight rows at once where they come in blocks, or, without a compiler, in
-casadi's own machine.
+It runs compiled (see :mod:`clampid.chain.compiled`), eight rows at once where they come in blocks, or, without a
+compiler, in casadi's own machine.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.compiled import Blocks, compile_function, compile_rows
-from clampid.lanes import Lanes
+from clampid.chain.compiled import Blocks, compile_function, compile_rows
+from clampid.chain.lanes import Lanes
 
 __all__ = ["Kernel"]
 

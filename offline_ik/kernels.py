@@ -1,7 +1,7 @@
 """The compiled functions that inverse kinematics is made of: all branches at once, and one calibrated solution.
 
-Each is one casadi function of one row, so that the same source runs compiled (see :mod:`clampid.compiled`), over whole
-blocks of rows, or, without a compiler, in casadi's own machine.
+Each is one casadi function of one row, so that the same source runs compiled (see :mod:`clampid.chain.compiled`), over
+whole blocks of rows, or, without a compiler, in casadi's own machine.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Radial is along the line from the sample, tangential along the sphere. With the parameters' covariance S and the
 derivative J of the detector's pose by them, cov = J S J'. A joint whose direction of approach is not known may stand on
 either side of its gap and friction: that adds (d/2)(d/2)' with d from one side to the other. Beyond what the model was
-identified on, :mod:`clampid.ranges` says what empirical effects add.
+identified on, :mod:`clampid.models.ranges` says what empirical effects add.
 """
 
 from __future__ import annotations

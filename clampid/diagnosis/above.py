@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from clampid.diagnosis.look import ABLE
-from clampid.diagnosis.score import Scored
 from clampid.effect import Effect
+from clampid.evidence.score import Scored
 from clampid.stages.rows import Rows
 
 __all__ = ["ABOVE", "OneSided", "above_floor", "one_sided", "one_sided_words", "unseen_by_probes"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.diagnosis.score import Scored
+from clampid.evidence.score import Scored
 from clampid.fitting.descent import newton_step
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from clampid.diagnosis.candidates import Candidate
-from clampid.diagnosis.columns import Sums
 from clampid.diagnosis.probes import probes
-from clampid.diagnosis.score import Scored, Space, explained_by
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.columns import Sums
+from clampid.evidence.score import Scored, Space, explained_by
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.stages.pose_rows import join_rows

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.look import CONFUSABLE, RATE, Look
-from clampid.diagnosis.score import Flips, Scored, canonical
 from clampid.effect import Effect
+from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term, find_parameter
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clampid.diagnosis.candidates import Candidate, columns_of, named_candidates
 from clampid.diagnosis.drift import blocks_of_visits
-from clampid.diagnosis.events import event_scores
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
-from clampid.diagnosis.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.effect import Effect
+from clampid.evidence.candidates import Candidate, columns_of, named_candidates
+from clampid.evidence.events import event_scores
+from clampid.evidence.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.fitting.solve import Estimate
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers, Rows

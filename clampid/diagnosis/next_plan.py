@@ -7,13 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import STATES, NextPlan
 from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
-from clampid.diagnosis.score import Scored
 from clampid.diagnosis.testability import noncentrality
 from clampid.effect import Effect, EffectError, Stage
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.experiment import parameter_of

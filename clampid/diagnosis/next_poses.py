@@ -10,11 +10,11 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.next_measurement import SAME, STATES, TEMPERATURES, NextPlan, NextPoses
 from clampid.diagnosis.pools import Pool, cell_of
 from clampid.diagnosis.propose import propose_parting
-from clampid.diagnosis.score import Scored
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene

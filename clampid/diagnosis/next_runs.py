@@ -12,12 +12,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.next_measurement import TEMPERATURES
 from clampid.diagnosis.pools import Pool, cell_of, joined, told_by
 from clampid.effect import Effect
+from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
-from clampid.identify import has_inertia
+from clampid.identification.identify import has_inertia
 from clampid.planning.logs import TorqueNoise, planned_log, planned_rows
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene

@@ -9,9 +9,9 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.next_measurement import TEMPERATURES
 from clampid.diagnosis.pools import Pool, cell_of, joined, told_by
+from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
 from clampid.planning.clamping import (
     PAUSE_S,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clampid.diagnosis.candidates import Candidate
+from clampid.evidence.candidates import Candidate
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot

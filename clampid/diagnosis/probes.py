@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.diagnosis.candidates import Candidate
-from clampid.diagnosis.columns import Columns, Products, channel_starts, columns_from
-from clampid.evidence import SIZES
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.columns import Columns, Products, channel_starts, columns_from
+from clampid.evidence.of_size import SIZES
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.stages import poses

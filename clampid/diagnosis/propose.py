@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, Gain, NextPlan
 from clampid.diagnosis.parting import Showing, part, show
 from clampid.diagnosis.pools import Pool, seen_of
-from clampid.diagnosis.score import Scored
 from clampid.effect import Parameter
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 
 __all__ = ["PoolOf", "Weak", "propose_parting", "propose_testing"]

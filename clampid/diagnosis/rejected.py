@@ -7,7 +7,7 @@ from typing import Any
 
 from clampid.diagnosis.entries import considered_of
 from clampid.diagnosis.look import ABLE, RATE, Look
-from clampid.diagnosis.score import Scored
+from clampid.evidence.score import Scored
 
 __all__ = ["evidence_of"]
 

@@ -10,7 +10,7 @@ from clampid.diagnosis.above import OneSided
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan, NextPoses
 from clampid.effect import Stage
-from clampid.fitted_stage import FittedStage
+from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 
 __all__ = ["StageDiagnosis", "Step", "Verdict"]

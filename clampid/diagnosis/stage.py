@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import noise_floor
 from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
 from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.drift import drift_of
@@ -23,15 +22,16 @@ from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import StageDiagnosis, Step
-from clampid.diagnosis.score import Scored
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Refit, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
-from clampid.fitted_stage import FittedStage
+from clampid.evidence.score import Scored
+from clampid.fitting.accuracy import noise_floor
 from clampid.fitting.solve import Estimate
+from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.rows import Rows
 

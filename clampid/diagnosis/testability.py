@@ -9,8 +9,8 @@ import numpy as np
 from scipy import optimize, stats
 
 from clampid.diagnosis.look import IMPOSSIBLE, RATE
-from clampid.diagnosis.score import Flips, Scored, log_tail
 from clampid.effect import Effect
+from clampid.evidence.score import Flips, Scored, log_tail
 from clampid.stages.experiment import parameter_of
 from kinematics.robot import RobotDescription
 

@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from clampid.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.diagnosis.alongside import alongside
-from clampid.diagnosis.candidates import Candidate
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of, variants_of
-from clampid.diagnosis.score import Scored, canonical
 from clampid.effect import Effect
-from clampid.fitted_stage import FittedStage
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.score import Scored, canonical
+from clampid.fitting.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
+from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
 from clampid.stages.rows import Array, Rows
 

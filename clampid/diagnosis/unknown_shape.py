@@ -21,12 +21,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from clampid.dependence import Dependence, Variable, dependence
-from clampid.diagnosis.candidates import Candidate, named_candidates
-from clampid.diagnosis.columns import Columns
-from clampid.diagnosis.score import Scored, Space, score
+from clampid.diagnosis.dependence import Dependence, Variable, dependence
+from clampid.diagnosis.effect_new import effect_module, effect_text
 from clampid.effect import EffectError
-from clampid.effect_new import effect_module, effect_text
+from clampid.evidence.candidates import Candidate, named_candidates
+from clampid.evidence.columns import Columns
+from clampid.evidence.score import Scored, Space, score
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Rows
 

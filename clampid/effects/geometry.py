@@ -2,7 +2,7 @@
 
 Each link carries a small motion of its far end, which moves the screws of all joints after it; base, flange and
 targets belong to a session of measurement and have their own for each. Which of all these can be told apart follows
-from the robot, not from names: see :mod:`clampid.gauge`.
+from the robot, not from names: see :mod:`clampid.fitting.gauge`.
 """
 
 from __future__ import annotations

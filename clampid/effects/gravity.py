@@ -1,7 +1,7 @@
 """Masses and centres of mass of the links, other than described.
 
-How far they may be from the description is its tolerance (clampid.priors); that alone tells the last link's mass from a
-tool other than declared, whose torques are the same: see payload.
+How far they may be from the description is its tolerance (clampid.fitting.priors); that alone tells the last link's
+mass from a tool other than declared, whose torques are the same: see payload.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.fitting.descent import inverse_of
+from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import Estimate, whitened_columns
-from clampid.priors import description_priors
 
 __all__ = ["with_unknown_masses"]
 

@@ -1,6 +1,6 @@
 """Choosing measurements: what each candidate would tell about the asked parameters, and which to take."""
 
-from clampid.observability import observability
+from clampid.fitting.observability import observability
 from clampid.planning.choose import choose, exchange, greedy, log_det
 from clampid.planning.expected import predicted_covariance
 

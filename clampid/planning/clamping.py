@@ -16,7 +16,6 @@ import pandas as pd
 from scipy import linalg
 
 from clampid.catalogue import catalogue
-from clampid.layout import layout_of
 from clampid.planning.bench import imagined
 from clampid.planning.choose import factor, greedy, log_det
 from clampid.planning.expected import expected_of, prior_precision
@@ -26,6 +25,7 @@ from clampid.planning.scene import Scene
 from clampid.slots import parse_term, slots_of_terms
 from clampid.stages.clamped import GAP_SOFTNESS, clamped_rows
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError

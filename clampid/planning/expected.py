@@ -6,10 +6,10 @@ import numpy as np
 from scipy import linalg
 
 from clampid.fitting.noise import Noise, Whitened
+from clampid.fitting.nulls import null_directions
+from clampid.fitting.observability import observability
+from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import Estimate
-from clampid.nulls import null_directions
-from clampid.observability import observability
-from clampid.priors import description_priors
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
 from experiments.plans.model import Expected, ExpectedParameter

@@ -15,11 +15,11 @@ import pandas as pd
 from scipy import linalg
 
 from clampid.effect import Effect
-from clampid.layout import coupled_joints, layout_of
 from clampid.planning.bench import imagined
 from clampid.slots import Slot, parse_term, slots_of_terms
 from clampid.stages.counting import counting, negligible
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import coupled_joints, layout_of
 from clampid.stages.log_facts import CLEAR_MOTION
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.torques import torque_rows

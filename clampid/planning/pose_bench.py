@@ -8,12 +8,12 @@ import numpy as np
 import pandas as pd
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import active_slots
-from clampid.identify import resolve_terms
-from clampid.layout import layout_of
+from clampid.identification.fitted_stage import active_slots
+from clampid.identification.identify import resolve_terms
 from clampid.planning.bench import imagined
 from clampid.planning.expected import prior_precision
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
 from experiments.plans.errors import PlanError

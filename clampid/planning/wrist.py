@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.catalogue import catalogue
-from clampid.layout import coupled_joints
 from clampid.planning.choose import factor, greedy
 from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
 from clampid.planning.program import check_program, finished_program, wishes
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
+from clampid.stages.layout import coupled_joints
 from clampid.stages.rows import Array
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError

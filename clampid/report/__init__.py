@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clampid.model import Model, write_text
+from clampid.models.model import Model, write_text
 from clampid.report.page import page
 from experiments.campaign import Campaign
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from clampid.curves import AngleErrors, SharedCurve, angle_errors, shared_curve
 from clampid.display import Scale, with_std
 from clampid.effect import Effect
-from clampid.model import Model
+from clampid.models.curves import AngleErrors, SharedCurve, angle_errors, shared_curve
+from clampid.models.model import Model
 from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout

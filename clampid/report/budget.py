@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.accuracy import predicted
+from clampid.fitting.accuracy import predicted
 from clampid.report.stage_data import StageData
 from clampid.report.style import thin
 from clampid.slots import Slot, find_parameter

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from clampid.display import Scale, fixed, with_std
-from clampid.model import Model
+from clampid.models.model import Model
 from clampid.report.style import Section, Table, as_table
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
@@ -24,7 +24,7 @@ def dh_section(model: Model, robot: RobotDescription) -> Section | None:
     if "poses" not in model.stages:
         return None
     try:
-        export = importlib.import_module("clampid.export")
+        export = importlib.import_module("clampid.exports.export")
     except ModuleNotFoundError:
         return None
     blocks: list[Table] = []

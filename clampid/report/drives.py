@@ -10,8 +10,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from clampid.display import Scale, number, with_std
-from clampid.drives import Drives, drives_of
 from clampid.fitting.solve import clamping_offsets
+from clampid.models.drives import Drives, drives_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout, thin
 from clampid.stages.clamped import fixture_motion

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from clampid.diagnosis.limits import limit_rows, not_testable
 from clampid.display import scale_for, with_std
 from clampid.report.style import Table, as_table
-from clampid.verbs.limits import limit_rows, not_testable
 
 __all__ = ["detection_limits", "exported", "shifted"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from clampid.display import Scale, with_error, with_std
-from clampid.drives import Drives, drives_of
+from clampid.models.drives import Drives, drives_of
 from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import BLUE, GREEN, GREY, INK, ORANGE, Figure

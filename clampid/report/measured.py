@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.display import count_text, number
-from clampid.model import Model
+from clampid.models.model import Model
 from clampid.report.style import Section, as_table
 from experiments.campaign import Campaign
 

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from clampid.display import number
 from clampid.effect import Effect
-from clampid.model import Model
+from clampid.models.model import Model
 from clampid.report.style import Section, as_table
 from experiments.campaign import Campaign
 from kinematics.sources import load_sources

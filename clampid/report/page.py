@@ -12,8 +12,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model
 from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section

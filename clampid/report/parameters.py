@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from clampid.correlations import SHOWN, STRONG, correlations
 from clampid.display import Scale, fixed, number, scale_for, with_std
 from clampid.effect import Effect
-from clampid.model import Model, StageModel
-from clampid.observability import index_words
+from clampid.fitting.observability import index_words
+from clampid.models.correlations import SHOWN, STRONG, correlations
+from clampid.models.model import Model, StageModel
 from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
 from clampid.slots import find_parameter, on_bound

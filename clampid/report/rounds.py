@@ -10,7 +10,7 @@ from plotly.subplots import make_subplots
 
 from clampid.display import error_text
 from clampid.effect import Stage
-from clampid.model import Model, Round
+from clampid.models.model import Model, Round
 from clampid.report.spread import Spread, spread_table
 from clampid.report.stage_data import StageData, in_order, stage_title
 from clampid.report.style import BLUE, GREEN, GREY, ORANGE, Figure, Section, as_table, axes, layout

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clampid.accuracy import size_of
 from clampid.display import error_text, ranged_text
 from clampid.effect import Stage
+from clampid.fitting.accuracy import size_of
 from clampid.fitting.fit import without_outlying
 from clampid.report.stage_data import StageData, stage_title
 from clampid.report.style import Table, as_table

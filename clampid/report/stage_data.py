@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from clampid.accuracy import Floor, noise_floor, predicted
 from clampid.effect import Stage
-from clampid.identify import TABLES_OF, stage_rows
-from clampid.model import StageModel
-from clampid.reopen import Reopened
+from clampid.fitting.accuracy import Floor, noise_floor, predicted
+from clampid.identification.identify import TABLES_OF, stage_rows
+from clampid.identification.reopen import Reopened
+from clampid.models.model import StageModel
 from clampid.stages.experiment import Experiment
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Array, Bools, Rows

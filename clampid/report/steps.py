@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clampid.display import error_text, number
-from clampid.model import Model, Round
+from clampid.models.model import Model, Round
 from clampid.report.evidence import confusable_text, filled_table, p_text, places_text
 from clampid.report.rounds import rounds_of, unit_of
 from clampid.report.stage_data import in_order, stage_title

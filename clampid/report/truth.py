@@ -9,7 +9,7 @@ from typing import Any
 
 from clampid.display import readable, with_error
 from clampid.effect import Effect
-from clampid.model import Model
+from clampid.models.model import Model
 from clampid.report.style import Section, as_table
 from clampid.report.verdict import truth_section
 from clampid.slots import Slot, find_parameter

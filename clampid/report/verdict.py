@@ -7,7 +7,7 @@ from typing import Any
 
 from clampid.display import error_text
 from clampid.effect import Stage
-from clampid.model import Model, Round
+from clampid.models.model import Model, Round
 from clampid.report.evidence import comparison_table, evidence, parameters_text
 from clampid.report.placing import placing_tables
 from clampid.report.rounds import rounds_of, unit_of

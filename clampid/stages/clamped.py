@@ -21,7 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clampid.chain import Chain, Deviations
+from clampid.chain.chain import Chain, Deviations
 from clampid.slots import Layout
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from clampid.stages.temperatures import temperatures

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from clampid.chain import Chain, build_chain
+from clampid.chain.chain import Chain, build_chain
 from clampid.effect import WEAK, Effect, Parameter, Stage
 from clampid.slots import Slot, find_parameter
 from clampid.stages import clamped, poses, torques
@@ -75,7 +75,7 @@ class Experiment:
         return replace(self, rows=rows)
 
     def leaning(self, lean: Array | None) -> Experiment:
-        """The same on a robot that leans: see :attr:`clampid.chain.Chain.lean`."""
+        """The same on a robot that leans: see :attr:`clampid.chain.chain.Chain.lean`."""
         return replace(self, chain=replace(self.chain, lean=lean))
 
     def with_flanks(self, theta: Array) -> Experiment:
@@ -214,7 +214,7 @@ def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescript
 def experiment(
     rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot], lean: Array | None = None
 ) -> Experiment:
-    """An experiment with the given slots active, on a robot that leans: see :attr:`clampid.chain.Chain.lean`.
+    """An experiment with the given slots active, on a robot that leans: see :attr:`clampid.chain.chain.Chain.lean`.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from clampid.chain import Chain
+from clampid.chain.chain import Chain
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
 from clampid.stages.prewhitening import REACH, Grouping, Whitener

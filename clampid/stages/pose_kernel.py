@@ -11,8 +11,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from clampid.compiled import Blocks, compile_rows
-from clampid.lanes import Lanes
+from clampid.chain.compiled import Blocks, compile_rows
+from clampid.chain.lanes import Lanes
 from clampid.stages.rows import Array
 from kinematics.symbolic import cayley_left_jacobian_sx, cayley_sx, exponential_sx, hat_sx
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.chain import Chain, Deviations
+from clampid.chain.chain import Chain, Deviations
 from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3

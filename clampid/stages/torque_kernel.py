@@ -14,9 +14,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from clampid.chain import Chain
-from clampid.compiled import Blocks, compile_rows
-from clampid.lanes import Lanes
+from clampid.chain.chain import Chain
+from clampid.chain.compiled import Blocks, compile_rows
+from clampid.chain.lanes import Lanes
 from clampid.stages.loads import flange_to_base
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign

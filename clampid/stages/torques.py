@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clampid.chain import Chain
+from clampid.chain.chain import Chain
 from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.loads import described_weight, gravity_signals, inertial_signals, weight_rate

@@ -31,8 +31,8 @@ def add(
     output_file(output)
     terms = split_terms(effects)
 
-    from clampid.add import add as add_effects
-    from clampid.model import load_model, save_model
+    from clampid.loop.add import add as add_effects
+    from clampid.models.model import load_model, save_model
     from clampid.verbs.findings import show_addition
 
     loaded = load_model(model)

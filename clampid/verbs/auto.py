@@ -14,7 +14,7 @@ from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
-    from clampid.model import Model
+    from clampid.models.model import Model
     from experiments.campaign import Campaign
 
 __all__ = ["auto"]
@@ -44,10 +44,10 @@ def auto(
         output_file(report)
     chosen = split_effects(effects)
 
-    from clampid.auto import mend
     from clampid.catalogue import with_user_effects
-    from clampid.identify import identify
-    from clampid.model import save_model
+    from clampid.identification.identify import identify
+    from clampid.loop.auto import mend
+    from clampid.models.model import save_model
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.rejected import rejected_words
     from clampid.verbs.show import model_json, show_model
@@ -80,7 +80,7 @@ def _write_report(
     out: Output,
 ) -> None:
     """The mended model against one of its campaigns, and the way there from the start model."""
-    from clampid.compare import compare
+    from clampid.comparison.compare import compare
     from clampid.report import write_report
 
     with out.working("comparing and writing the report"):

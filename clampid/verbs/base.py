@@ -15,8 +15,8 @@ from clampid.verbs.options import EffectsFrom, Json, Quiet
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
-    from clampid.base_frame import BaseFrame
-    from clampid.model import Model
+    from clampid.base_frames.base_frame import BaseFrame
+    from clampid.models.model import Model
     from clampid.stages.rows import Array
 
 __all__ = ["base"]
@@ -49,8 +49,8 @@ def base(
     if rigid and model is not None:
         raise CallError("--rigid corrects nothing: expected no --model beside it")
 
-    from clampid.base_frame import base_from_circles
-    from clampid.model import load_model
+    from clampid.base_frames.base_frame import base_from_circles
+    from clampid.models.model import load_model
 
     loaded = None if model is None else load_model(model)
     if campaign.suffix == ".toml" and not campaign.is_dir():
@@ -65,7 +65,7 @@ def base(
 
 
 def _touched(path: Path, model: Model | None, rigid: bool, effects_from: Path | None, out: Output) -> None:
-    from clampid.touched_base import base_from_touches
+    from clampid.base_frames.touched_base import base_from_touches
     from experiments.touched import read_touched
 
     with out.working("reading"):

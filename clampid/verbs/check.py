@@ -27,7 +27,7 @@ def check(
 ) -> None:
     """Read and validate a campaign folder; say what it holds and what can be identified from it."""
     from clampid.catalogue import catalogue
-    from clampid.identify import TABLES_OF, stages_of, standard_effects
+    from clampid.identification.identify import TABLES_OF, stages_of, standard_effects
     from experiments.campaign import CampaignError, read_campaign
     from experiments.check import check_campaign, holdings
     from experiments.long_log import LONG_ROWS
@@ -72,10 +72,10 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
     """Metrics of the robot as its controller has it, of each table of poses."""
     import numpy as np
 
-    from clampid.attained import as_sent
-    from clampid.attained import iso9283 as metrics_of
     from clampid.catalogue import catalogue
-    from clampid.layout import layout_of
+    from clampid.comparison.attained import as_sent
+    from clampid.comparison.attained import iso9283 as metrics_of
+    from clampid.stages.layout import layout_of
     from clampid.stages.pose_rows import pose_rows
     from clampid.verbs.errors import CallError
     from clampid.verbs.placing import show_iso9283

@@ -48,8 +48,8 @@ def compare(
     if report is not None:
         output_file(report)
 
-    from clampid.compare import compare as hold_against
-    from clampid.model import load_model
+    from clampid.comparison.compare import compare as hold_against
+    from clampid.models.model import load_model
     from clampid.verbs.findings import show_comparison
 
     loaded = load_model(model)
@@ -68,7 +68,7 @@ def compare(
     data = {**comparison.to_json(), "model": str(model), "campaign": str(campaign)}
     show_comparison(data, out)
     if report is not None:
-        from clampid.diagnose import diagnose
+        from clampid.diagnosis.diagnose import diagnose
         from clampid.report import write_report
 
         with out.working("diagnosing and writing the report"):

@@ -25,7 +25,7 @@ def demo(
     if out.exists() and not out.is_dir():
         raise CallError(f"{out}: expected a folder, found a file")
 
-    from clampid.demo import demo as run_demo
+    from clampid.loop.demo import demo as run_demo
 
     result = run_demo(out, seed, say=output.say, working=output.working)
     output.result(result.to_json())

@@ -14,7 +14,7 @@ from clampid.verbs.output import Output, output_file
 from clampid.verbs.plan_options import names_of
 
 if TYPE_CHECKING:
-    from clampid.diagnose import Diagnosis
+    from clampid.diagnosis.diagnose import Diagnosis
 
 __all__ = ["diagnose"]
 
@@ -48,8 +48,8 @@ def diagnose(
     """Say where a model fails, and which effect is missing."""
     out = Output(quiet, json)
 
-    from clampid.diagnose import diagnose as look_for_missing
-    from clampid.model import load_model
+    from clampid.diagnosis.diagnose import diagnose as look_for_missing
+    from clampid.models.model import load_model
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.next_step import next_steps
 

@@ -48,7 +48,7 @@ def new(
     if output is not None:
         output_file(output)
 
-    from clampid.effect_new import effect_new
+    from clampid.diagnosis.effect_new import effect_new
 
     variables = [part.strip() for part in depends_on.split(",")]
     path = effect_new(name, variables, at, stage=cast("Stage | None", stage), orders=orders, path=output)

@@ -18,7 +18,7 @@ _WRONG_INPUT = (
     ("kinematics.dh_conversion", "DHError"),
     ("kinematics.kuka", "MachineDataError"),
     ("clampid.effect", "EffectError"),
-    ("clampid.model", "ModelError"),
+    ("clampid.models.model", "ModelError"),
     ("clampid.fitting.solve", "FitError"),
 )
 _WRONG_PLACE = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)

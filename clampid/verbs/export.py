@@ -14,7 +14,7 @@ from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
-    from clampid.export import Exported
+    from clampid.exports.export import Exported
     from experiments.campaign import Campaign
     from kinematics.robot import RobotDescription
 
@@ -61,10 +61,10 @@ def dh(
     out = Output(quiet, json)
     _writable(output)
 
-    from clampid.described import robot_of
-    from clampid.dh_layout import thesis_layout
-    from clampid.export import dh_export
-    from clampid.model import load_model
+    from clampid.exports.dh_layout import thesis_layout
+    from clampid.exports.export import dh_export
+    from clampid.models.described import robot_of
+    from clampid.models.model import load_model
 
     loaded = load_model(model)
     nominal = robot_of(loaded, _robot(robot))
@@ -96,8 +96,8 @@ def angles(
     out = Output(quiet)
     _writable(output)
 
-    from clampid.export import angle_table, table_text
-    from clampid.model import load_model
+    from clampid.exports.export import angle_table, table_text
+    from clampid.models.model import load_model
 
     text = table_text(angle_table(load_model(model), robot=_robot(robot), effects_from=effects_from))
     if not _written(text, output):
@@ -121,8 +121,8 @@ def urdf(
     out = Output(quiet, json)
     _writable(output)
 
-    from clampid.export import urdf_export
-    from clampid.model import load_model
+    from clampid.exports.export import urdf_export
+    from clampid.models.model import load_model
 
     found = urdf_export(
         load_model(model),
@@ -156,8 +156,8 @@ def kuka(
     out = Output(quiet)
     _writable(output)
 
-    from clampid.kuka_export import kuka_machine_data
-    from clampid.model import load_model
+    from clampid.exports.kuka_export import kuka_machine_data
+    from clampid.models.model import load_model
 
     found = kuka_machine_data(
         load_model(model),
@@ -203,8 +203,8 @@ def dynamics(
 
     import json
 
-    from clampid.dynamics_export import dynamics as identified
-    from clampid.model import load_model
+    from clampid.exports.dynamics_export import dynamics as identified
+    from clampid.models.model import load_model
     from experiments.campaign import read_campaign
 
     log = None if campaign is None else read_campaign(campaign)
@@ -272,7 +272,7 @@ def _robot(path: Path | None) -> RobotDescription | None:
 
 def _written(text: str, path: Path | None) -> bool:
     """Write to a file, or to stdout where there is none, where nothing else is to be said."""
-    from clampid.model import write_text
+    from clampid.models.model import write_text
 
     if path is None:
         sys.stdout.write(text)

@@ -166,7 +166,7 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
         _show_caveats(part["added"], out)
         if part.get("exported_shift"):
-            from clampid.omission import shift_in_words
+            from clampid.diagnosis.omission import shift_in_words
 
             out.say(shift_in_words(part["exported_shift"]))
 

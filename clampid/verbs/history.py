@@ -11,7 +11,7 @@ __all__ = ["history"]
 def history(model: ModelFile, effects_from: EffectsFrom = None, json: Json = None, quiet: Quiet = False) -> None:
     """Show each round's effects, evidence and error."""
     from clampid.catalogue import with_user_effects
-    from clampid.model import load_model
+    from clampid.models.model import load_model
     from clampid.verbs.show import show_rounds, stage_unit
 
     out = Output(quiet, json)

@@ -47,9 +47,9 @@ def identify(
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects
-    from clampid.drives import clamped_drives
-    from clampid.identify import identify as fit_model
-    from clampid.model import save_model
+    from clampid.identification.identify import identify as fit_model
+    from clampid.models.drives import clamped_drives
+    from clampid.models.model import save_model
     from clampid.verbs.rejected import rejected_words
     from clampid.verbs.show import model_json, show_drives, show_model
     from experiments.long_log import LONG_ROWS

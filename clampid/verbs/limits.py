@@ -5,24 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.display import readable, span
+from clampid.diagnosis.limits import limit_rows, not_testable
+from clampid.display import label_text, places_text, readable, span
 from clampid.verbs.output import Output
-from clampid.verbs.show import label_text, places_text
 
-__all__ = ["limit_rows", "not_testable", "show_limits", "show_plan"]
+__all__ = ["show_limits", "show_plan"]
 
 Json = Mapping[str, Any]
 MOST = 8
-WHY = {
-    "absent": "does nothing in these rows",
-    "absorbed": "the model takes it up",
-    "weak": "the model takes nearly all of it up",
-    "insensitive": "only a size that cannot be would show",
-    "implausible": "only a size or sign that cannot be would show",
-    "testable": "",
-}
-"""States, the more that rows can tell the later, and what is said of them."""
-_RANK = {state: rank for rank, state in enumerate(WHY)}
 
 
 def show_limits(testability: Sequence[Json], out: Output) -> None:
@@ -37,47 +27,6 @@ def show_limits(testability: Sequence[Json], out: Output) -> None:
     if groups:
         listed = "; ".join(f"{', '.join(names)} ({why})" for why, names in groups.items())
         out.say(f"  not testable here: {listed}")
-
-
-def limit_rows(testability: Sequence[Json]) -> list[tuple[str, str, str]]:
-    """Effect with its parameter, places, and limits there; first what is seen at the smallest part of a usual size.
-
-    Of an effect with several parameters the one that is seen best.
-    """
-    best: dict[tuple[str, str, str], dict[str, tuple[float, float]]] = {}
-    for entry in testability:
-        for limit in entry["limits"]:
-            if entry["state"] != "testable" or limit["limit"] is None:
-                continue
-            label, _, place = limit["name"].partition("@")
-            places = best.setdefault((entry["name"], label, limit["unit"]), {})
-            found = (float(limit["limit"]), float(limit["limit"]) / limit["size"])
-            places[place] = min(found, places.get(place, found))
-    shown: dict[str, tuple[float, tuple[str, str, str]]] = {}
-    for (name, label, unit), places in best.items():
-        sizes = [value for value, _ in places.values()]
-        share = min(share for _, share in places.values())
-        row = (label, places_text([p for p in places if p]), span(min(sizes), max(sizes), unit))
-        shown[name] = min((share, row), shown.get(name, (share, row)))
-    return [row for _, row in sorted(shown.values())]
-
-
-def not_testable(testability: Sequence[Json]) -> dict[str, list[str]]:
-    """Why → effects that these rows cannot test, with the joints or links where that is so."""
-    states: dict[str, dict[str, str]] = {}
-    for entry in testability:
-        places = states.setdefault(entry["name"], {})
-        for limit in entry["limits"] or ({"name": entry["name"], "limit": None},):
-            known = entry["state"] != "testable" or limit["limit"] is not None
-            state = str(entry["state"]) if known else "insensitive"
-            place = limit["name"].partition("@")[2]
-            places[place] = max(state, places.get(place, state), key=lambda s: _RANK[s])
-    groups: dict[str, dict[str, list[str]]] = {state: {} for state in WHY if state != "testable"}
-    for name, places in states.items():
-        for place, state in places.items():
-            if state != "testable":
-                groups[state].setdefault(name, []).extend([place] if place[-1:].isdigit() else [])
-    return {WHY[s]: [label_text(name, at) for name, at in found.items()] for s, found in groups.items() if found}
 
 
 def show_plan(plan: Json, out: Output) -> None:

@@ -101,7 +101,7 @@ class Output:
             sys.stdout.write(text)
             sys.stdout.flush()
         else:
-            from clampid.model import write_text
+            from clampid.models.model import write_text
 
             write_text(self.json, text)
 

@@ -291,7 +291,7 @@ def _finish(made: Plan, output: Path, out: Output, what: str, **more: Any) -> No
 
 def _tell(expected: Expected, out: Output) -> None:
     """What a plan will tell, for people."""
-    from clampid.observability import index_words
+    from clampid.fitting.observability import index_words
 
     out.say(index_words(expected.indices))
     out.table(

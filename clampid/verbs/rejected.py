@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from clampid.accuracy import predicted
 from clampid.display import error_text
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.fitting.accuracy import predicted
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model
 from experiments.campaign import Campaign
 
 __all__ = ["rejected_words"]

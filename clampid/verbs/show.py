@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clampid.display import error_text, quantity, readable
+from clampid.display import error_text, label_text, places_text, quantity, readable
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
-    from clampid.base_names import BaseParameter
-    from clampid.drives import Drives
     from clampid.effect import Effect, Parameter
-    from clampid.model import Model, Round, StageModel
+    from clampid.fitting.base_names import BaseParameter
+    from clampid.models.drives import Drives
+    from clampid.models.model import Model, Round, StageModel
     from kinematics.description import RobotDescription
 
 __all__ = [
@@ -80,7 +80,7 @@ def show_model(
 
     ``rejected``: stage → its outliers in words.
     """
-    from clampid.observability import index_words
+    from clampid.fitting.observability import index_words
 
     columns = ("parameter", "at", "value", "± std", "unit", "")
     for name, stage in model.stages.items():
@@ -128,7 +128,7 @@ def _show_moved(model: Model, out: Output) -> None:
 
 def _show_sessions(name: str, stage: StageModel, effects: Mapping[str, Effect], out: Output) -> None:
     """What differs from session to session of what each has of its own."""
-    from clampid.session_differences import session_differences
+    from clampid.models.session_differences import session_differences
 
     rows = []
     for d in session_differences(stage, effects):
@@ -160,7 +160,7 @@ def _show_unknown(
 
 def _show_correlations(name: str, stage: StageModel, out: Output) -> None:
     """The strongest correlations of identified parameters; nothing where there are none."""
-    from clampid.correlations import SHOWN, STRONG, correlations
+    from clampid.models.correlations import SHOWN, STRONG, correlations
 
     found = correlations(stage)
     if not found:
@@ -287,27 +287,6 @@ def terms_text(labels: Iterable[str]) -> str:
     return ", ".join(label_text(effect, own) for effect, own in places.items())
 
 
-def label_text(effect: str, places: Sequence[str]) -> str:
-    """``backlash@joint1``, ``backlash at joints 1, 2``, or the effect alone."""
-    return f"{effect} at {places_text(places)}" if len(places) > 1 else "@".join([effect, *places])
-
-
-def places_text(places: Sequence[str]) -> str:
-    """``joints 1, 3–6``, or each with its own name."""
-    kind = places[0].rstrip("0123456789") if places else ""
-    numbers = [place.removeprefix(kind) for place in places]
-    if len(places) < 2 or not all(number.isdigit() for number in numbers):
-        return ", ".join(places)
-    runs: list[list[int]] = []
-    for number in sorted(map(int, numbers)):
-        if runs and runs[-1][-1] == number - 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    spans = [f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs]
-    return f"{kind}s {', '.join(spans)}"
-
-
 def _share(cos2: float) -> str:
     """To two digits, and 1 only where it is aliased."""
     return "1" if cos2 > 0.999 else f"{min(cos2, 0.99):.2f}"
@@ -325,10 +304,10 @@ def _bootstrap_json(stage: StageModel) -> dict[str, Any] | None:
 
 def model_json(model: Model) -> dict[str, Any]:
     """What ``identify`` and ``auto`` tell programs beside the model file."""
-    from clampid.base_names import base_json
     from clampid.catalogue import with_user_effects
-    from clampid.correlations import correlations
-    from clampid.session_differences import session_differences
+    from clampid.fitting.base_names import base_json
+    from clampid.models.correlations import correlations
+    from clampid.models.session_differences import session_differences
 
     stages: dict[str, Any] = {}
     effects = with_user_effects(Path(model.user_effects) if model.user_effects else None)

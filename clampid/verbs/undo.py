@@ -22,8 +22,8 @@ def undo(
     out = Output(quiet, json)
     output_file(output)
 
-    from clampid.model import load_model, save_model
-    from clampid.undo import undo as step_back
+    from clampid.loop.undo import undo as step_back
+    from clampid.models.model import load_model, save_model
     from clampid.verbs.show import show_rounds
 
     loaded = load_model(model)

@@ -13,7 +13,7 @@ from clampid.verbs.options import Json, Quiet, Seed
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
-    from clampid.worked_example import WorkedExample
+    from clampid.loop.worked_example import WorkedExample
 
 __all__ = ["worked_example"]
 
@@ -29,8 +29,8 @@ def worked_example(
     """Measure a robot with the springs that the thesis prints, and work its example out: 183.12 and 183.15 µm."""
     output = Output(quiet, json)
 
+    from clampid.loop.worked_example import worked_example as work_out
     from clampid.verbs.show import show_drives
-    from clampid.worked_example import worked_example as work_out
 
     with tempfile.TemporaryDirectory() as scratch:
         result = work_out(out or Path(scratch) / "campaign", seed, working=output.working)
@@ -49,7 +49,7 @@ def _show_springs(result: WorkedExample, out: Output) -> None:
 
 
 def _show_example(result: WorkedExample, out: Output) -> None:
-    from clampid.worked_example import FRICTION, LEVER
+    from clampid.loop.worked_example import FRICTION, LEVER
 
     rows = []
     for what, printed, (value, std) in (

@@ -7,8 +7,8 @@ import pytest
 from cli_runner import Clampid
 
 from clampid.catalogue import catalogue
-from clampid.demo import DRAWN, terms_to_add
-from clampid.identify import standard_effects
+from clampid.identification.identify import standard_effects
+from clampid.loop.demo import DRAWN, terms_to_add
 from experiments.campaign import read_campaign
 from experiments.virtual_robot import HIDEABLE
 

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.verbs.next_step import next_steps
 from clampid.verbs.rejected import rejected_words
 from experiments.campaign import read_campaign

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from clampid.diagnosis.limits import limit_rows, not_testable
 from clampid.display import span
-from clampid.model import Round
+from clampid.models.model import Round
 from clampid.verbs.findings import show_diagnosis
-from clampid.verbs.limits import limit_rows, not_testable
 from clampid.verbs.output import Output
 from clampid.verbs.show import show_rounds, terms_text
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.effect import Stage
-from clampid.model import Model, Session, StageModel
+from clampid.models.model import Model, Session, StageModel
 from clampid.slots import Layout, Slot, Term
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from clampid.effect import Stage
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
+from clampid.identification.identify import stage_rows
+from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate

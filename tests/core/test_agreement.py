@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from clampid.agreement import agreement_of
-from clampid.compare import compare
-from clampid.identify import identify
-from clampid.model import StageModel
+from clampid.comparison.compare import compare
+from clampid.identification.identify import identify
+from clampid.models.agreement import agreement_of
+from clampid.models.model import StageModel
 from clampid.slots import Slot, Term
 from clampid.verbs.findings import show_comparison
 from clampid.verbs.output import Output

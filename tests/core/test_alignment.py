@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clampid.add import add
-from clampid.alignment import STRONG, Alignment, Curves, align, alignment_of, turned
 from clampid.catalogue import catalogue
-from clampid.chain import build_chain
-from clampid.compare import compare
-from clampid.curves import angle_errors, shared_curve
+from clampid.chain.chain import build_chain
+from clampid.comparison.compare import compare
 from clampid.effect import EffectError
-from clampid.identify import identify
-from clampid.model import Model, load_model, save_model
-from clampid.reopen import reopen
+from clampid.evidence.alignment import STRONG, Alignment, Curves, align, alignment_of, turned
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.loop.add import add
+from clampid.loop.undo import undo
+from clampid.models.curves import angle_errors, shared_curve
+from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Layout, Slot, slots_of
-from clampid.undo import undo
 from experiments.campaign import Campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot

@@ -11,16 +11,16 @@ import pytest
 from scipy import sparse
 
 from clampid.catalogue import catalogue
-from clampid.compare import compare
-from clampid.curves import angle_errors
-from clampid.diagnose import diagnose
-from clampid.diagnosis.columns import Columns, Products, Sums
+from clampid.comparison.compare import compare
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.look import RATE
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
-from clampid.diagnosis.score import flip_maxima, score, space_of
-from clampid.identify import identify
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.evidence.columns import Columns, Products, Sums
+from clampid.evidence.score import flip_maxima, score, space_of
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.curves import angle_errors
+from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.apart import Moved, moved_by_joint_fit
-from clampid.model import StageModel
+from clampid.identification.apart import Moved, moved_by_joint_fit
+from clampid.models.model import StageModel
 from clampid.slots import Slot, Term
 
 SLOTS = tuple(Slot("joint_compliance", "c", f"joint{j + 1}") for j in range(6))

@@ -8,19 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.add import add_steps
-from clampid.auto import auto
 from clampid.catalogue import catalogue
-from clampid.diagnose import Diagnosis, diagnose
 from clampid.diagnosis import testability
+from clampid.diagnosis.diagnose import Diagnosis, diagnose
 from clampid.diagnosis.look import IMPOSSIBLE, RATE, look_at
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
-from clampid.identify import identify
-from clampid.model import Model, load_model, save_model
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.loop.add import add_steps
+from clampid.loop.auto import auto
+from clampid.loop.undo import undo
+from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Term
-from clampid.undo import undo
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

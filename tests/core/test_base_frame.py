@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 from circle_arms import ROBOT, circle_campaign, known_drives, stiff
 
-from clampid.base_frame import base_from_circles
-from clampid.identify import identify
-from clampid.model import ModelError, StageModel
+from clampid.base_frames.base_frame import base_from_circles
+from clampid.identification.identify import identify
+from clampid.models.model import ModelError, StageModel
 from clampid.slots import Slot
 from experiments.campaign import Campaign, CampaignError, Instrument, Tool
 from kinematics.description import load_robot

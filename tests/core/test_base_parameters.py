@@ -8,14 +8,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from clampid.base_names import base_name
-from clampid.base_parameters import base_parameters, described_parameters, regroup, to_joint_points
 from clampid.catalogue import with_user_effects
-from clampid.fitted_stage import fit_stage
-from clampid.identify import has_inertia, stage_rows
-from clampid.layout import layout_of
-from clampid.model import Model, load_model, save_model
+from clampid.fitting.base_names import base_name
+from clampid.fitting.base_parameters import base_parameters, described_parameters, regroup, to_joint_points
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import has_inertia, stage_rows
+from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Slot, Term
+from clampid.stages.layout import layout_of
 from clampid.stages.loads import gravity_regressors
 from experiments.campaign import read_campaign, write_campaign
 from experiments.virtual_robot import measure

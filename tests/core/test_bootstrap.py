@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import fit_stage
 from clampid.fitting.bootstrap import bootstrap, draws, one_step
 from clampid.fitting.solve import Estimate, solve
-from clampid.identify import identify
-from clampid.layout import layout_of
-from clampid.model import Model, load_model, save_model
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import identify
+from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Term
+from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 

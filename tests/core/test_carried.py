@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from clampid.carried import carried_drives, prior_from
 from clampid.catalogue import catalogue
 from clampid.effect import Stage
-from clampid.fitted_stage import FittedStage, fit_stage
 from clampid.fitting.descent import inverse_of
 from clampid.fitting.fit import fit
 from clampid.fitting.solve import prior_of
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
-from clampid.model import StageModel
+from clampid.identification.carried import carried_drives, prior_from
+from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.identify import stage_rows
+from clampid.models.model import StageModel
 from clampid.slots import Prior, Slot, Term
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

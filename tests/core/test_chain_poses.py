@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.chain import Deviations
+from clampid.chain.chain import Deviations
 from clampid.effect import Stage
 from clampid.slots import Slot
 from clampid.stages import poses

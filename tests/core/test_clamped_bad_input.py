@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import fit_stage
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
-from clampid.model import StageModel
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import stage_rows
+from clampid.models.model import StageModel
 from clampid.slots import Term
+from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 from experiments.check import check_campaign
 from experiments.finding import Finding

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from clampid.add import add
-from clampid.compare import compare
+from clampid.comparison.compare import compare
 from clampid.display import error_text
 from clampid.effect import EffectError
-from clampid.identify import identify
-from clampid.model import Model, ModelError
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.loop.add import add
+from clampid.models.model import Model, ModelError
 from clampid.report.placing import placing_tables
 from experiments.campaign import Campaign
 

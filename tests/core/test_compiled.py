@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from clampid.compiled import BLOCK, Blocks, compile_function, compile_rows, compiler
-from clampid.lanes import Lanes, lanes_source
+from clampid.chain.compiled import BLOCK, Blocks, compile_function, compile_rows, compiler
+from clampid.chain.lanes import Lanes, lanes_source
 
 
 def function() -> ca.Function:

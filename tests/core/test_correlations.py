@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from clampid.catalogue import catalogue
-from clampid.correlations import SHOWN, correlations
-from clampid.model import Model, Session, StageModel
+from clampid.models.correlations import SHOWN, correlations
+from clampid.models.model import Model, Session, StageModel
 from clampid.report.parameters import parameters_section
 from clampid.report.style import Table
 from clampid.slots import Layout, Slot, Term

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clampid.accuracy import FOLDS, cross_validated
 from clampid.catalogue import catalogue
-from clampid.diagnosis.candidates import Candidate, columns_of, named_candidates
-from clampid.diagnosis.columns import Columns
 from clampid.diagnosis.look import rivals_of
-from clampid.diagnosis.score import score, space_of
+from clampid.evidence.candidates import Candidate, columns_of, named_candidates
+from clampid.evidence.columns import Columns
+from clampid.evidence.score import score, space_of
+from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign

@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from clampid.diagnose import diagnose
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.drift import blocks_of_visits, drift_of
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from experiments.campaign import Campaign
 
 NOISE = 6e-5  # m

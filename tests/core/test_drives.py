@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.drives import DETECTION, clamped_drives, drives_of
-from clampid.model import Model, ModelError, StageModel
+from clampid.models.drives import DETECTION, clamped_drives, drives_of
+from clampid.models.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot, Term
 from clampid.verbs.output import Output
 from clampid.verbs.show import parameter_rows, show_drives

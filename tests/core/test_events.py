@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clampid.add import add
 from clampid.catalogue import catalogue
-from clampid.diagnose import diagnose
-from clampid.diagnosis.events import Scan, absent_events, event_scores, time_of
-from clampid.diagnosis.score import Flips, space_of
-from clampid.fitted_stage import active_slots
+from clampid.diagnosis.diagnose import diagnose
+from clampid.evidence.events import Scan, absent_events, event_scores, time_of
+from clampid.evidence.score import Flips, space_of
 from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate
-from clampid.identify import identify, stage_rows
-from clampid.layout import layout_of
-from clampid.reopen import reopen
+from clampid.identification.fitted_stage import active_slots
+from clampid.identification.identify import identify, stage_rows
+from clampid.identification.reopen import reopen
+from clampid.loop.add import add
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Plant, measure

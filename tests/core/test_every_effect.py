@@ -11,7 +11,7 @@ import pytest
 
 import clampid.effects
 from clampid.catalogue import catalogue
-from clampid.chain import OUTPUTS
+from clampid.chain.chain import OUTPUTS
 from clampid.effect import FAMILIES, UNITS, Effect, Stage
 from clampid.fitting.solve import clamping_offsets
 from clampid.slots import find_parameter, slots_of

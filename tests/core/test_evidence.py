@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.curves import angle_errors
-from clampid.diagnose import diagnose
-from clampid.evidence import ANY_SIZE, evidence, of_any_size, of_size
-from clampid.identify import identify
+from clampid.diagnosis.diagnose import diagnose
+from clampid.evidence.of_size import ANY_SIZE, evidence, of_any_size, of_size
+from clampid.identification.identify import identify
+from clampid.models.curves import angle_errors
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 from experiments.virtual_robot import Hidden, measure

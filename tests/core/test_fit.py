@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.diagnose import diagnose
+from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import EffectError, Parameter
 from clampid.fitting.fit import fit
+from clampid.fitting.nulls import null_directions
 from clampid.fitting.solve import FitError
-from clampid.identify import identify, stage_rows
-from clampid.layout import layout_of
-from clampid.nulls import null_directions
+from clampid.identification.identify import identify, stage_rows
 from clampid.slots import Prior, Slot, slots_of
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign
 from experiments.virtual_robot import Truth, measure

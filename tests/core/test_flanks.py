@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import active_slots
 from clampid.fitting.flanks import mirrored, settled
-from clampid.identify import identify, stage_rows
-from clampid.layout import layout_of
+from clampid.identification.fitted_stage import active_slots
+from clampid.identification.identify import identify, stage_rows
 from clampid.slots import Term
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

@@ -8,12 +8,12 @@ import pytest
 from test_chain_poses import campaign_of
 
 from clampid.catalogue import catalogue
-from clampid.gauge import independent_geometry
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
-from clampid.nulls import named_directions
+from clampid.fitting.gauge import independent_geometry
+from clampid.fitting.nulls import named_directions
+from clampid.identification.identify import stage_rows
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from kinematics.description import load_robot
 from kinematics.poe import forward

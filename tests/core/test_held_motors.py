@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import active_slots
 from clampid.fitting.held_motors import _middle, other_crossings
 from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import prior_of
-from clampid.identify import identify
-from clampid.layout import layout_of
+from clampid.identification.fitted_stage import active_slots
+from clampid.identification.identify import identify
 from clampid.slots import parse_term
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
 from experiments.virtual_robot import Hidden, Measured, measure
 from kinematics.description import load_robot
 

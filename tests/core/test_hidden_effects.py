@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from clampid.add import add
 from clampid.catalogue import catalogue
-from clampid.diagnose import diagnose
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.effect import EffectError, Stage
-from clampid.identify import identify
-from clampid.model import Model
+from clampid.identification.identify import identify
+from clampid.loop.add import add
+from clampid.models.model import Model
 from experiments.campaign import Campaign
 from experiments.simulate import hidden_file
 

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from clampid.effect import EffectError
-from clampid.identify import identify
-from clampid.identify_folder import identify_folder
+from clampid.identification.identify import identify
+from clampid.identification.identify_folder import identify_folder
 from clampid.stages.log_facts import LogPart, log_parts, steady_share
 from experiments.campaign import CampaignError, read_campaign, write_campaign
 from experiments.fingerprint import fingerprint

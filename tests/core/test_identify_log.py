@@ -11,15 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clampid.accuracy import StageErrors, stage_errors
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import FittedStage, fit_stage
-from clampid.identify import has_inertia, held_out_folds, stage_rows
-from clampid.identify_log import FittedLog, LogStage
-from clampid.layout import layout_of
+from clampid.fitting.accuracy import StageErrors, stage_errors
+from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.identify import has_inertia, held_out_folds, stage_rows
+from clampid.identification.identify_log import FittedLog, LogStage
 from clampid.slots import Term
 from clampid.stages.counting import folds_of
 from clampid.stages.experiment import parameter_of
+from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import LogPart, log_parts
 from experiments.campaign import Campaign, Tool
 from experiments.log_windows import LogTable, windows

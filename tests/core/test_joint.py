@@ -11,12 +11,12 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.cli import run
-from clampid.compare import compare
-from clampid.fitted_stage import fit_stage
-from clampid.identify import identify
-from clampid.joint import is_shared
-from clampid.model import Model, load_model, save_model
-from clampid.reopen import reopen
+from clampid.comparison.compare import compare
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import identify
+from clampid.identification.joint import is_shared
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model, load_model, save_model
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from clampid.fitting.kept_friction import AXES, with_kept_friction
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot

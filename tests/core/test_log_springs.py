@@ -13,16 +13,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from virtual_arms import arm
 
-from clampid.carried import carried_over
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import fit_stage
+from clampid.fitting.log_springs import spring_torques, springs
 from clampid.fitting.solve import prior_of
-from clampid.identify import identify, stage_rows, standard_effects
-from clampid.layout import layout_of
-from clampid.log_springs import spring_torques, springs
-from clampid.model import Model, load_model, save_model
+from clampid.identification.carried import carried_over
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import identify, stage_rows, standard_effects
+from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.loads import declared_weight, gravity_signals
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign, Tool

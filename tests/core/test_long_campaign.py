@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clampid.identify import identify
-from clampid.layout import layout_of
+from clampid.identification.identify import identify
+from clampid.stages.layout import layout_of
 from clampid.stages.torques import torque_rows
 from experiments import long_log
 from experiments.campaign import Campaign, CampaignError, read_campaign, write_campaign

@@ -17,7 +17,7 @@ from kinematics.description import load_robot
 
 FIT = """
 import json, resource, sys
-from clampid.identify_folder import identify_folder
+from clampid.identification.identify_folder import identify_folder
 model = identify_folder(sys.argv[1], ["gravity", "coulomb_friction", "viscous_friction"])
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 print(json.dumps({"peak": peak, "noise": model.ledger[0].heldout_rms}))

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import active_slots
 from clampid.fitting.fit import fit
 from clampid.fitting.mean_norm import ALIKE, compared, mean_norm
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, FitError, solve
-from clampid.identify import identify, stage_rows
-from clampid.layout import layout_of
+from clampid.identification.fitted_stage import active_slots
+from clampid.identification.identify import identify, stage_rows
 from clampid.slots import Term
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

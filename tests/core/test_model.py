@@ -15,11 +15,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.fitted_stage import fit_stage
-from clampid.identify import identify
-from clampid.layout import layout_of
-from clampid.model import FORMAT, Model, ModelError, load_model, save_model, write_text
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import identify
+from clampid.models.model import FORMAT, Model, ModelError, load_model, save_model, write_text
 from clampid.slots import Term, find_parameter
+from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 

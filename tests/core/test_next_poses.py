@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.candidates import named_candidates
 from clampid.diagnosis.next_measurement import ENOUGH
 from clampid.diagnosis.next_poses import next_poses, plan_of
 from clampid.diagnosis.parting import part
-from clampid.diagnosis.score import score, space_of
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.evidence.candidates import named_candidates
+from clampid.evidence.score import score, space_of
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from experiments.campaign import Campaign
 from experiments.plans.read import read_plan
 from experiments.plans.write import write_plan

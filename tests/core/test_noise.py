@@ -13,10 +13,11 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln, logsumexp
 
-from clampid.diagnosis.candidates import Candidate
-from clampid.diagnosis.columns import Columns
 from clampid.diagnosis.look import RATE, Look
-from clampid.diagnosis.score import (
+from clampid.effect import Stage
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.columns import Columns
+from clampid.evidence.score import (
     Flips,
     Space,
     canonical,
@@ -27,7 +28,6 @@ from clampid.diagnosis.score import (
     score,
     tail_of,
 )
-from clampid.effect import Stage
 from clampid.fitting.noise import initial_noise, learn_noise
 from clampid.slots import Slot
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled

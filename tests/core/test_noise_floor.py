@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clampid.accuracy import noise_floor
-from clampid.layout import layout_of
+from clampid.fitting.accuracy import noise_floor
+from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 from experiments.check_motion import motion_findings

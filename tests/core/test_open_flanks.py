@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import clampid.fitted_stage
+import clampid.identification.fitted_stage
 from clampid.catalogue import catalogue
 from clampid.fitting.open_flanks import _fitted
 from clampid.fitting.unknown_friction import unknown_frictions
-from clampid.identify import identify
-from clampid.model import Model, StageModel, load_model, save_model
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model, StageModel, load_model, save_model
 from clampid.slots import Slot
 from clampid.stages import poses
 from clampid.stages.experiment import experiment
@@ -47,7 +47,7 @@ def leaning(seed: int, lean: float) -> Campaign:
 def model_of(campaign: Campaign, monkeypatch: pytest.MonkeyPatch, *, open_flanks: bool) -> Model:
     with monkeypatch.context() as patch:
         if not open_flanks:
-            patch.setattr(clampid.fitted_stage, "with_open_flanks", lambda estimate: estimate)
+            patch.setattr(clampid.identification.fitted_stage, "with_open_flanks", lambda estimate: estimate)
         return identify(campaign, {"poses": EFFECTS})
 
 

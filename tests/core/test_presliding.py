@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clampid.accuracy import noise_floor
-from clampid.add import add
 from clampid.catalogue import catalogue
-from clampid.compare import compare
+from clampid.comparison.compare import compare
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
-from clampid.fitted_stage import fit_stage
-from clampid.identify import identify, stage_rows, standard_effects
-from clampid.layout import layout_of
+from clampid.fitting.accuracy import noise_floor
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import identify, stage_rows, standard_effects
+from clampid.loop.add import add
 from clampid.slots import Term
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.presliding import dry_states, recurrence
 from experiments.campaign import Campaign
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.compare import compare
+from clampid.comparison.compare import compare
 from clampid.effect import Effect, EffectError, Parameter
-from clampid.identify import identify
-from clampid.model import Model, load_model, save_model
-from clampid.ranges import MARGIN, Ranges, doubt, empirical
+from clampid.identification.identify import identify
+from clampid.models.model import Model, load_model, save_model
+from clampid.models.ranges import MARGIN, Ranges, doubt, empirical
 from clampid.slots import Slot
 from clampid.verbs.findings import extrapolating_text
 from experiments.campaign import Campaign

@@ -10,12 +10,12 @@ import pytest
 from virtual_arms import ARMS, arm
 
 import clampid.fitting.rest_friction
-from clampid.diagnosis.score import space_of
+from clampid.evidence.score import space_of
 from clampid.fitting.rest_friction import _cost, _Profile
 from clampid.fitting.solve import solve
-from clampid.identify import identify
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

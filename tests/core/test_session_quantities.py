@@ -9,12 +9,12 @@ from types import SimpleNamespace
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.compare import compare
-from clampid.diagnosis.candidates import terms_not_active
+from clampid.comparison.compare import compare
 from clampid.effect import Stage
-from clampid.identify import identify
-from clampid.model import Model, load_model, save_model
-from clampid.session_differences import session_differences
+from clampid.evidence.candidates import terms_not_active
+from clampid.identification.identify import identify
+from clampid.models.model import Model, load_model, save_model
+from clampid.models.session_differences import session_differences
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, read_campaign

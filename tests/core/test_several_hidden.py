@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from clampid.add import add
-from clampid.diagnose import diagnose
-from clampid.identify import identify
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify
+from clampid.loop.add import add
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

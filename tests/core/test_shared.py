@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.compare import compare
-from clampid.diagnose import diagnose
-from clampid.identify import identify
-from clampid.model import Model
+from clampid.comparison.compare import compare
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify
+from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from clampid.auto import mend
-from clampid.diagnose import Diagnosis, diagnose
-from clampid.identify import identify
-from clampid.model import Model
+from clampid.diagnosis.diagnose import Diagnosis, diagnose
+from clampid.identification.identify import identify
+from clampid.loop.auto import mend
+from clampid.models.model import Model
 from experiments.campaign import Campaign
 
 BALANCER = "gravity_compensator"

@@ -13,9 +13,9 @@ import pytest
 from circle_arms import known_drives
 from touch_arms import SIGMA, base_of, nominal_links, plant_of, touched_by
 
-from clampid.model import Model, ModelError, StageModel
+from clampid.base_frames.touched_base import base_from_touches
+from clampid.models.model import Model, ModelError, StageModel
 from clampid.slots import Slot, Term
-from clampid.touched_base import base_from_touches
 from experiments.campaign import Campaign, CampaignError, Instrument, Tool
 from experiments.touched import Feature, Touched, read_touched
 from kinematics.description import load_robot

@@ -12,9 +12,9 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.fitting.noise import initial_noise
-from clampid.identify import identify
-from clampid.layout import layout_of
+from clampid.identification.identify import identify
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import join_rows, pose_rows
 from experiments.campaign import Campaign, CampaignError, Instrument, read_campaign, write_campaign
 from experiments.header import Tracker

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from clampid.auto import auto
-from clampid.diagnose import diagnose
-from clampid.identify import identify
-from clampid.model import Model, ModelError
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify
+from clampid.loop.auto import auto
+from clampid.models.model import Model, ModelError
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

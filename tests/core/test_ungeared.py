@@ -7,7 +7,7 @@ import pytest
 from virtual_arms import arm
 
 from clampid.catalogue import catalogue
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.slots import Slot
 from clampid.stages.experiment import parameter_of
 from experiments.simulate import measured_campaign

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.identify import identify, stage_rows
-from clampid.layout import layout_of
-from clampid.model import StageModel
+from clampid.identification.identify import identify, stage_rows
+from clampid.models.model import StageModel
 from clampid.stages.experiment import experiment
+from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure

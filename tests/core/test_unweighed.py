@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from virtual_arms import arm
 
-from clampid.compare import compare
-from clampid.diagnose import diagnose
-from clampid.identify import identify, standard_effects
-from clampid.model import Model
+from clampid.comparison.compare import compare
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify, standard_effects
+from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign

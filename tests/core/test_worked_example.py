@@ -12,8 +12,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from clampid.loop.worked_example import worked_example
 from clampid.verbs.worked_example import worked_example as verb
-from clampid.worked_example import worked_example
 from experiments.campaign import CampaignError, read_campaign
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clampid.compare import compare
-from clampid.diagnose import diagnose
-from clampid.identify import identify
+from clampid.comparison.compare import compare
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify
 from experiments.campaign import Campaign
 
 SHARE, OFF = 0.02, 5e-3  # of the rows, and m

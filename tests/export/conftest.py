@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clampid.effect import Stage
-from clampid.model import Model, Session, StageModel
+from clampid.models.model import Model, Session, StageModel
 from clampid.slots import Layout, Slot, Term
 from kinematics.description import load_robot
 from kinematics.screws import exp_se3

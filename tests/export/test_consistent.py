@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from clampid.consistent import consistent_arm, reference_bodies
-from clampid.dynamics_export import dynamics, torque_errors
-from clampid.identify import identify
-from clampid.model import ModelError
+from clampid.exports.dynamics_export import dynamics, torque_errors
+from clampid.identification.identify import identify
+from clampid.models.consistent import consistent_arm, reference_bodies
+from clampid.models.model import ModelError
 from clampid.slots import Slot
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate

@@ -9,9 +9,9 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from clampid.dh_layout import thesis_layout
-from clampid.export import dh_export, postures, read_dh
-from clampid.model import Model
+from clampid.exports.dh_layout import thesis_layout
+from clampid.exports.export import dh_export, postures, read_dh
+from clampid.models.model import Model
 from kinematics.description import load_robot
 from kinematics.dh import Convention, DHRow, DHTable, forward
 from kinematics.screws import rotation_of, transform

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.chain import Deviations
-from clampid.export import COLUMNS, angle_table, calibrated_chain, dh_table, read_dh, table_text, urdf_text
-from clampid.export import _numbers as numbers
-from clampid.model import Model, ModelError
+from clampid.chain.chain import Deviations
+from clampid.exports.export import COLUMNS, angle_table, calibrated_chain, dh_table, read_dh, table_text, urdf_text
+from clampid.exports.export import _numbers as numbers
+from clampid.models.model import Model, ModelError
 from clampid.slots import Slot, Term
 from clampid.stages.poses import predict
 from clampid.stages.rows import Array, Rows

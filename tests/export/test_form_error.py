@@ -15,9 +15,9 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.effect import Effect
-from clampid.export import calibrated_chain, dh_export, read_dh, urdf_export
-from clampid.form_error import CHECKED, LeftOut, form_error, left_out, postures
-from clampid.model import Model, ModelError
+from clampid.exports.export import calibrated_chain, dh_export, read_dh, urdf_export
+from clampid.exports.form_error import CHECKED, LeftOut, form_error, left_out, postures
+from clampid.models.model import Model, ModelError
 from clampid.slots import Layout, Slot, Term, find_parameter, slots_of
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign, Instrument, Tool

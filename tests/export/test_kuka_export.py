@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clampid.export import calibrated_chain, postures
-from clampid.kuka_export import FITTED, LEVER, kuka_machine_data
-from clampid.kuka_export import _Fit as Fit
-from clampid.kuka_export import _nearest as nearest
-from clampid.kuka_export import _numbers as numbers
-from clampid.model import Model, ModelError
+from clampid.exports.export import calibrated_chain, postures
+from clampid.exports.kuka_export import FITTED, LEVER, kuka_machine_data
+from clampid.exports.kuka_export import _Fit as Fit
+from clampid.exports.kuka_export import _nearest as nearest
+from clampid.exports.kuka_export import _numbers as numbers
+from clampid.models.model import Model, ModelError
 from clampid.slots import Slot
 from experiments.campaign import Campaign, Instrument, Tool
 from kinematics.description import load_robot

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from clampid.described import robot_of
-from clampid.export import dh_table
-from clampid.identify import identify
-from clampid.model import Model, ModelError, load_model, save_model
+from clampid.exports.export import dh_table
+from clampid.identification.identify import identify
+from clampid.models.described import robot_of
+from clampid.models.model import Model, ModelError, load_model, save_model
 from clampid.report import write_report
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate

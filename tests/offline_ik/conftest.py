@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from ik_arms import CELL, drawn_model
 
-from clampid.model import save_model
+from clampid.models.model import save_model
 from offline_ik.detector import Detector, open_detector
 
 

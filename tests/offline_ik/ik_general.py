@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from clampid.chain import build_chain
+from clampid.chain.chain import build_chain
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, weight_stiffness
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import evaluate, link_vectors, predict

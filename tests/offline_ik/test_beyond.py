@@ -13,9 +13,9 @@ import pytest
 from ik_arms import drawn_arm, drawn_model, postures
 from ik_general import campaign_of
 
-from clampid.identify import identify
-from clampid.model import Model, save_model
-from clampid.ranges import MARGIN, Ranges
+from clampid.identification.identify import identify
+from clampid.models.model import Model, save_model
+from clampid.models.ranges import MARGIN, Ranges
 from clampid.stages.loads import gravity_signals
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from ik_arms import drawn_model
 
-from clampid.model import save_model
+from clampid.models.model import save_model
 from offline_ik.detector import open_detector
 
 CLAMPID = Path(sys.executable).parent / "clampid"

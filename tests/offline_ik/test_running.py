@@ -14,7 +14,7 @@ from ik_arms import CELL, drawn_model
 from typer.testing import CliRunner
 
 from clampid.cli import app
-from clampid.model import save_model
+from clampid.models.model import save_model
 from offline_ik.assumed import SHIFT, moves_by, time_effects
 from offline_ik.detector import Detector, open_detector
 from offline_ik.errors import CellError, DetectorError, TargetError

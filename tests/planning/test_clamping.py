@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
 from clampid.planning.logs import torque_noise_of
 from clampid.verbs.errors import is_wrong_input

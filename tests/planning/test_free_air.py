@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.planning import log_det
 from clampid.planning.expected import prior_precision
 from clampid.planning.free_air import plan_free_air

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.planning.directions import balanced, confounded, covariates_of
 from clampid.planning.pose_bench import PoseBench
 from clampid.planning.poses import PoseWishes, balance_of, plan_poses

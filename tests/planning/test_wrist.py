@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.planning.logs import torque_noise_of
 from clampid.planning.scene import Scene
 from clampid.planning.wrist import SWING_STOPS, Fact, directions, facts, plan_wrist

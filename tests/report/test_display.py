@@ -2,8 +2,8 @@
 
 import pytest
 
+from clampid.diagnosis.omission import shift_in_words
 from clampid.display import Scale, error_text, fixed, number, ranged_text, scale_for, with_error, with_std
-from clampid.omission import shift_in_words
 from clampid.report.page import _typeset
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.drives import drives_of
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.drives import drives_of
 from clampid.report.drives import drives_section
 from clampid.report.loops import loops_figure
 from clampid.report.stage_data import StageData, stage_data

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.identify import identify
+from clampid.identification.identify import identify
 from clampid.report import write_report
 from experiments.campaign import read_campaign, write_campaign
 from experiments.virtual_robot import Hidden, measure

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from clampid.report.spread import HeldOut, Spread, held_out, spread_of, spread_sentences, spread_table
 from clampid.report.stage_data import stage_data
 from experiments.campaign import read_campaign, write_campaign

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clampid.model import Model, Round
+from clampid.models.model import Model, Round
 from clampid.report.steps import steps_section
 from clampid.report.style import Table
 from clampid.slots import Layout

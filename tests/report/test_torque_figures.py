@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clampid.identify import identify
-from clampid.reopen import reopen
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from clampid.report.friction import friction_figures
 from clampid.report.stage_data import stage_data
 from clampid.report.torque import torque_section

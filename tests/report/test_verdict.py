@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.model import Model, Round
+from clampid.models.model import Model, Round
 from clampid.report.evidence import confusable_text, evidence, parameters_text
 from clampid.report.verdict import headline, truth_section, verdict_section
 from clampid.slots import Layout

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from compensated_arms import compensated
 
-from clampid.compare import compare
-from clampid.compensation import compensation_of
-from clampid.diagnose import diagnose
-from clampid.identify import identify
-from clampid.model import Model
-from clampid.reopen import reopen
+from clampid.comparison.compare import compare
+from clampid.comparison.compensation import compensation_of
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 

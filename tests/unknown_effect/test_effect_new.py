@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue, with_user_effects
+from clampid.diagnosis.effect_new import effect_module, effect_new, effect_text
 from clampid.effect import EffectError, Stage
-from clampid.effect_new import effect_module, effect_new, effect_text
 from clampid.fitting.solve import clamping_offsets
-from clampid.identify import stage_rows
-from clampid.layout import layout_of
+from clampid.identification.identify import stage_rows
 from clampid.slots import slots_of
 from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
 
 VARIABLES: dict[Stage, tuple[str, ...]] = {
     "poses": ("q4", "dir4", "time", "temp_link2", "temp_motor3", "tau3", "motor5"),

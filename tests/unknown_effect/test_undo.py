@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.add import add
-from clampid.effect_new import effect_new
-from clampid.export import dh_table
+from clampid.diagnosis.effect_new import effect_new
+from clampid.diagnosis.omission import exported_shift, shift_in_words
+from clampid.exports.export import dh_table
 from clampid.fitting.descent import NEGLIGIBLE
-from clampid.identify import identify
-from clampid.model import Model, ModelError, load_model, save_model
-from clampid.omission import exported_shift, shift_in_words
-from clampid.undo import undo
+from clampid.identification.identify import identify
+from clampid.loop.add import add
+from clampid.loop.undo import undo
+from clampid.models.model import Model, ModelError, load_model, save_model
 from experiments.campaign import Campaign
 
 POSES = ("poses", "verification")

@@ -17,18 +17,18 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from clampid.catalogue import catalogue
-from clampid.compare import compare
-from clampid.diagnose import diagnose
+from clampid.comparison.compare import compare
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import probes
-from clampid.diagnosis.score import score, space_of
 from clampid.diagnosis.unknown_shape import _width, shape_of
-from clampid.export import calibrated_chain
-from clampid.fitted_stage import fit_stage
+from clampid.evidence.score import score, space_of
+from clampid.exports.export import calibrated_chain
 from clampid.fitting.fit import fit
-from clampid.identify import identify, stage_rows
-from clampid.layout import layout_of
-from clampid.model import load_model, save_model
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import identify, stage_rows
+from clampid.models.model import load_model, save_model
 from clampid.slots import Term
+from clampid.stages.layout import layout_of
 from experiments.simulate import hidden_file
 from offline_ik.arm import Conditions, IdentifiedArm, arm_of
 
@@ -170,8 +170,8 @@ OTHERS = {
 @pytest.mark.parametrize("hidden", OTHERS)
 def test_a_shape_over_two_variables_brings_the_error_to_the_noise(hidden: str, seed: int, simulated, tmp_path: Path):
     """An engineer who suspects on what it depends: what the effect file brings, on poses that no fit saw."""
-    from clampid.add import add
-    from clampid.effect_new import effect_new
+    from clampid.diagnosis.effect_new import effect_new
+    from clampid.loop.add import add
 
     campaign = simulated(hidden, seed=seed)
     variables, at = OTHERS[hidden]
@@ -184,7 +184,7 @@ def test_a_shape_over_two_variables_brings_the_error_to_the_noise(hidden: str, s
 
 def test_a_diagnosis_looks_for_an_effect_of_ones_own(simulated, tmp_path: Path):
     """Handed to diagnose, it is a candidate like any other, and goes by its own name."""
-    from clampid.effect_new import effect_new
+    from clampid.diagnosis.effect_new import effect_new
 
     campaign = simulated("outside_third_harmonic")
     own = effect_new("third_wave", ["q3"], "joint3", path=tmp_path / "third_wave.py")

@@ -1,0 +1,113 @@
+"""What of an arm gives way, and by how much its points move: for base frames, which want the arm as it would be stiff.
+
+Springs, clearances and loads are those of a model, whose errors are counted, or those of the robot's description, taken
+as exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from clampid.effect import Effect
+from clampid.identification.carried import LOADS, STARTS
+from clampid.models.model import Model, ModelError
+from clampid.slots import Slot
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Array, Rows
+from kinematics.description import RobotDescription
+
+__all__ = ["Yielding", "gives_way", "what_yields"]
+
+SPRINGS = "joint_compliance"
+GEOMETRY = "geometry"
+FRAMES = ("base_", "flange_", "target_")
+
+
+@dataclass(frozen=True)
+class Yielding:
+    """What is put back: slots of the pose stage with values ``(P,)`` and covariance ``(P, P)``, and where from."""
+
+    slots: tuple[Slot, ...]
+    theta: Array
+    covariance: Array
+    said: str
+
+
+def what_yields(
+    robot: RobotDescription, model: Model | None, *, rigid: bool = False, tips: Collection[str] | None = None
+) -> Yielding:
+    """Slots that the arm differs by from a stiff one.
+
+    Parameters
+    ----------
+    tips
+        If given, from the nominal one: what the model's stage ``poses`` says of links, joints and expansion counts,
+        too, and where it has targets of these names; not where its base and flange are, nor what belongs to its
+        instrument or sessions.
+
+    Raises
+    ------
+    ModelError
+        Nothing is known of springs or weights.
+    """
+    return _rigid() if rigid else _of_description(robot) if model is None else _of_model(model, tips)
+
+
+def _rigid() -> Yielding:
+    return Yielding(
+        (), np.zeros(0), np.zeros((0, 0)), "none; nothing was put back, and the frame is biased by deflection"
+    )
+
+
+def _of_description(robot: RobotDescription) -> Yielding:
+    if robot.motor_spring is None or not robot.has_masses:
+        raise ModelError(
+            f"the description of {robot.name} has no springs or no masses, so that points cannot be corrected for "
+            "deflection: give a model with joint_compliance, or have nothing put back (--rigid)"
+        )
+    slots = tuple(Slot(SPRINGS, "c", f"joint{i + 1}") for i in range(robot.n))
+    theta = 1.0 / np.asarray(robot.motor_spring)
+    return Yielding(slots, theta, np.zeros((robot.n, robot.n)), "those of the description, taken as exact")
+
+
+def _of_model(model: Model, tips: Collection[str] | None) -> Yielding:
+    """All but geometry of the pose stage, if that has springs; else what the pose stage would start from."""
+    poses = model.stages.get("poses")
+    if poses is not None and any(s.effect == SPRINGS for s in poses.slots):
+        kept = [s.effect != GEOMETRY if tips is None else _of_arm(s, tips) for s in poses.slots]
+        parts = [(poses, [k for k, keep in enumerate(kept) if keep])]
+        said = "those of the model's stage poses"
+    else:
+        clamped, free = model.stages.get("clamped"), model.stages.get("free_air")
+        if clamped is None or not any(s.effect == SPRINGS for s in clamped.slots):
+            raise ModelError(f"expected a model with {SPRINGS} in its stage poses or clamped, found none")
+        held = [s for s in STARTS if s not in LOADS] if free is not None else list(STARTS)
+        parts = [(clamped, [k for k, s in enumerate(clamped.slots) if s.effect in held])]
+        if free is not None:
+            parts.append((free, [k for k, s in enumerate(free.slots) if s.effect in LOADS]))
+        said = "those of the model's stage clamped"
+    slots = tuple(stage.slots[k] for stage, chosen in parts for k in chosen)
+    theta = np.concatenate([stage.theta[chosen] for stage, chosen in parts])
+    covariance, at = np.zeros((len(theta), len(theta))), 0
+    for stage, chosen in parts:
+        end = at + len(chosen)
+        covariance[at:end, at:end] = stage.covariance[np.ix_(chosen, chosen)]
+        at = end
+    return Yielding(slots, theta, covariance, said)
+
+
+def _of_arm(slot: Slot, tips: Collection[str]) -> bool:
+    """Whether a parameter belongs to the arm or to one of its tips, wherever it stands and whatever measures it."""
+    frame = slot.effect == GEOMETRY and slot.parameter.startswith(FRAMES) and slot.place not in tips
+    return not frame and not slot.place.startswith("session") and slot.effect != "instrument_scale"
+
+
+def gives_way(rows: Rows, effects: Mapping[str, Effect], yielding: Yielding) -> tuple[Array, Array]:
+    """How far the points give way ``(N, 3)`` m, instrument frame, and its derivative ``(N, 3, P)``."""
+    trial = experiment(rows, effects, yielding.slots).with_flanks(yielding.theta)
+    bent, by = trial.residual(yielding.theta)
+    straight, _ = experiment(rows, effects, ()).residual(np.zeros(0))
+    return straight[:, :3] - bent[:, :3], by[:, :3]

@@ -1,0 +1,350 @@
+"""The chain: the stations in their order, and the one compiled function that says what all effects do there.
+
+For each stage the effects' deviations at a station add. What a station computes (joint torques, the flank on which
+they press) is a signal for the later ones, so that a spring can use a torque without knowing whose it is. The result
+is one casadi function of a row's signals and of the parameters, with its derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from clampid.chain.compiled import Blocks
+from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
+from clampid.slots import Layout, Slot
+
+__all__ = [
+    "OUTPUTS",
+    "Chain",
+    "Deviations",
+    "RowSymbols",
+    "build_chain",
+    "offer_friction_state",
+    "offer_torque",
+    "parameter_columns",
+]
+
+Array = npt.NDArray[np.float64]
+
+OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
+    "free_air": ("joint_torque", "motor_torque"),
+    "clamped": ("joint_angle", "fixture", "motor_torque", "joint_torque"),
+    "poses": ("joint_angle", "base_twist", "link_twist", "target_shift", "measurement"),
+}
+"""The stations whose deviations a stage's measurement sees."""
+
+MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
+_INTERNAL: Mapping[str, tuple[str | int, ...]] = {
+    "gravity_torque": ("n",),
+    "sag_torque": ("n",),
+    "rest_direction": ("n",),
+    "wrench_map": (6, "n"),
+    "base_moment_regressor": (3, "4n"),
+    "transverse_moment_regressor": ("3n", "4n"),
+    "link_moment_regressor": ("3n", "4n"),
+    "link_force_regressor": ("3n", "4n"),
+}
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Deviations of all rows at all stations of a stage, with derivatives, sparse over (station, parameter).
+
+    Attributes
+    ----------
+    values
+        ``(N, S)``, the stations' entries in the order of the chain's outputs.
+    partials
+        ``(N, nonzeros)``: d values / d parameters.
+    station, parameter
+        ``(nonzeros,)``: which entry of S and which parameter each column of ``partials`` belongs to.
+    by_torque
+        ``(N, S, n)``: d values / d joint torque, in the stage ``clamped``; else None.
+    """
+
+    values: Array
+    partials: Array
+    station: npt.NDArray[np.int64]
+    parameter: npt.NDArray[np.int64]
+    by_torque: Array | None = None
+
+
+@dataclass(frozen=True)
+class Chain:
+    """The compiled deviations of a set of slots in one stage.
+
+    Attributes
+    ----------
+    offsets
+        Station → slice of the entries S.
+    least
+        What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
+    flank_function
+        In ``poses``, where an effect reads flanks: what decides on them. Else None.
+    yield_function
+        In ``poses``, where an effect reads loads: by how much the joints give way. Else None.
+    lean
+        ``(n, 3)``, rad: by what the weight's torque at each joint decides on its flank beside its friction, though it
+        is no load; see :mod:`clampid.fitting.open_flanks`. None: the robot is level.
+    """
+
+    stage: Stage
+    slots: tuple[Slot, ...]
+    offsets: Mapping[str, slice]
+    signals: tuple[tuple[str, int], ...]
+    function: Blocks
+    station: npt.NDArray[np.int64]
+    parameter: npt.NDArray[np.int64]
+    least: Array
+    flank_function: Blocks | None = None
+    yield_function: Blocks | None = None
+    lean: Array | None = None
+
+    @cached_property
+    def moves_one(self) -> npt.NDArray[np.int64]:
+        """Which columns of the partials belong to a parameter that moves no other entry of S."""
+        _, which, count = np.unique(self.parameter, return_inverse=True, return_counts=True)
+        return np.flatnonzero(count[which] == 1)
+
+    @cached_property
+    def moves_several(self) -> npt.NDArray[np.int64]:
+        """The other columns."""
+        return np.setdiff1d(np.arange(len(self.parameter)), self.moves_one)
+
+    def evaluate(self, theta: Array, signals: Mapping[str, Array], torque: Array | None = None) -> Deviations:
+        """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""
+        out = self.function(theta, *self._columns(signals, torque))
+        by_torque = None
+        if self.stage == "clamped":
+            by_torque = out[2].reshape(len(out[0]), -1, out[0].shape[1]).transpose(0, 2, 1)
+        return Deviations(out[0], out[1], self.station, self.parameter, by_torque)
+
+    def pressing(self, theta: Array, signals: Mapping[str, Array]) -> Array | None:
+        """Torques ``(N, n)``, Nm, whose signs are the flanks, at ``theta`` ``(P,)``; None where no effect reads any."""
+        if self.flank_function is None:
+            return None
+        level = self.flank_function(np.maximum(theta, self.least), *self._columns(signals, None))[0]
+        return level if self.lean is None else level + np.einsum("njx,jx->nj", signals["lean_torque"], self.lean)
+
+    def yields(self, theta: Array, signals: Mapping[str, Array]) -> Array | None:
+        """By how much the joints are off what was commanded ``(N, n)``, rad; None where no effect reads loads."""
+        return None if self.yield_function is None else self.yield_function(theta, *self._columns(signals, None))[0]
+
+    def _columns(self, signals: Mapping[str, Array], torque: Array | None) -> list[Array]:
+        columns = []
+        count = next(len(v) for v in signals.values())
+        for name, width in self.signals:
+            values = torque if name == "torque" and self.stage == "clamped" else signals[name]
+            if values is None:
+                raise ValueError("the chain of the stage clamped needs the joint torques it is to be evaluated at")
+            columns.append(np.reshape(values, (count, width)))
+        return columns or [np.zeros((count, 0))]
+
+    @property
+    def reads_flanks(self) -> bool:
+        """Whether the pose stage's flanks matter to any effect."""
+        return self.stage == "poses" and any(name == "flank" for name, _ in self.signals)
+
+
+def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
+    counts = {
+        "n": layout.joints,
+        "3n": 3 * layout.joints,
+        "4n": 4 * layout.joints,
+        "6n": 6 * layout.joints,
+        "m": len(layout.targets),
+        "s": len(layout.sessions),
+    }
+    return tuple(counts[k] if isinstance(k, str) else k for k in shape)
+
+
+def _symbol(name: str, shape: tuple[int, ...]) -> tuple[Any, Any]:
+    """A symbol to be filled from a row-major block, and the expression of that shape."""
+    flat = ca.SX.sym(name, int(np.prod(shape, dtype=int)))
+    if len(shape) < 2:
+        return flat, flat
+    return flat, ca.reshape(flat, shape[1], shape[0]).T
+
+
+def build_chain(
+    stage: Stage,
+    slots: Sequence[Slot],
+    effects: Mapping[str, Effect],
+    layout: Layout,
+    transmission: Array,
+    link_vectors: Array,
+) -> Chain:
+    """Compile the deviations of ``slots`` in a stage.
+
+    Parameters
+    ----------
+    transmission
+        ``(n, n)``, T.
+    link_vectors
+        ``(n, 3)``, from each joint's point to the next one's (the last: to the flange), base axes, zero pose, m.
+
+    Raises
+    ------
+    EffectError
+        A slot's effect does not act in this stage, or reads a signal that it did not declare.
+    """
+    active = [effects[name] for name in dict.fromkeys(slot.effect for slot in slots)]
+    for effect in active:
+        if stage not in effect.stages:
+            raise EffectError(f"effect {effect.name} does not act in {stage}; it does in: {', '.join(effect.stages)}")
+    theta = ca.SX.sym("theta", len(slots))
+    index = {slot: k for k, slot in enumerate(slots)}
+    parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
+    constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
+    row = RowSymbols(layout, constants, parameters)
+    offer_friction_state(row, stage, active)
+    offer_torque(row, stage, active)
+    values, offsets, start = [], {}, 0
+    for station in OUTPUTS[stage]:
+        value = ca.vec(row.total(station, active).T)
+        values.append(value)
+        offsets[station] = slice(start, start + value.shape[0])
+        start += value.shape[0]
+    stacked = ca.densify(ca.vertcat(*values))
+    jacobian = ca.jacobian(stacked, theta)
+    station_of, parameter_of = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
+    outputs = [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)]
+    if stage == "clamped":
+        outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
+    pressing = None
+    if stage == "poses" and "flank" in row.flats:
+        # A joint without load rests on the side it came from; any load beyond that decides the flank.
+        pressing = ca.densify(row.offered["torque"] + row.recorded("rest_direction"))
+    yields = None
+    if "sag_torque" in row.flats and ca.depends_on(stacked, row.flats["sag_torque"]):
+        yields = ca.densify(stacked[offsets["joint_angle"]])
+    inputs = [theta, ca.vertcat(*row.flats.values())]
+    widths = tuple((name, flat.shape[0]) for name, flat in row.flats.items())
+    least = least_deciding(slots, effects)
+    return Chain(
+        stage,
+        tuple(slots),
+        offsets,
+        widths,
+        Blocks(ca.Function("deviations", inputs, outputs)),
+        station_of,
+        parameter_of,
+        least,
+        None if pressing is None else Blocks(ca.Function("pressing", inputs, [pressing])),
+        None if yields is None else Blocks(ca.Function("yields", inputs, [yields])),
+    )
+
+
+def least_deciding(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Array:
+    """What each slot ``(P,)`` counts as at least where it decides on which flank a gear rests; -inf: as it is.
+
+    An estimate of dry friction may come out below zero by its error, and does where it is hardly known. Friction may
+    not: it would press an unloaded joint on the flank that it has just left, all its flanks at once.
+    """
+    out = np.full(len(slots), -np.inf)
+    for k, slot in enumerate(slots):
+        effect = effects[slot.effect]
+        if "joint_torque" in effect.acts and "joint_motion" in effect.needs:
+            out[k] = effect.by_name[slot.parameter].bounds[0]
+    return out
+
+
+class RowSymbols:
+    """The signals of a row as symbols, made when they are first read, and the sums of deviations at stations."""
+
+    def __init__(self, layout: Layout, constants: Mapping[str, Any], parameters: Mapping[str, SimpleNamespace]) -> None:
+        self.layout, self.constants, self.parameters = layout, constants, parameters
+        self.flats: dict[str, Any] = {}
+        self.offered: dict[str, Any] = {}
+        self.shift = _gravity_shift(parameters)
+
+    def recorded(self, name: str) -> Any:
+        """A signal as it comes with the row."""
+        if name not in self.offered:
+            shape = SIGNALS[name].shape if name in SIGNALS else _INTERNAL[name]
+            self.flats[name], self.offered[name] = _symbol(name, _size(shape, self.layout))
+        return self.offered[name]
+
+    def read(self, name: str) -> Any:
+        """A signal as effects see it: loads on base, bearings and links follow the masses as they are now."""
+        if name not in MOMENTS or self.shift is None:
+            return self.recorded(name)
+        by_mass = self.recorded(f"{name}_regressor") @ self.shift
+        shape = _size(SIGNALS[name].shape, self.layout)
+        return self.recorded(name) + (by_mass if len(shape) == 1 else ca.reshape(by_mass, shape[1], shape[0]).T)
+
+    def total(self, station: str, only: Sequence[Effect]) -> Any:
+        """The sum of the effects' deviations at a station."""
+        value = ca.SX(*_matrix(_size(STATIONS[station][0], self.layout)))
+        for effect in only:
+            if station in effect.acts:
+                x = SimpleNamespace(**self.constants, **{name: self.read(name) for name in effect.needs})
+                try:
+                    value = value + effect.acts[station](self.parameters[effect.name], x)
+                except AttributeError as error:
+                    raise EffectError(f"effect {effect.name} reads what it does not declare: {error}") from error
+                except (IndexError, RuntimeError) as error:  # casadi says the latter
+                    raise EffectError(
+                        f"effect {effect.name} does not fit a robot of {self.layout.joints} joints: {error}"
+                    ) from error
+        return value
+
+
+def offer_friction_state(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:
+    """Let the motors' dry friction follow the state that effects give it, instead of the sign of the last motion."""
+    acting = [e for e in active if "friction_state" in e.acts]
+    if stage == "free_air" and acting:
+        row.offered["motor_motion"] = row.recorded("motor_motion") + row.total("friction_state", acting)
+
+
+def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:
+    """Offer joint torques, the flank they press on, and the wrench on a clamp, to the effects that read them."""
+    if stage == "clamped":
+        torque = row.recorded("torque")
+        # Inside the gap the torque is nearly zero and the flank undecided: a smooth sign whose width is far below
+        # the noise keeps the equilibrium solvable by Newton's method.
+        row.offered["flank"] = torque / ca.sqrt(torque**2 + row.recorded("rest_direction") ** 2)
+        if any("wrench" in effect.needs for effect in active):
+            row.offered["wrench"] = row.recorded("wrench_map") @ torque
+    elif any({"torque", "flank"} & set(effect.needs) for effect in active):
+        load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
+        if stage == "free_air":  # friction acts on the load, not on itself
+            load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
+        weight = row.recorded("gravity_torque")
+        if stage == "poses":  # of the arm where it stands, not where it was commanded
+            weight = weight + row.recorded("sag_torque")
+        row.offered["torque"] = weight + row.total("joint_torque", load)
+
+
+def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
+    return (shape[0], shape[1]) if len(shape) == 2 else (shape[0], 1)
+
+
+def _gravity_shift(parameters: Mapping[str, SimpleNamespace]) -> Any:
+    """How far the links' (m, m c) ``(4n,)`` are from the description's, or None if they are as described."""
+    gravity = parameters.get("gravity")
+    return None if gravity is None else ca.vec(ca.horzcat(gravity.m, gravity.mx, gravity.my, gravity.mz).T)
+
+
+def parameter_columns(effect: Effect, layout: Layout, index: Mapping[Slot, int], theta: Any) -> SimpleNamespace:
+    """An effect's parameters as columns; where a slot is not active its amplitude is zero, its shape the start."""
+    found = {}
+    for parameter in effect.parameters:
+        places = layout.places(effect, parameter)
+        column = ca.SX(len(places), 1)
+        if parameter.shape:
+            column = ca.SX(ca.DM.ones(len(places), 1) * parameter.grid[0])
+        for i, place in enumerate(places):
+            slot = Slot(effect.name, parameter.name, place)
+            if slot in index:
+                column[i] = theta[index[slot]]
+        found[parameter.name] = column
+    return SimpleNamespace(**found)

@@ -1,0 +1,176 @@
+"""Functions of single rows run over whole blocks of rows, in compiled C where a C compiler is found.
+
+Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). Without a compiler functions run in
+casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the hash of
+its source, so that each function is compiled once on a machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import platformdirs
+
+from clampid.chain.lanes import Lanes, lanes_source
+
+__all__ = ["Blocks", "compile_function", "compile_rows", "compiler"]
+
+Array = npt.NDArray[np.float64]
+
+BLOCK = 64  # rows evaluated at once; the last block of a call is filled up with what was there before
+# Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
+OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+PLAIN = ("-std=c99",)
+NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
+COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
+
+_log = logging.getLogger(__name__)
+
+
+class Blocks:
+    """A function of (parameters, row) over blocks of rows through casadi's buffers: one crossing per block."""
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        mapped = function.map("rows", "serial", BLOCK, [0], [])
+        self.theta = np.zeros(function.nnz_in(0))
+        self.rows = np.zeros((BLOCK, function.nnz_in(1)))
+        self.out = [np.zeros((BLOCK, function.nnz_out(i))) for i in range(function.n_out())]
+        self.buffer, self.trigger = mapped.buffer()
+        for i, array in enumerate((self.theta, self.rows)):
+            if array.size:
+                self.buffer.set_arg(i, array.data)
+        for i, array in enumerate(self.out):
+            if array.size:
+                self.buffer.set_res(i, array.data)
+
+    def __call__(self, theta: Array, *columns: Array) -> list[Array]:
+        """Evaluate at ``theta`` for rows whose columns come in blocks ``(N, k)`` one beside the other."""
+        count = len(columns[0]) if columns else 0
+        results = [np.empty((count, o.shape[1])) for o in self.out]
+        self.theta[:] = theta
+        # Side by side once, so that each block of rows is one copy.
+        every = np.concatenate(columns, axis=1) if len(columns) > 1 else columns[0] if columns else np.zeros((0, 0))
+        for start in range(0, count, BLOCK):
+            stop = min(start + BLOCK, count)
+            self.rows[: stop - start] = every[start:stop]
+            self.trigger()
+            for result, o in zip(results, self.out, strict=True):
+                result[start:stop] = o[: stop - start]
+        return results
+
+
+def compiler() -> list[str] | None:
+    """The command of the C compiler, or None where there is none.
+
+    It is ``$CC`` or ``cc``; ``CLAMPID_COMPILER`` goes before both, and ``CLAMPID_COMPILER=none`` means none.
+    """
+    asked = os.environ.get("CLAMPID_COMPILER") or os.environ.get("CC") or "cc"
+    command = shlex.split(asked)
+    if not command or asked == "none" or shutil.which(command[0]) is None:
+        return None
+    return command
+
+
+def compile_rows(function: Any) -> Blocks | Lanes:
+    """A casadi function of (parameters, row), to be called with blocks of rows: the fastest there is on this machine.
+
+    Parameters
+    ----------
+    function
+        A dense ``casadi.Function`` of two inputs, without calls to anything that has no C source.
+    """
+    source = lanes_source(function)
+    library = None if source is None else _library(function.name(), source, (*NATIVE, *OPTIONS), _processor())
+    if library is not None:
+        try:
+            return Lanes(function, library)
+        except OSError as error:
+            _log.info("%s runs row by row: %s", function.name(), error)
+    return Blocks(compile_function(function))
+
+
+def compile_function(function: Any) -> Any:
+    """The same casadi function, compiled to C if that can be had; else the function itself.
+
+    Parameters
+    ----------
+    function
+        A ``casadi.Function`` without calls to anything that has no C source.
+    """
+    if compiler() is None:
+        return function
+    name = function.name()
+    generator = ca.CodeGenerator(name)
+    generator.add(function)
+    source = generator.dump()
+    for options, machine in ((NATIVE, _processor()), (PLAIN, "")):
+        library = _library(name, source, (*options, *OPTIONS), f"{ca.CasadiMeta.version()} {machine}")
+        try:
+            if library is not None:
+                return ca.external(name, str(library))
+        except RuntimeError as error:
+            _log.info("%s runs uncompiled: %s", name, error)
+    return function
+
+
+def _library(name: str, source: str, options: Sequence[str], machine: str) -> Path | None:
+    """The library of a source, compiled unless the cache has it; None where it cannot be had.
+
+    ``machine`` is what the library depends on besides source and command.
+    """
+    command = compiler()
+    if command is None:
+        return None
+    key = hashlib.sha256("\0".join([machine, *command, *options, source]).encode()).hexdigest()[:24]
+    library = Path(platformdirs.user_cache_dir("clampid", appauthor=False)) / "compiled" / f"{name}-{key}.so"
+    try:
+        if not library.exists():
+            library.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            _build([*command, *options], source, library)
+        return library
+    except (OSError, subprocess.SubprocessError) as error:
+        _log.info("%s was not compiled: %s", name, error)
+        return None
+
+
+def _processor() -> str:
+    """What says which instructions this processor has: cache folders may be shared between machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return f"{platform.machine()} {platform.processor()}"
+    return next((line for line in lines if line.startswith(("flags", "Features"))), platform.machine())
+
+
+def _build(command: list[str], source: str, library: Path) -> None:
+    """Compile beside the library's place and move it there whole, so that another process never loads half of it."""
+    with _scratch(library.parent) as folder:
+        (folder / "function.c").write_text(source, encoding="utf-8")
+        subprocess.run(
+            [*command, "-o", str(folder / "function.so"), str(folder / "function.c"), "-lm"],
+            check=True,
+            capture_output=True,
+            timeout=COMPILE_SECONDS,
+        )
+        (folder / "function.so").replace(library)
+
+
+@contextmanager
+def _scratch(parent: Path) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(dir=parent) as name:
+        yield Path(name)

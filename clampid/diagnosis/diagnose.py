@@ -1,0 +1,194 @@
+"""Diagnosis of a model on a campaign: where it fails, and which physical effect is missing, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from clampid.comparison.compensation import Compensation, compensation_of
+from clampid.diagnosis.next_measurement import NextPlan
+from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
+from clampid.diagnosis.omission import exported_shift, shift_in_words
+from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.stage import diagnose_stage
+from clampid.effect import Effect, Stage
+from clampid.evidence.alignment import simpler
+from clampid.evidence.score import Scored
+from clampid.fitting.solve import Estimate
+from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.identify import TABLES_OF, session_of
+from clampid.identification.reopen import Reopened, reopen
+from clampid.models.model import Model
+from clampid.slots import Slot, Term
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign
+from experiments.plans.errors import PlanError
+
+__all__ = ["Diagnosis", "diagnose"]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found, stage by stage.
+
+    Attributes
+    ----------
+    compensation
+        Mistakes of the controller's own compensation that were measured along, by name; None where none shows.
+    simpler
+        Stage → effects that say with one curve what the model, with what was found missing, says with several.
+    """
+
+    stages: Mapping[Stage, StageDiagnosis]
+    compensation: Compensation | None = None
+    simpler: Mapping[Stage, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: INTERFACE's JSON of ``diagnose``."""
+        simpler = {name: {"simpler": list(found)} for name, found in self.simpler.items() if found}
+        stages = {name: {**stage.to_json(), **simpler.get(name, {})} for name, stage in self.stages.items()}
+        data: dict[str, Any] = {"stages": stages}
+        if self.compensation is not None:
+            data["compensation"] = self.compensation.to_json()
+        return data
+
+
+@single_threaded
+def diagnose(
+    model: Model,
+    campaigns: Campaign | Sequence[Campaign],
+    *,
+    seed: int = 0,
+    flips: int = 199,
+    user_effects: Path | None = None,
+    stages: Sequence[Stage] | None = None,
+    plan_for: Sequence[str] | None = None,
+) -> Diagnosis:
+    """Find out where a model fails on a campaign, or on several at once, and which effect is missing.
+
+    The model's active effects are fitted to the campaigns first, from the model's values, so that what they could still
+    absorb is not taken for evidence. A stage is diagnosed with the loads, frictions and springs that those before it
+    have with what was found missing there: it would show in it, too, under another name.
+
+    Parameters
+    ----------
+    campaigns
+        One, or all that the model was fitted on, as sessions of one robot.
+    flips
+        Sign flips that decide: p_familywise is at least 1/(flips + 1).
+    stages
+        Those to diagnose; by default all that the campaigns have tables for.
+    plan_for
+        Effects, ``effect`` or ``effect@joint3``, that the next measurements are to test, where the campaigns leave no
+        candidates that cannot be told apart; empty: all that the rows test too weakly. None: nothing is planned for
+        them.
+
+    Raises
+    ------
+    ModelError
+        The model does not fit the campaigns.
+    """
+    opened = mending = reopen(model, campaigns, user_effects)
+    found: dict[Stage, StageDiagnosis] = {}
+    for stage in opened.stages:
+        wanted = stages is None or stage in stages
+        if wanted and opened.has(TABLES_OF[stage]):
+            found[stage] = part = _one(mending, stage, seed, flips, plan_for)
+            if part.added and part.fitted is not None:
+                mending = replace(mending, stages={**mending.stages, stage: part.fitted.model})
+    mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
+    several = len(opened.campaigns) > 1  # each has a controller's setting of its own
+    alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
+    compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
+    if compensation is not None and "poses" in found:
+        found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()
+    return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
+
+
+def _one(
+    opened: Reopened, stage: Stage, seed: int, flips: int, plan_for: Sequence[str] | None = None
+) -> StageDiagnosis:
+    rows = opened.rows(stage)
+    fitted = opened.refit(stage, rows)
+    before = {s: m for s, m in opened.stages.items() if s != stage}
+
+    def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
+        known = {**start, **last.model.values()}
+        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
+
+    verification = opened.verification(fitted.base_reference) if stage == "poses" else None
+
+    refused: list[str] = []
+
+    def propose(estimate: Estimate, rivals: Sequence[Scored], scale: float) -> NextPlan | None:
+        try:
+            return parting_plan(opened.campaign, estimate, rivals, scale, seed)
+        except PlanError as error:
+            refused.append(f"No plan can be made: {error}.")
+            return None
+
+    asked = propose if len(opened.campaigns) == 1 else None
+    effects = _effects_for(opened, stage)
+    found = diagnose_stage(fitted, effects, refit, verification, seed, flips, asked, _called_for(opened, stage))
+    found.warnings += refused
+    if stage == "poses" and found.next_plan is not None:
+        from clampid.diagnosis.next_poses import poses_of
+
+        found.next_poses = poses_of(opened.campaign, found.next_plan, seed)
+    if plan_for is not None and len(opened.campaigns) == 1 and found.verdict != "ambiguous":
+        _test_too(opened, found, effects, plan_for, seed)
+    if stage == "poses" and found.added and found.fitted is not None:
+        ends = [_alone(opened, end) for end in (fitted, found.fitted)]
+        found.exported_shift = exported_shift(ends[0], ends[1], opened.campaign.robot)
+        found.summary = f"{found.summary} {shift_in_words(found.exported_shift)}".rstrip()
+    return found
+
+
+def _test_too(
+    opened: Reopened, found: StageDiagnosis, effects: dict[str, Effect], names: Sequence[str], seed: int
+) -> None:
+    """Plan what tests better what the rows of a stage test too weakly."""
+    if found.look is None or found.fitted is None:
+        return
+    estimate = found.fitted.estimate
+    here = [n for n in names if found.stage in getattr(effects.get(n.partition("@")[0]), "stages", (found.stage,))]
+    if names and not here:
+        return
+    weak = weak_ones(found.look, estimate, effects, here)
+    try:
+        found.next_plan = showing_plan(opened.campaign, estimate, weak, found.look.space.scale, seed)
+    except PlanError as error:
+        found.warnings.append(f"No plan can be made: {error}.")
+
+
+def _alone(opened: Reopened, poses: FittedStage) -> Model:
+    """A model of the poses of these campaigns alone."""
+    sessions = tuple(session_of(c, poses.base_reference.get(s)) for s, c in enumerate(opened.campaigns))
+    return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=sessions)
+
+
+def _called_for(opened: Reopened, stage: Stage) -> frozenset[Term]:
+    """What the torque log has shown to act at the joints, where this is the stage of poses."""
+    if stage != "poses" or "free_air" not in opened.stages:
+        return frozenset()
+    known = opened.stages["free_air"].terms
+    return frozenset(t for t in known if set(opened.effects[t.effect].acts) == {"joint_torque"})
+
+
+def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
+    """The effects that a stage looks for.
+
+    What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one
+    that these did not call for: a spring on a joint bends the arm just as an eccentric gear does.
+    """
+    effects = dict(opened.effects)
+    if stage != "poses" or not opened.has(TABLES_OF["free_air"]):
+        return effects
+    known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}
+    return {
+        name: e
+        for name, e in effects.items()
+        if set(e.acts) != {"joint_torque"} or "free_air" not in e.stages or name in known
+    }

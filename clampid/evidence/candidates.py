@@ -1,0 +1,212 @@
+"""Candidates: every absent effect at every place it could sit, and physics-free probes, as columns of one table.
+
+A candidate is *location × covariate function*, so that named physics and probes share one code path: their columns say
+what a unit of each parameter would do to the measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clampid.effect import Effect, Parameter
+from clampid.evidence.columns import Columns, Products, columns_from
+from clampid.evidence.of_size import SIZES
+from clampid.fitting.gauge import independent_geometry
+from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate, whitened_columns
+from clampid.slots import Slot, Term, slots_of
+from clampid.stages.experiment import parameter_of
+from clampid.stages.rows import Array
+
+__all__ = ["Candidate", "columns_of", "named_candidates", "terms_not_active"]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Columns that might be missing from the model.
+
+    Attributes
+    ----------
+    name
+        The effect's name, or a sentence for a probe.
+    terms
+        What would be added; empty for a probe.
+    slots
+        The amplitudes behind the columns; empty for a probe.
+    shapes
+        Values of shape parameters at which the columns were taken.
+    columns
+        Whitened, one a slot.
+    depends_on
+        Recorded variables it depends on, by column name without unit.
+    places
+        Where it acts: ``joint3``, ``base`` …
+    prior
+        Standard deviations ``(k,)`` of the amplitudes, of which it has too many to be told without; else None.
+    sizes
+        What of that prior there may be, where it says no more than the largest size: a score chooses.
+    sized_by
+        Of a named effect, the shape that is this size.
+    reasonable
+        Reasonable sizes ``(k,)`` of the amplitudes, as their declarations have them; None of a probe, which has none.
+    """
+
+    name: str
+    family: str
+    terms: tuple[Term, ...]
+    slots: tuple[Slot, ...]
+    shapes: Mapping[Slot, float]
+    columns: Columns | Products
+    depends_on: tuple[str, ...]
+    places: tuple[str, ...]
+    prior: Array | None = None
+    sizes: tuple[float, ...] = (1.0,)
+    sized_by: Slot | None = None
+    reasonable: Array | None = None
+
+    def of_size(self, size: float) -> Candidate:
+        """The same with a prior of that size; the columns stay as they are."""
+        if self.prior is None:
+            return self
+        shapes = {s: value * size if s == self.sized_by else value for s, value in self.shapes.items()}
+        return replace(self, prior=self.prior * size, sizes=(1.0,), shapes=shapes)
+
+    @property
+    def label(self) -> str:
+        """For people: the effect and where it is."""
+        return f"{self.name}@{','.join(self.places)}" if self.places else self.name
+
+
+def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
+    """Every effect that acts in this stage, at every place where it is not active yet; no events.
+
+    What refines another effect is looked for where that is: a spring that hardens where there is a spring.
+    """
+    active = {(s.effect, s.place) for s in estimate.slots}
+    layout = estimate.experiment.rows.layout
+    out = []
+    for effect in effects.values():
+        if estimate.experiment.stage not in effect.stages or effect.aligns is not None or effect.event is not None:
+            continue
+        if effect.asked:
+            continue
+        if effect.beyond is not None and not any(name == effect.beyond for name, _ in active):
+            continue
+        if effect.tried == "together" or effect.per == "robot":
+            if not any(name == effect.name for name, _ in active):
+                out.append(Term(effect.name, None if effect.per != "robot" else effect.at))
+            continue
+        refined = {place for name, place in active if name == effect.beyond and place.startswith(effect.per)}
+        out += [
+            Term(effect.name, p)
+            for p in layout.allowed(effect, estimate.experiment.stage)
+            if (effect.name, p) not in active and (not refined or p in refined) and not _recorded(estimate, effect, p)
+        ]
+    return out
+
+
+def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
+    """Whether the signal that an effect goes without varies at a joint or link; nothing is where it names none."""
+    if effect.without is None:
+        return False
+    number = int(place.removeprefix(effect.per)) - 1
+    return bool(np.ptp(estimate.experiment.rows.signals[effect.without][:, number]) > 0.0)
+
+
+def named_candidates(
+    estimate: Estimate, effects: Mapping[str, Effect], fired: Collection[str] | None = None
+) -> list[Candidate]:
+    """The absent effects as candidates: place by place, and at all remaining places at once where that is usual.
+
+    Events are scored by :func:`clampid.evidence.events.event_scores`.
+
+    Parameters
+    ----------
+    fired
+        Names of the probes that fired; effects that others reveal are left out. None: nothing is left out.
+    """
+    rows = estimate.experiment.rows
+    terms = terms_not_active(estimate, effects)
+    if fired is not None:
+        terms = [t for t in terms if effects[t.effect].revealed_by is None or effects[t.effect].revealed_by in fired]
+    slots: dict[Slot, None] = {}
+    of_term: dict[Term, tuple[Slot, ...]] = {}
+    for term in terms:
+        effect = effects[term.effect]
+        if effect.family == "geometry":
+            found = independent_geometry(rows, effects)
+        else:
+            alone = term.place is not None and effect.per != "robot"
+            found = slots_of(effect, rows.layout, rows.stage, (term.place,) if alone and term.place else None)
+        of_term[term] = found
+        slots |= dict.fromkeys(found)
+    every = [s for s in slots if s not in estimate.slots]
+    parameters = {s: parameter_of(s, effects, rows.robot) for s in every}
+    grids = max((len(p.grid) for p in parameters.values() if p.shape), default=1)
+    out: list[Candidate] = []
+    for level in range(grids):
+        # Only effects with a shape look different at the further values of its grid.
+        deep = {s.effect for s in every if level < len(parameters[s].grid)}
+        extra = [s for s in every if level == 0 or s.effect in deep]
+        values = [parameters[s].grid[level] if parameters[s].shape else 0.0 for s in extra]
+        white = whitened_columns(estimate, extra, values)
+        index = {s: k for k, s in enumerate(extra)}
+        for name in dict.fromkeys(t.effect for t in terms):
+            if level > 0 and name not in deep:
+                continue
+            effect = effects[name]
+            own = [t for t in terms if t.effect == name]
+            groups: list[Sequence[Term]] = []
+            if effect.tried in ("places", "both") or effect.per == "robot":
+                groups += [(t,) for t in own]
+            if effect.tried in ("together", "jointly") or (effect.tried == "both" and len(own) > 1):
+                groups.append(own)
+            for group in groups:
+                members = list(dict.fromkeys(s for t in group for s in of_term[t] if s in index))
+                if members:
+                    out.append(_candidate(effect, group, members, parameters, index, values, white))
+    return out
+
+
+def columns_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Array:
+    """Whitened columns ``(M, k)`` of candidates in the rows that another fit counts, each slot once."""
+    active = set(estimate.slots)
+    shapes = {slot: value for c in candidates for slot, value in c.shapes.items() if slot not in active}
+    amplitudes = list(dict.fromkeys(slot for c in candidates for slot in c.slots if slot not in active))
+    if not amplitudes:
+        return np.zeros((len(estimate.whitened.residual), 0))
+    white = whitened_columns(estimate, [*amplitudes, *shapes], [0.0] * len(amplitudes) + list(shapes.values()))
+    return np.asarray(white.jacobian[:, : len(amplitudes)], dtype=float)
+
+
+def _candidate(
+    effect: Effect,
+    group: Sequence[Term],
+    members: Iterable[Slot],
+    parameters: Mapping[Slot, Parameter],
+    index: Mapping[Slot, int],
+    values: Sequence[float],
+    white: Whitened,
+) -> Candidate:
+    members = list(members)
+    amplitudes = tuple(s for s in members if not parameters[s].shape)
+    shapes = {s: values[index[s]] for s in members if parameters[s].shape}
+    assumed = all(parameters[s].spread <= 1.0 for s in amplitudes)
+    sized_by = next((s for s in shapes if s.parameter == effect.sized_by), None)
+    return Candidate(
+        name=effect.name,
+        family=effect.family,
+        terms=tuple(group),
+        slots=amplitudes,
+        shapes=shapes,
+        columns=columns_from(white, [index[s] for s in amplitudes]),
+        depends_on=(),
+        places=tuple(t.place for t in group if t.place is not None),
+        prior=np.array([parameters[s].prior_std for s in amplitudes]) if assumed else None,
+        sizes=(1.0,) if sized_by is None else SIZES,
+        sized_by=sized_by,
+        reasonable=np.array([parameters[s].size for s in amplitudes]),
+    )

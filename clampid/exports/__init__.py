@@ -1,0 +1,1 @@
+"""Tables and files for others, each read back, with what its form cannot say in numbers."""

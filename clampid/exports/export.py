@@ -1,0 +1,423 @@
+"""The compensated robot for others: Denavit–Hartenberg tables with uncertainties, and URDF.
+
+They hold the calibrated chain (:mod:`clampid.models.calibrated`): what is static at one temperature of all links, 20 °C
+unless another is stated. Effects that depend on posture, load or direction are no part of them (errors of joint angles
+have a table of their own); what that leaves of the whole model is measured over the workspace and written into the
+file.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clampid.catalogue import with_user_effects
+from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
+from clampid.models.calibrated import REFERENCE, CalibratedChain, calibrated_chain, sensitivity
+from clampid.models.curves import angle_errors
+from clampid.models.described import robot_of
+from clampid.models.model import Model, ModelError, write_text
+from clampid.stages.rows import Array
+from experiments.campaign import Campaign
+from kinematics.dh import Convention, DHRow, DHTable
+from kinematics.dh import forward as dh_forward
+from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
+from kinematics.poe import forward
+from kinematics.robot import RobotDescription
+from kinematics.screws import roll_pitch_yaw, rotation_of, transform
+from kinematics.urdf import read_urdf, write_urdf
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "COLUMNS",
+    "FRAME_COLUMNS",
+    "ROW_COLUMNS",
+    "CalibratedChain",
+    "Exported",
+    "ExportedTable",
+    "angle_table",
+    "calibrated_chain",
+    "dh_export",
+    "dh_table",
+    "postures",
+    "read_dh",
+    "sensitivity",
+    "static_table",
+    "table_text",
+    "urdf_export",
+    "urdf_text",
+]
+
+ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
+FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+SAID = ("temperature_C", "difference_m")
+LEFT = (*(f"left_by_table_{k}_{unit}" for unit in ("m", "rad") for k in ("rms", "max")), "not_in_table")
+COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")), *SAID, *LEFT)
+"""Columns of the table; a column that does not belong to a row is empty there."""
+
+ANGLES = np.deg2rad(5.0)  # between rows of a table of angle errors
+EXACT = 1e-9  # m and rad: what an export may differ from the model, read back
+STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """A file of the calibrated robot, read back, and what it leaves of the model.
+
+    Attributes
+    ----------
+    text
+        The file.
+    temperature
+        Of all links, °C.
+    difference
+        By how much the file, read back, differs at most from the calibrated chain, m.
+    left
+        What it leaves of the whole model over the workspace.
+    measured
+        What it alone leaves of measured points; None without a campaign.
+    """
+
+    text: str
+    temperature: float
+    difference: float
+    left: LeftOut
+    measured: Measured | None
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """What it leaves, in sentences."""
+        lines = [str(self.left), f"not in it: {self.left.worth}"]
+        return tuple(lines if self.measured is None else [*lines, f"this alone leaves {self.measured}"])
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs; SI but for the temperatures."""
+        out = {"temperature_C": self.temperature, "difference_m": self.difference, **self.left.to_json()}
+        out["measured"] = None if self.measured is None else self.measured.to_json()
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedTable(Exported):
+    """A Denavit–Hartenberg table as a file, CSV, and as a frame with the columns :data:`COLUMNS`."""
+
+    convention: Convention
+    table: pd.DataFrame
+
+    def to_json(self) -> dict[str, Any]:
+        """As of any export, and the table row by row."""
+        rows = (row.dropna() for _, row in self.table.drop(columns=[*SAID, *LEFT]).iterrows())
+        return {"convention": self.convention, **super().to_json(), "rows": [row.to_dict() for row in rows]}
+
+
+def dh_export(
+    model: Model,
+    convention: Convention,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
+    campaign: Campaign | None = None,
+    user_effects: Path | None = None,
+) -> ExportedTable:
+    """The compensated Denavit–Hartenberg table with standard errors, and what it leaves of the whole model.
+
+    Rows ``1`` … ``n`` have A_i = Rz(sign q_i + theta_offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); rows ``base`` and ``tool``
+    a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame. Where a linkage
+    couples joints, q are the joint values of the chain and not the controller's. Column ``difference_m`` says by how
+    much the table, read back, differs at most from the static chain over the joints' ranges; ``left_by_table_…`` how
+    far the flange of the whole model is from it there, and ``not_in_table`` by which effects.
+
+    Parameters
+    ----------
+    convention
+        ``hayati`` is exact; ``standard`` loses digits between nearly parallel axes.
+    session
+        Whose base and flange, from 0.
+    robot
+        The nominal robot, if the model's name for it is not that of a bundled one.
+    temperature
+        Of all links, °C; see `calibrated_chain`.
+    campaign
+        That of the session: its declared tool loads the model, and on its measured points it is said what the table
+        alone leaves.
+    user_effects
+        The user's own effects; by default the file that the model names.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry, no expansion for that temperature, or effects that are not known; or the campaign is
+        not that of the session.
+    DHError
+        Standard rows would lose more than a micrometre, or a joint is helical.
+    """
+    nominal = robot_of(model, robot)
+    frame = static_table(model, convention, session=session, robot=nominal, temperature=temperature)
+    table = read_dh(table_text(frame))
+    left, measured = _checked(
+        lambda q: dh_forward(table, q), model, nominal, session, temperature, campaign, user_effects
+    )
+    e = left.error
+    frame[list(LEFT[:-1])] = e.position_rms, e.position_max, e.orientation_rms, e.orientation_max
+    frame[LEFT[-1]] = " ".join(left.effects)
+    difference = float(frame["difference_m"].iloc[0])
+    return ExportedTable(table_text(frame), temperature, difference, left, measured, convention, frame)
+
+
+def _checked(
+    form: Flange,
+    model: Model,
+    robot: RobotDescription,
+    session: int,
+    temperature: float,
+    campaign: Campaign | None,
+    user_effects: Path | None,
+) -> tuple[LeftOut, Measured | None]:
+    """What a form leaves of the whole model, and of measured points where there are any."""
+    measured = None if campaign is None else measured_error(form, model, session, campaign)
+    left = left_out(
+        form, model, robot, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
+    )
+    return left, measured
+
+
+def dh_table(model: Model, convention: Convention, **options: Any) -> pd.DataFrame:
+    """The table of :func:`dh_export`, which says the ``options``, as a frame with the columns :data:`COLUMNS`."""
+    return dh_export(model, convention, **options).table
+
+
+def static_table(
+    model: Model,
+    convention: Convention,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
+) -> pd.DataFrame:
+    """The compensated table as :func:`dh_export` has it, without what it leaves of the whole model.
+
+    Parameters
+    ----------
+    convention
+        ``hayati`` is exact; ``standard`` loses digits between nearly parallel axes.
+    session
+        Whose base and flange, from 0.
+    robot
+        The nominal robot, if the model's name for it is not that of a bundled one.
+    temperature
+        Of all links, °C; see `calibrated_chain`.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry, or no expansion for that temperature.
+    DHError
+        Standard rows would lose more than a micrometre, or a joint is helical.
+    """
+    nominal = robot_of(model, robot)
+    chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
+    numbers, signs = _numbers(chain, convention)
+
+    def moved(chain: CalibratedChain) -> Array:
+        return _numbers(chain, convention)[0]
+
+    def apart(a: Array, b: Array) -> Array:
+        return _difference(a, b, nominal.n)
+
+    J, covariance = sensitivity(model, moved, session=session, robot=nominal, temperature=temperature, difference=apart)
+    std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, covariance, J), 0.0))
+    frame = _frame(numbers, std, signs)
+    difference = _verify(frame, chain, STANDARD if convention == "standard" else EXACT)
+    frame["temperature_C"], frame["difference_m"] = temperature, difference
+    return frame
+
+
+def table_text(frame: pd.DataFrame) -> str:
+    """The table as CSV with every digit: standard rows need them."""
+    return str(frame.to_csv(index=False, lineterminator="\n"))
+
+
+def read_dh(text: str, convention: Convention = "hayati") -> DHTable:
+    """A table as :func:`table_text` wrote it, to the last digit."""
+    records = {record["row"]: record for record in csv.DictReader(io.StringIO(text))}
+
+    def numbers(row: str, columns: Sequence[str]) -> list[float]:
+        return [float(records[row][column]) for column in columns]
+
+    rows = []
+    for i in range(1, len(records) - 1):
+        sign, theta_offset, d, a, alpha, beta = numbers(str(i), ("sign", *ROW_COLUMNS))
+        rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
+    base, tool = (_pose(np.array(numbers(end, FRAME_COLUMNS))) for end in ("base", "tool"))
+    return DHTable(tuple(rows), base, tool, convention)
+
+
+def _numbers(chain: CalibratedChain, convention: Convention) -> tuple[Array, list[int]]:
+    """All numbers of the table, flat: five per row, then six each for base and tool; and the signs."""
+    convert = hayati_from_poe if convention == "hayati" else standard_from_poe
+    table = convert(chain.screws, chain.home, chain.robot.dh)
+    if any(row.prismatic for row in table.rows):
+        raise DHError("a prismatic joint adds its value to d, which the exported columns cannot say; export URDF")
+    rows = [(r.theta_offset, r.d, r.a, r.alpha, r.beta) for r in table.rows]
+    ends = (_position_and_angles(chain.base @ table.base), _position_and_angles(table.tool))
+    return np.concatenate([np.ravel(rows), *ends]), [row.sign for row in table.rows]
+
+
+def _position_and_angles(T: Array) -> Array:
+    """Position and (rx, ry, rz) of a pose, R = Rz Ry Rx."""
+    return np.concatenate([T[:3, 3], roll_pitch_yaw(T[:3, :3])])
+
+
+def _pose(numbers: Array) -> Array:
+    return transform(rotation_of(numbers[3:]), numbers[:3])
+
+
+def _difference(a: Array, b: Array, n: int) -> Array:
+    """A − b, with angles across ±180° taken the short way."""
+    angle = np.array([*[True, False, False, True, True] * n, *[False] * 3, *[True] * 3, *[False] * 3, *[True] * 3])
+    d = a - b
+    return np.asarray(np.where(angle, np.pi - np.remainder(np.pi - d, 2 * np.pi), d))
+
+
+def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
+    import pandas as pd
+
+    n = len(signs)
+    records: list[dict[str, object]] = []
+    for i, sign in enumerate(signs):
+        part = slice(5 * i, 5 * i + 5)
+        records.append({"row": str(i + 1), "sign": sign, **_named(ROW_COLUMNS, numbers[part], std[part])})
+    for k, end in enumerate(("base", "tool")):
+        part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
+        records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
+    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT)])
+    return frame.astype({"sign": "Int64"})
+
+
+def _named(columns: tuple[str, ...], numbers: Array, std: Array) -> dict[str, object]:
+    out: dict[str, object] = {}
+    for column, number, error in zip(columns, numbers.tolist(), std.tolist(), strict=True):
+        out |= {column: number, f"std_{column}": error}
+    return out
+
+
+def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> float:
+    """Read the table back and hold it against the chain: by how much they differ at most, m."""
+    q = postures(chain.robot)
+    difference = float(np.abs(dh_forward(read_dh(table_text(frame)), q) - chain.flange(q)).max())
+    if not difference <= allowed:
+        raise DHError(f"the table, read back, differs by {difference:.2g} m from the model, more than {allowed:g} m")
+    return difference
+
+
+def angle_table(
+    model: Model, *, robot: RobotDescription | None = None, effects_from: Path | None = None
+) -> pd.DataFrame:
+    """Errors of joint angles over their ranges, which no table of constant numbers can hold.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``joint``, ``q_rad`` as the controller reports it, ``error_rad`` (arm less controller: add it before a table of
+        Denavit–Hartenberg parameters is used), ``std_error_rad``, and ``extrapolated``, 1 where no pose was near.
+
+    Raises
+    ------
+    ModelError
+        The model has no such errors.
+    """
+    import pandas as pd
+
+    nominal = robot_of(model, robot)
+    stage = model.stages.get("poses")
+    if stage is None:
+        raise ModelError("expected a model with a stage poses, found none")
+    parts = []
+    known = with_user_effects(effects_from)
+    for j, (low, high) in enumerate(zip(*ranges(nominal), strict=True)):
+        q = np.zeros((round((high - low) / ANGLES) + 1, nominal.n))
+        q[:, j] = np.linspace(low, high, len(q))
+        found = angle_errors(stage, known, model.layout, nominal, q)
+        if found.active[j]:
+            columns = {
+                "q_rad": q,
+                "error_rad": found.error,
+                "std_error_rad": found.std,
+                "extrapolated": found.extrapolated,
+            }
+            part = pd.DataFrame({name: values[:, j] for name, values in columns.items()})
+            part.insert(0, "joint", j + 1)
+            parts.append(part.astype({"extrapolated": int}))
+    if not parts:
+        raise ModelError("expected a model with errors of joint angles (such as gear_eccentricity), found none")
+    return pd.concat(parts, ignore_index=True)
+
+
+def urdf_export(
+    model: Model,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
+    campaign: Campaign | None = None,
+    user_effects: Path | None = None,
+) -> Exported:
+    """The calibrated chain as URDF, whose frame ``world`` is the instrument's, and what it leaves of the whole model.
+
+    The file says its temperature, by how much it, read back, differs at most from the static chain over the joints'
+    ranges, and what it leaves of the whole model there.
+
+    Parameters
+    ----------
+    session, robot, temperature, campaign, user_effects
+        See `dh_export`.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry, or effects that are not known; the campaign is not that of the session; or the file,
+        read back, is not the chain.
+    DescriptionError
+        A joint is neither revolute nor prismatic.
+    """
+    import tempfile
+
+    nominal = robot_of(model, robot)
+    chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
+    text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.urdf"
+        write_text(path, text)
+        back = read_urdf(path, "flange")
+
+    def form(q: Array) -> Array:
+        return np.asarray(forward(back.screws, back.flange, q))
+
+    q = postures(nominal)
+    difference = float(np.abs(form(q) - chain.flange(q)).max())
+    if not difference <= EXACT:
+        raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
+    left, measured = _checked(form, model, nominal, session, temperature, campaign, user_effects)
+    head, _, rest = text.partition("\n")
+    found = Exported("", temperature, difference, left, measured)
+    said = (
+        f"clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
+        f"from the model's static geometry, over {POSTURES} postures in the joints' ranges",
+        *found.said,
+    )
+    comments = "\n".join(f"<!-- {line.replace('--', '- -')} -->" for line in said)
+    return replace(found, text=f"{head}\n{comments}\n{rest}")
+
+
+def urdf_text(model: Model, **options: Any) -> str:
+    """The file of :func:`urdf_export`, which says the ``options``."""
+    return urdf_export(model, **options).text

@@ -1,0 +1,251 @@
+"""The base (minimal) parameters of gravity and inertia: the combinations that the data tell, and nothing beyond.
+
+A torque depends on the links' masses, first moments and inertias through fewer numbers than they are: a mass at joint
+k+1's axis is the same as more mass at the far end of link k. Columns of the Jacobian are taken in a fixed order (from
+the base outwards; first moments, then inertias, then masses), and one that adds nothing to those before it is a
+combination of them: its parameter joins theirs with these coefficients, which come out as lengths of the arm. What adds
+nothing and resembles nothing is not in the data at all. Columns are those of the data's own postures, so that a joint
+that never moved welds its links together. How well the data tell each combination is a second question, which noise
+decides.
+
+Source: Gautier 1991, Numerical calculation of the base inertial parameters of robots, J. Robotic Systems 8(4), eqs.
+14-23 (QR of the observation matrix, X_B = X_1 + R_1^-1 R_2 X_2), with the order of columns fixed instead of pivoted, so
+that the names stay the same from one campaign to the next; Khalil and Dombre 2002, section 9.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.fitting.base_names import BaseParameter, base_name
+from clampid.fitting.log_sample import sampled_rows
+from clampid.fitting.solve import Estimate
+from clampid.slots import Slot, find_parameter
+from clampid.stages.experiment import Experiment
+from clampid.stages.loads import gravity_regressors
+from clampid.stages.rows import Array, Rows
+from kinematics.dynamics import inertial_parameters
+from kinematics.masses import links_of
+from kinematics.robot import RobotDescription
+
+__all__ = ["INERTIAL", "base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
+
+INERTIAL = ("gravity", "link_inertia", "payload", "inertia")
+"""Effects whose parameters are masses, first moments and inertias; in the order in which their columns are taken."""
+
+EXACT = 1e-7  # a column whose new part is a smaller share of it is a combination of others, but for rounding
+ROUNDING = 1e-11  # of the largest column: nothing
+NOUGHT = 1e-6  # a share this small, in reasonable sizes, is rounding
+TOLD = 0.7  # of what was known before: where the data leave more of it, they do not tell
+_FIRST_MOMENTS = ("mx", "my", "mz")
+
+
+def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
+    """The base parameters of a torque fit, from the rank of its own rows.
+
+    Source: the module's docstring. The standard errors are those of the whole fit, prior knowledge included.
+
+    Parameters
+    ----------
+    estimate
+        Of the stage ``free_air``.
+
+    Returns
+    -------
+    tuple
+        From the base outwards; empty where the fit has no inertial parameters, or is of another stage.
+    """
+    experiment, count = estimate.experiment, len(estimate.slots)
+    if experiment.stage != "free_air" or not any(s.effect in INERTIAL for s in estimate.slots):
+        return ()
+    columns, offsets = _columns(estimate)
+    return grouped(
+        experiment,
+        estimate.theta[:count],
+        estimate.covariance[:count, :count],
+        estimate.prior_precision[:count, :count],
+        columns,
+        offsets,
+    )
+
+
+def grouped(
+    experiment: Experiment, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
+) -> tuple[BaseParameter, ...]:
+    """The base parameters of a torque fit whose columns are given.
+
+    Parameters
+    ----------
+    experiment
+        Slots and robot.
+    theta, covariance, precision
+        ``(P,)``, ``(P, P)`` and the prior's ``(P, P)``, SI.
+    columns, offsets
+        Of some rows over their noise, the Jacobian of the slots ``(M, P)`` and of the runs' offsets ``(M, K)``.
+    """
+    slots, effects = experiment.slots, experiment.effects
+    robot, count = experiment.rows.robot, len(slots)
+    size = experiment.sizes()[:count]
+    turned = to_joint_points(slots, robot)
+    order = sorted(range(count), key=lambda k: _turn(slots[k]))
+    kept, coefficients = regroup(columns @ np.linalg.inv(turned) * size, order, offsets)
+    described = described_parameters(slots, robot)
+    theta = turned @ theta + described
+    before = turned @ np.linalg.inv(precision) @ turned.T
+    covariance = turned @ covariance @ turned.T
+    out = []
+    for k, shares in zip(kept, coefficients, strict=True):
+        if slots[k].effect not in INERTIAL:
+            continue
+        weights = np.where(np.abs(shares) > NOUGHT, shares * size[k] / size, 0.0)
+        terms = _ordered([(slots[j], float(weights[j])) for j in order if weights[j] != 0.0], slots[k])
+        std, prior = (float(np.sqrt(max(float(weights @ C @ weights), 0.0))) for C in (covariance, before))
+        unit = find_parameter(slots[k], effects).unit
+        value, nominal = float(weights @ theta), float(weights @ described) if robot.has_masses else 0.0
+        known = bool(std < min(size[k], TOLD * prior))
+        out.append(BaseParameter(base_name(terms, effects), unit, terms, value, std, nominal, known))
+    return tuple(out)
+
+
+def regroup(columns: Array, order: Sequence[int], nuisance: Array | None = None) -> tuple[list[int], Array]:
+    """Take columns in order; keep those that add something, and write the others in terms of them.
+
+    Source: Gautier 1991, eqs. 14-23; here by Gram-Schmidt with reorthogonalisation in a given order.
+
+    Parameters
+    ----------
+    columns
+        ``(M, P)``, scaled alike.
+    order
+        In which the columns are taken.
+    nuisance
+        ``(M, K)``: columns that are taken first and are of no interest themselves.
+
+    Returns
+    -------
+    list, Array
+        The columns kept, and ``(kept, P)`` what each of them stands for: ``columns ≈ columns[:, kept] @ coefficients``.
+    """
+    basis = np.zeros((len(columns), 0))
+    if nuisance is not None and nuisance.size:
+        U, s, _ = np.linalg.svd(nuisance, full_matrices=False)
+        basis = U[:, s > EXACT * s.max(initial=0.0)]
+    hidden = basis.shape[1]
+    floor = ROUNDING * float(np.linalg.norm(columns, axis=0).max(initial=0.0))
+    kept: list[int] = []
+    inside = np.zeros((columns.shape[1], columns.shape[1]))  # rows: basis vectors of the columns kept
+    for k in order:
+        column = columns[:, k]
+        share = basis.T @ column
+        rest = column - basis @ share
+        again = basis.T @ rest
+        rest, share = rest - basis @ again, share + again
+        inside[: len(kept), k] = share[hidden:]
+        length = float(np.linalg.norm(rest))
+        if length > max(EXACT * float(np.linalg.norm(column)), floor):
+            inside[len(kept), k] = length
+            basis = np.c_[basis, rest / length]
+            kept.append(k)
+    triangle = inside[: len(kept)]
+    if not kept:
+        return kept, triangle
+    return kept, np.asarray(np.linalg.solve(triangle[:, kept], triangle))
+
+
+def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
+    """The matrix ``(P, P)`` that moves the origin of links' first moments from the base's to a point on their joint.
+
+    m c counts from the base's origin in the model, which makes it the same for every choice of frames, but mixes each
+    mass into its moments; source: m (c − p) = m c − m p.
+    """
+    index = {slot: k for k, slot in enumerate(slots)}
+    out = np.eye(len(slots))
+    for k, slot in enumerate(slots):
+        if slot.effect == "gravity" and slot.parameter in _FIRST_MOMENTS:
+            mass = index.get(Slot("gravity", "m", slot.place))
+            if mass is not None:
+                point = robot.joints[_number(slot) - 1].point
+                out[k, mass] = -float(point[_FIRST_MOMENTS.index(slot.parameter)])
+    return out
+
+
+def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Array:
+    """What each slot ``(P,)`` counts from, about the links' joint points: the description.
+
+    Where that has no masses, those of :func:`kinematics.masses.usual_links`, and no inertia. Links without described
+    inertia count as points, as they do in the model's own torques (:func:`clampid.stages.loads.inertial_signals`).
+    Source: Lynch & Park, theorem 8.2 (Steiner).
+    """
+    out = np.zeros(len(slots))
+    names = ("m", *_FIRST_MOMENTS, "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+    bodies = []
+    for body, joint in zip(links_of(robot), robot.joints, strict=True):
+        phi = inertial_parameters(body.mass, body.com, body.inertia, joint.point)
+        phi[1:4] -= body.mass * joint.point
+        bodies.append(dict(zip(names, phi.tolist(), strict=True)))
+    for k, slot in enumerate(slots):
+        if slot.effect == "gravity" or (slot.effect == "link_inertia" and robot.has_masses):
+            out[k] = bodies[_number(slot) - 1][slot.parameter]
+    return out
+
+
+def _columns(estimate: Estimate) -> tuple[Array, Array]:
+    """Jacobian of some of the rows over their noise: of the slots ``(M, P)``, and of the runs' offsets ``(M, K)``."""
+    rows: Rows = estimate.experiment.rows
+    chosen = sampled_rows(rows)
+    part = rows.take(chosen)
+    if not any(estimate.experiment.effects[s.effect].family == "inertia" for s in estimate.slots):
+        # Rows are steady then: the little acceleration they have must not blur what gravity cannot tell apart.
+        part = replace(part, signals={**part.signals, **_at_rest(part)})
+    trial = estimate.experiment.with_rows(part)
+    count = len(estimate.slots)
+    theta = np.r_[estimate.theta[:count], np.zeros(trial.offsets)]
+    _, jacobian = trial.residual(theta)
+    white = (jacobian / estimate.noise.sigma[chosen][:, :, None])[part.used]
+    return white[:, :count], white[:, count:]
+
+
+def _at_rest(rows: Rows) -> dict[str, Array]:
+    """The regressors of gravity alone in the rows' postures."""
+    out: dict[str, Array] = {}
+    for s in np.unique(rows.session):
+        own = rows.session == s
+        found = gravity_regressors(rows.robot, rows.constants["gravity"][s], rows.signals["q"][own])
+        for name, values in found.items():
+            out.setdefault(name, np.zeros_like(rows.signals[name]))[own] = values
+    return out
+
+
+def _turn(slot: Slot) -> tuple[int, int, int, str]:
+    """Links from the base outwards, each with its first moments, inertias and mass; then the tool, rotors, all else."""
+    if slot.effect in ("gravity", "link_inertia"):
+        kind = 2 if slot.parameter == "m" else int(slot.effect == "link_inertia")
+        return 0, _number(slot), kind, slot.parameter
+    if slot.effect == "payload":
+        return 1, 0, int(slot.parameter == "m"), slot.parameter
+    return (2, _number(slot), 0, "") if slot.effect == "inertia" else (3, 0, 0, "")
+
+
+def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Slot, float], ...]:
+    """The first parameter, then those of its kind, then others; alike ones side by side, so that a name is short."""
+
+    def key(term: tuple[Slot, float]) -> tuple[object, ...]:
+        slot, weight = term
+        return (
+            slot != first,
+            INERTIAL.index(slot.effect) if slot.effect in INERTIAL else len(INERTIAL),
+            slot.parameter == "m",
+            slot.parameter,
+            -float(f"{abs(weight):.4g}"),
+            weight < 0,
+            slot.place,
+        )
+
+    return tuple(sorted(terms, key=key))
+
+
+def _number(slot: Slot) -> int:
+    return int(slot.place.lstrip("abcdefghijklmnopqrstuvwxyz"))

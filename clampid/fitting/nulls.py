@@ -1,0 +1,90 @@
+"""What these data cannot tell: directions in parameter space without information, named in physical words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.fitting.observability import projected
+from clampid.fitting.solve import Estimate
+from clampid.slots import Slot
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Bools
+
+__all__ = ["assumed_of", "named_directions", "null_directions"]
+
+WEAK = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
+SILENT = 1e-4  # of a single parameter: not known to within a hundred reasonable sizes, which none has
+
+
+def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
+    """Sentences for the combinations of parameters that the data leave open, the most open first.
+
+    In units of reasonable sizes the information of the data has eigenvalues; one below 1 means that the combination is
+    not known to within such a size. Parameters with no information at all are named alone.
+    """
+    J = estimate.whitened.jacobian
+    size = estimate.experiment.sizes()
+    scaled = (J * size) if J.size else J
+    return named_directions(
+        scaled.T @ scaled, size, estimate.slots, estimate.prior_precision, assumed_of(estimate.experiment), limit
+    )
+
+
+def assumed_of(experiment: Experiment) -> Bools:
+    """Which of an experiment's slots ``(P,)`` a prior of their own keeps apart from each other."""
+    count = len(experiment.slots)
+    return np.asarray((experiment.prior_std() <= experiment.sizes())[:count] & ~experiment.shapes()[:count])
+
+
+def named_directions(
+    information: Array, sizes: Array, slots: Sequence[Slot], precision: Array, assumed: Bools, limit: int = 12
+) -> tuple[str, ...]:
+    """The same from what the data tell.
+
+    Parameters
+    ----------
+    information
+        ``(P + K, P + K)``: the whitened normal matrix without prior, in units of reasonable sizes.
+    sizes
+        Reasonable sizes ``(P + K,)``, SI.
+    slots
+        The first P parameters.
+    precision
+        The prior's ``(P + K, P + K)``, SI.
+    assumed
+        ``(P,)``: slots that a prior of their own keeps apart.
+    """
+    count = len(slots)
+    size = sizes[:count]
+    information = projected(information, count)  # what the offsets could take up is not information on the slots
+    prior = precision[:count, :count] * np.outer(size, size)
+    known = prior - np.diag(np.diag(prior))
+    information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
+    silent = np.diag(information) < SILENT
+    # Parameters that only a prior keeps apart are told as a whole, by the place that they belong to, not one by one.
+    information = information + np.diag(np.where(assumed, 2.0 * WEAK, 0.0))
+    out = []
+    groups: dict[str, list[str]] = {}
+    for slot in (s for s, alone in zip(slots, silent, strict=True) if alone):
+        groups.setdefault(f"{slot.effect}.{slot.parameter}", []).append(slot.place)
+    out += [f"{name} at {', '.join(places)}: these rows do not depend on it" for name, places in groups.items()]
+    values, vectors = np.linalg.eigh(information[np.ix_(~silent, ~silent)])
+    labels = [s.label for s, alone in zip(slots, silent, strict=True) if not alone]
+    told: dict[frozenset[int], int] = {}  # which parameters share an open direction, and how many such there are
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value >= WEAK or len(out) + len(told) >= limit:
+            break
+        main = np.argsort(-np.abs(vector))
+        parts = frozenset(int(k) for k in main[:4] if abs(vector[k]) > 0.25) or frozenset([int(main[0])])
+        told[parts] = told.get(parts, 0) + 1
+    for parts, directions in told.items():
+        words = " and ".join(labels[k] for k in sorted(parts))
+        if len(parts) == 1:
+            out.append(f"{words}: not known to within its reasonable size")
+        elif directions >= len(parts):
+            out.append(f"{words}: none of them is known to within its reasonable size")
+        else:
+            out.append(f"{words}: only a combination of them is known")
+    return tuple(out)

@@ -1,0 +1,195 @@
+"""One stage fitted to its rows, with what it takes over from other stages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from clampid.effect import Effect, Stage
+from clampid.fitting.accuracy import Floor, StageErrors, noise_floor, stage_errors
+from clampid.fitting.base_parameters import base_parameters
+from clampid.fitting.fit import fit
+from clampid.fitting.friction_start import with_friction_start
+from clampid.fitting.gauge import independent_geometry
+from clampid.fitting.kept_friction import with_kept_friction
+from clampid.fitting.log_springs import rows_by_springs
+from clampid.fitting.mean_norm import compared, mean_norm
+from clampid.fitting.nulls import null_directions
+from clampid.fitting.observability import observability, projected
+from clampid.fitting.open_flanks import with_open_flanks
+from clampid.fitting.rest_friction import RestFriction, with_open_friction, with_rest_friction
+from clampid.fitting.solve import Estimate
+from clampid.fitting.unknown_friction import unknown_frictions
+from clampid.fitting.unknown_masses import with_unknown_masses
+from clampid.identification.begin import begun
+from clampid.identification.carried import carried_drives, carried_over
+from clampid.models.agreement import Agreement
+from clampid.models.model import StageModel
+from clampid.models.ranges import ranges_of
+from clampid.slots import Prior, Slot, Term, slots_of_terms
+from clampid.stages.experiment import experiment
+from clampid.stages.rows import Array, Rows
+
+__all__ = ["Cost", "FittedStage", "active_slots", "fit_stage"]
+
+Cost = Literal["least-squares", "mean-norm"]
+
+
+@dataclass(frozen=True)
+class FittedStage:
+    """A stage's model with the estimate it came from.
+
+    Attributes
+    ----------
+    rows
+        All rows, those held out too.
+    contradicted
+        Springs and clearances of the clamped stage that the poses contradict, so that none were taken over.
+    universal
+        Of a fit by the mean norm: its P_mean, P_std and P_max beside those of least squares, m.
+    """
+
+    model: StageModel
+    estimate: Estimate
+    base_reference: Mapping[int, Array]
+    rows: Rows
+    contradicted: tuple[Agreement, ...] = ()
+    universal: Mapping[str, Any] | None = None
+
+    @property
+    def floor(self) -> Floor:
+        """What noise alone leaves of the fitted rows, as far as this fit knows it."""
+        return noise_floor(self.estimate.experiment.rows, self.estimate.residual)
+
+    def errors(self, verification: Rows | None, seed: int, floor: Floor | None = None) -> StageErrors:
+        """Errors on fitted and held-out rows; torques in units of ``floor``, by default of this fit's own noise."""
+        return stage_errors(self.estimate, self.rows, self.model.held_out, verification, seed, floor)
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """What the ledger keeps beside the errors."""
+        found: dict[str, Any] = {}
+        if self.contradicted:
+            found["contradicted"] = [a.to_json() for a in self.contradicted]
+        if self.universal is not None:
+            found["universal"] = dict(self.universal)
+        return found
+
+    def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
+        """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""
+        estimate = with_kept_friction(estimate)
+        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, told)
+        return replace(self, model=model, estimate=estimate)
+
+
+def fit_stage(
+    rows: Rows,
+    effects: Mapping[str, Effect],
+    terms: Sequence[Term],
+    before: Mapping[Stage, StageModel],
+    start: Mapping[Slot, float] | None = None,
+    held: Sequence[Sequence[int]] = (),
+    told: Prior | None = None,
+    cost: Cost = "least-squares",
+) -> FittedStage:
+    """Fit one stage on all rows but those held out.
+
+    Parameters
+    ----------
+    before
+        The stages already fitted, whose values this one takes over.
+    told
+        What all other rows say, where a joint fit knows: taken instead.
+    cost
+        ``mean-norm``, of ``poses`` only: see :mod:`clampid.fitting.mean_norm`.
+
+    Raises
+    ------
+    clampid.effect.EffectError
+        An effect needs something of these rows to begin with that they do not have.
+    """
+    fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
+
+    def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
+        first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
+        if told is not None:
+            return fit(first, (told,), values)
+        priors, carried = carried_over(rows, before)
+        return fit(first, priors, {**carried, **values})
+
+    terms, start = begun(terms, effects, rows.layout, start or {}, begin)
+    trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
+    contradicted: tuple[Agreement, ...] = ()
+    friction = RestFriction(start, None)
+    if told is not None:
+        estimate = fit(trial, (told,), start)
+    else:
+        priors, carried = carried_over(rows, before)
+        if "free_air" in before:
+            friction = with_rest_friction(trial, priors, {**carried, **start})
+        else:
+            friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
+        estimate = fit(trial, (*priors, *friction.priors), friction.start)
+        alone = with_open_friction(estimate, friction.held)
+        drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
+        contradicted = drives.contradicted
+        if drives.prior is not None:
+            priors = (*priors, drives.prior)
+            friction = RestFriction(estimate.values(), None)
+            if "free_air" in before:
+                friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
+            estimate = fit(trial, (*priors, *friction.priors), friction.start)
+    estimate = with_kept_friction(estimate)
+    if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
+        estimate = with_open_friction(with_open_flanks(estimate), friction.held)
+        estimate = with_unknown_masses(estimate) if "free_air" not in before else estimate
+    universal = None
+    if cost == "mean-norm":
+        squares, estimate = estimate, mean_norm(estimate)
+        universal = compared(estimate, squares)
+    reference = {}
+    if rows.stage == "poses":
+        for s in np.unique(rows.session):
+            reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
+    return FittedStage(_model_of(estimate, rows, terms, held, told), estimate, reference, rows, contradicted, universal)
+
+
+def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
+    """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
+    geometry = independent_geometry(rows, effects) if any(t.effect == "geometry" for t in terms) else ()
+    rest = slots_of_terms([t for t in terms if t.effect != "geometry"], effects, rows.layout, rows.stage)
+    return (*geometry, *rest)
+
+
+def _model_of(
+    estimate: Estimate, rows: Rows, terms: Sequence[Term], held: Sequence[Sequence[int]], told: Prior | None
+) -> StageModel:
+    count, fitted = len(estimate.slots), estimate.experiment.rows
+    bad = np.flatnonzero(estimate.outliers)
+    unknown = unknown_frictions(estimate) if rows.stage == "poses" else []
+    return StageModel(
+        stage=rows.stage,
+        terms=tuple(terms),
+        slots=estimate.slots,
+        theta=estimate.theta[:count],
+        covariance=estimate.covariance[:count, :count],
+        identified=tuple(bool(b) and k not in unknown for k, b in enumerate(estimate.identified[:count])),
+        held_out=tuple(tuple(f) for f in held),
+        outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
+        null_directions=null_directions(estimate),
+        base=base_parameters(estimate),
+        by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
+        told=told,
+        lean=estimate.experiment.chain.lean,
+        ranges=ranges_of(fitted, estimate.outliers) if rows.stage == "poses" else None,
+        observability=observability(_information(estimate), len(estimate.whitened.residual)),
+    )
+
+
+def _information(estimate: Estimate) -> Array:
+    """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
+    scaled = estimate.whitened.jacobian * estimate.experiment.sizes()
+    return projected(scaled.T @ scaled, len(estimate.slots))

@@ -1,0 +1,293 @@
+"""Identification: from campaigns to a model, stage by stage: free air, clamped, filtered poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from clampid.catalogue import with_user_effects
+from clampid.effect import STAGES, Effect, EffectError, Stage
+from clampid.fitting.bootstrap import bootstrap as by_poses
+from clampid.fitting.solve import FitError
+from clampid.identification.apart import moved_by_joint_fit
+from clampid.identification.fitted_stage import Cost, FittedStage, fit_stage
+from clampid.identification.identify_log import LogStage
+from clampid.identification.joint import JointPart, fit_jointly, shared_slots
+from clampid.models.model import Model, Round, Session, StageModel
+from clampid.slots import Layout, Term, parse_term
+from clampid.stages.clamped import clamped_rows
+from clampid.stages.layout import layout_of
+from clampid.stages.log_facts import log_parts, steady_share
+from clampid.stages.pose_rows import pose_rows
+from clampid.stages.rows import Array, Rows
+from clampid.stages.torques import torque_rows
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign, CampaignError
+
+__all__ = [
+    "TABLES_OF",
+    "FittedStage",
+    "fit_stage",
+    "has_friction_state",
+    "has_inertia",
+    "identify",
+    "session_of",
+    "stage_rows",
+    "stages_of",
+    "standard_effects",
+    "verification_rows",
+]
+
+TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
+    "free_air": ("free_air", "wrist"),
+    "clamped": ("clamped",),
+    "poses": ("poses",),
+}
+MOSTLY = 0.5  # of a log's motion
+
+
+def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
+    """The stages that the campaigns' tables feed, in order."""
+    return tuple(s for s in STAGES if any(t in c.tables for c in campaigns for t in TABLES_OF[s]))
+
+
+def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
+    """The standard set for the tables present.
+
+    Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs whose
+    motion is accelerated for the most part get inertia, because hardly anything would be left of them without.
+    Everything else is for diagnosis to find.
+    """
+    found = stages_of(campaigns)
+    names: dict[Stage, tuple[str, ...]] = {
+        "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
+        "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
+        "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
+    }
+    if "free_air" not in found and "clamped" not in found:
+        n = campaigns[0].robot.n
+        columns = [f"dir{i + 1}" for i in range(n)]
+        directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
+        names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
+        names["free_air"] += ("inertia",)
+    return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
+
+
+def stage_rows(
+    campaigns: Sequence[Campaign],
+    layout: Layout,
+    stage: Stage,
+    base: Mapping[int, Array] | None = None,
+    table: str = "poses",
+    accelerating: bool = False,
+    resting: bool = False,
+) -> Rows:
+    """The rows of a stage, or of the table ``verification``.
+
+    ``accelerating``: logs with their accelerations; ``resting``: with the motors that stand still.
+    """
+    match stage:
+        case "free_air":
+            return torque_rows(campaigns, layout, accelerating, resting)
+        case "clamped":
+            return clamped_rows(campaigns, layout)
+        case _:
+            return pose_rows(campaigns, layout, table, base)
+
+
+def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
+    """Whether some terms explain torques of acceleration, so that such rows can be used."""
+    return any(t.effect in effects and effects[t.effect].family == "inertia" for t in terms)
+
+
+def has_friction_state(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
+    """Whether some terms say what friction is at rest, so that such rows can be used."""
+    return any(t.effect in effects and "friction_state" in effects[t.effect].acts for t in terms)
+
+
+def resolve_terms(
+    wanted: Mapping[Stage, Sequence[str]] | Sequence[str] | None,
+    campaigns: Sequence[Campaign],
+    effects: Mapping[str, Effect],
+    layout: Layout,
+) -> dict[Stage, tuple[Term, ...]]:
+    """The terms of every stage from what the user asked for; stages not named keep their standard set.
+
+    Raises
+    ------
+    EffectError
+        An effect is unknown, cannot sit there or does not act in that stage; a list without a stage, where the
+        campaigns have tables of several.
+    """
+    terms = standard_effects(campaigns)
+    if wanted is None:
+        return terms
+    if not isinstance(wanted, Mapping):
+        if len(terms) > 1:
+            raise EffectError(
+                f"--effects: expected STAGE=a,b,…, because the campaign has tables of {', '.join(terms)}; found a list "
+                "without a stage"
+            )
+        wanted = {next(iter(terms)): wanted}
+    for stage, names in wanted.items():
+        if stage not in STAGES:
+            raise EffectError(f"stage {stage!r} is not known; known: {', '.join(STAGES)}")
+        if stage not in terms:
+            raise EffectError(f"the campaign has no table of the stage {stage}; it has: {', '.join(terms)}")
+        chosen = tuple(parse_term(name, effects, layout) for name in names if name.strip())
+        if not chosen:
+            raise EffectError(f"stage {stage}: expected at least one effect, found none")
+        for term in chosen:
+            if stage not in effects[term.effect].stages:
+                acts = ", ".join(effects[term.effect].stages)
+                raise EffectError(f"effect {term.effect} does not act in {stage}; it does in: {acts}")
+        terms[stage] = tuple(dict.fromkeys(chosen))
+    return terms
+
+
+def held_out_folds(rows: Rows, share: float, seed: int) -> tuple[tuple[int, ...], ...]:
+    """Whole poses, runs or sweeps to keep out of a fit: per session their fold numbers."""
+    if share <= 0:
+        return ()
+    out: list[tuple[int, ...]] = []
+    for s in range(len(rows.layout.sessions)):
+        part = rows.take(np.flatnonzero(rows.session == s))
+        if not len(part):
+            out.append(())
+            continue
+        order = part.shuffled_folds(seed)
+        count = min(round(share * len(order)), len(order) - 1)
+        picked = order[((np.arange(count) + 0.5) * len(order) / max(count, 1)).astype(int)]
+        out.append(tuple(sorted(int(f) for f in picked - part.fold.min())))
+    return tuple(out)
+
+
+@single_threaded
+def identify(
+    campaigns: Sequence[Campaign] | Campaign,
+    effects: Mapping[Stage, Sequence[str]] | Sequence[str] | None = None,
+    *,
+    holdout: float = 0.0,
+    seed: int = 0,
+    joint: bool = False,
+    user_effects: Path | None = None,
+    bootstrap: int = 0,
+    cost: Cost = "least-squares",
+) -> Model:
+    """Fit a model to one or several campaigns of one robot.
+
+    Parameters
+    ----------
+    effects
+        Stage → names of effects (``effect`` or ``effect@joint3``); a plain list if there is just one stage; None for
+        the standard set.
+    holdout
+        Share of whole poses, runs and sweeps that no fit sees.
+    bootstrap
+        How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
+    cost
+        Of the stage ``poses``: ``least-squares``, or ``mean-norm``, the universal model's (`fitting.mean_norm`).
+    joint
+        Fit all tables at once, with the parameters that they share; else stage by stage, where a stage takes over what
+        those before it found.
+
+    Raises
+    ------
+    CampaignError
+        The campaigns are of different robots or hold nothing to fit.
+    EffectError
+        An effect does not exist or does not act there.
+    FitError
+        The mean norm of a joint fit, with a bootstrap, or without a table of poses.
+    """
+    several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
+    _same_robot(several)
+    catalogue = with_user_effects(user_effects)
+    layout = layout_of(several)
+    terms = resolve_terms(effects, several, catalogue, layout)
+    if cost == "mean-norm" and (joint or bootstrap or "poses" not in terms):
+        raise FitError("cost mean-norm: expected a table poses, and neither a joint fit nor a bootstrap")
+    parts: list[JointPart] = []
+    before: dict[Stage, StageModel] = {}
+    for stage, wanted in terms.items():
+        accelerating, resting = has_inertia(wanted, catalogue), has_friction_state(wanted, catalogue)
+        log = None
+        if stage == "free_air" and not resting:
+            log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
+        if log is not None and (log.linear or not joint):
+            parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))
+        else:
+            rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
+            held, own = held_out_folds(rows, holdout, seed), cost if stage == "poses" else "least-squares"
+            parts.append(fit_stage(rows, catalogue, wanted, before, held=held, cost=own))
+        before[stage] = parts[-1].model
+    alone = parts
+    if joint:
+        parts = fit_jointly(alone)
+    ledger = []
+    reference: dict[int, Array] = {}
+    for part, apart in zip(parts, alone, strict=True):
+        verification = None
+        if isinstance(part, FittedStage):
+            reference |= part.base_reference
+            verification = verification_rows(several, layout, part.model.stage, part.base_reference)
+        errors = part.errors(verification, seed)
+        labels = tuple(t.label for t in part.model.terms)
+        evidence = part.evidence
+        if joint:
+            moved = moved_by_joint_fit(apart.model, part.model, shared_slots(alone))
+            evidence |= {"joint": True, "moved": [m.to_json() for m in moved]}
+        stage = part.model.stage
+        ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor, evidence))
+    stages = {part.model.stage: part.model for part in parts}
+    for part in parts:
+        if bootstrap and isinstance(part, FittedStage) and part.model.stage == "poses":
+            stages["poses"] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
+    sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
+    path = None if user_effects is None else str(user_effects)
+    name, file = several[0].robot.name, several[0].robot_file
+    return Model(name, layout, stages, sessions, tuple(ledger), seed, holdout, path, joint, file)
+
+
+def verification_rows(
+    campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
+) -> Rows | None:
+    """The rows of the table verification of the pose stage, or None where there is none."""
+    if stage != "poses" or not any("verification" in c.tables for c in campaigns):
+        return None
+    return pose_rows(campaigns, layout, "verification", base)
+
+
+def _same_robot(campaigns: Sequence[Campaign]) -> None:
+    if not campaigns:
+        raise CampaignError("expected at least one campaign, found none")
+    first = campaigns[0]
+    for other in campaigns[1:]:
+        if other.robot.name != first.robot.name:
+            raise CampaignError(
+                f"{other.name}: expected the robot of {first.name}, {first.robot.name}, found {other.robot.name}; "
+                "several campaigns are sessions of one robot"
+            )
+    if not stages_of(campaigns):
+        raise CampaignError(f"{first.name}: expected a table free_air, wrist, clamped or poses to fit, found none")
+
+
+def session_of(campaign: Campaign, reference: Array | None) -> Session:
+    """What a model keeps of a campaign that it was fitted on."""
+    temperature = None
+    for table in ("poses", "free_air", "clamped"):
+        if table in campaign.long and temperature is None:
+            temperature = campaign.long[table].warmth
+            continue
+        columns = [c for c in campaign.tables.get(table, ()) if str(c).startswith("temp_")]
+        if columns and temperature is None:
+            values = campaign.tables[table][columns].to_numpy(float)
+            values = values[np.isfinite(values)]
+            temperature = (float(values.min()), float(values.max())) if values.size else None
+    com, gravity = (tuple(np.asarray(v, dtype=float).tolist()) for v in (campaign.tool.com, campaign.gravity))
+    targets, mass = tuple(campaign.targets), campaign.tool.mass
+    return Session(campaign.name, campaign.fingerprint, reference, targets, mass, temperature, com, gravity)

@@ -1,0 +1,130 @@
+"""Identification of a robot's gravity and friction from logs in Parquet files that are never held whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from clampid.catalogue import with_user_effects
+from clampid.effect import EffectError
+from clampid.identification.identify import MOSTLY, has_friction_state, has_inertia, held_out_folds, session_of
+from clampid.identification.identify_log import LogStage
+from clampid.models.model import Model, Round
+from clampid.slots import Term, parse_term
+from clampid.stages.layout import layout_of
+from clampid.stages.log_facts import LogPart, steady_share
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign, CampaignError
+from experiments.columns import LOGS, table_format
+from experiments.errors import fault
+from experiments.fingerprint import fingerprint
+from experiments.header import read_header
+from experiments.log_windows import LogTable
+
+__all__ = ["identify_folder"]
+
+STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
+
+
+@single_threaded
+def identify_folder(
+    folder: str | Path,
+    effects: Sequence[str] | None = None,
+    *,
+    holdout: float = 0.0,
+    seed: int = 0,
+    user_effects: Path | None = None,
+) -> Model:
+    """Fit the stage free air of a campaign folder whose logs are Parquet files, in memory that does not grow with them.
+
+    The result is that of `clampid.identification.identify.identify` for these tables; other tables of the folder are
+    left alone.
+
+    Parameters
+    ----------
+    folder
+        The campaign folder.
+    effects
+        Names of effects (``effect`` or ``effect@joint3``); None for the standard set.
+    holdout
+        Share of whole runs that the fit does not see, 0 to below 1.
+    seed
+        Draws the runs held out, and the parts of cross-validation.
+    user_effects
+        A file or folder of effects of one's own.
+
+    Raises
+    ------
+    CampaignError
+        The folder deviates from the contract, has no log, or one that is not in a Parquet file.
+    EffectError
+        An effect does not exist, does not act there, or is not linear in its parameters.
+    """
+    path = Path(folder)
+    header = read_header(path)
+    files = {name: path / header.tables[name] for name in LOGS if name in header.tables}
+    if not files:
+        raise CampaignError(f"{path}: expected a table free_air or wrist, found none")
+    tables = {name: _table(file, name, header.robot.n) for name, file in files.items()}
+    campaign = Campaign(
+        name=path.resolve().name,
+        path=path,
+        robot=header.robot,
+        gravity=header.gravity,
+        tool=header.tool,
+        targets=header.targets,
+        instrument=header.instrument,
+        tables=MappingProxyType({}),
+        fingerprint=fingerprint(header.raw, files),
+        header=header.raw,
+    )
+    parts = [LogPart(campaign, 0, name, table) for name, table in tables.items()]
+    catalogue, layout = with_user_effects(user_effects), layout_of([campaign])
+    terms = tuple(Term(name) for name in STANDARD)
+    if effects is not None:
+        terms = tuple(dict.fromkeys(parse_term(name, catalogue, layout) for name in effects if name.strip()))
+        for term in terms:
+            if "free_air" not in catalogue[term.effect].stages:
+                acts = ", ".join(catalogue[term.effect].stages)
+                raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
+    elif steady_share(parts) < MOSTLY:
+        terms = (*terms, Term("inertia"))
+    if has_friction_state(terms, catalogue):
+        raise EffectError(
+            f"effects {', '.join(t.label for t in terms)}: expected none that reads a state of friction, which follows "
+            "the whole run, found one; read the campaign whole to fit it"
+        )
+    stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
+    fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)
+    errors = fitted.errors(None, seed)
+    ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
+    warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None
+    session = replace(session_of(campaign, None), temperature=warmth)
+    source = None if user_effects is None else str(user_effects)
+    name, file = campaign.robot.name, campaign.robot_file
+    return Model(name, layout, {"free_air": fitted.model}, (session,), (ledger,), seed, holdout, source, False, file)
+
+
+def _table(file: Path, name: str, n: int) -> LogTable:
+    if file.suffix != ".parquet":
+        raise fault(file, expected="a table ending in .parquet, to be read in pieces", found=file.suffix or "no ending")
+    table = LogTable.of(file)
+    for column in table_format(name, n).required:
+        if column.name not in table.names:
+            raise fault(file, expected=f"a column {column.name}", found="no such column")
+    if not table.rows:
+        raise fault(file, expected="at least one row", found="a header and no rows")
+    return table
+
+
+def _temperatures(table: LogTable) -> tuple[float, float] | None:
+    """The lowest and highest temperature of a log, degC, or None where it has none."""
+    names = [name for name in table.names if name.startswith("temp_")]
+    if not names:
+        return None
+    ends = [(np.nanmin(v), np.nanmax(v)) for chunk in table.chunks(names) for v in chunk.values()]
+    return float(np.nanmin([low for low, _ in ends])), float(np.nanmax([high for _, high in ends]))

@@ -1,0 +1,214 @@
+"""The stage free air from a log that is read window by window, and so may be longer than the machine's memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clampid.effect import Effect
+from clampid.fitting.accuracy import StageErrors
+from clampid.fitting.base_names import BaseParameter
+from clampid.fitting.base_parameters import INERTIAL, grouped
+from clampid.fitting.descent import covariance_of
+from clampid.fitting.fit_log import LogFit, LogPrior, fit_log
+from clampid.fitting.log_errors import log_errors, parts_of
+from clampid.fitting.log_sample import MOST_ROWS, sampled_columns
+from clampid.fitting.log_springs import log_by_springs
+from clampid.fitting.nulls import assumed_of, named_directions
+from clampid.fitting.observability import observability, projected
+from clampid.fitting.priors import description_priors
+from clampid.fitting.solve import limits_of, prior_of, start_of
+from clampid.models.model import StageModel
+from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
+from clampid.stages.experiment import experiment
+from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
+from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
+from clampid.stages.rows import Array, Bools, Integers, Rows
+
+__all__ = ["FittedLog", "LogStage"]
+
+
+@dataclass(frozen=True)
+class FittedLog:
+    """A fitted stage.
+
+    Attributes
+    ----------
+    covariance
+        ``(P + K, P + K)``, SI.
+    kept
+        Which folds were fitted ``(F,)``.
+    """
+
+    stage: LogStage
+    model: StageModel
+    fit: LogFit
+    prior: LogPrior
+    covariance: Array
+    kept: Bools
+
+    def errors(self, verification: Rows | None, seed: int) -> StageErrors:
+        """Errors on fitted and held-out rows; no log has a table of its own to be verified by."""
+        held = any(self.model.held_out)
+        return log_errors(self.stage.design, self.fit, self.prior, self.stage.folds, self.kept, held, seed)
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """What the ledger keeps beside the errors."""
+        return {}
+
+    def with_solution(self, theta: Array, covariance: Array, told: Prior) -> FittedLog:
+        """The same stage at the solution ``(P + K,)`` of a joint fit; ``told`` is what the other stages say."""
+        fit = replace(self.fit, moments=self.fit.moments.moved(theta))
+        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.limits)
+        model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, told)
+        return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
+
+
+class LogStage:
+    """The stage free air of some tables with some effects.
+
+    Parameters
+    ----------
+    parts
+        The tables.
+    accelerating
+        Use rows in acceleration.
+    window, kept_bytes
+        Rows read at once, and how much may be kept between passes; they change nothing but time and memory.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[LogPart],
+        layout: Layout,
+        effects: Mapping[str, Effect],
+        terms: Sequence[Term],
+        accelerating: bool,
+        *,
+        window: int = WINDOW,
+        kept_bytes: int = KEPT_BYTES,
+        facts: LogFacts | None = None,
+    ) -> None:
+        self.parts, self.terms = list(parts), tuple(terms)
+        self.facts = facts_of(parts, window) if facts is None else facts
+        slots = slots_of_terms(terms, effects, layout, "free_air")
+        bare = self._bare(layout, np.zeros((0, 2), dtype=np.int64))
+        chain = experiment(bare, effects, slots).chain
+        self.design = LogDesign(
+            parts,
+            self.facts,
+            chain,
+            layout.wrist,
+            accelerating,
+            window=window,
+            kept_bytes=kept_bytes,
+            sampled=MOST_ROWS,
+        )
+        self.folds = self._bare(layout, self.design.offset_keys)
+        self.experiment = experiment(self.folds, effects, slots)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the effects are linear in their parameters; then a fit takes fewer passes."""
+        return self.design.linear
+
+    def fit(
+        self, held: Sequence[Sequence[int]], start: Mapping[Slot, float] | None = None, seed: int | None = None
+    ) -> FittedLog:
+        """Fit all folds but those held out (per session their local numbers): what `identify` does with rows.
+
+        ``seed``: of the cross-validation, if errors are to be asked for; it then takes no passes of its own.
+
+        Raises
+        ------
+        clampid.fitting.solve.FitError
+            There are no rows to fit, or the model gives no finite prediction.
+        """
+        kept = ~self.folds.in_folds(held) if held else np.ones(len(self.folds), dtype=bool)
+        priors = description_priors(self.folds)
+        at = start_of(self.experiment, start, priors)
+        precision, mean = prior_of(self.experiment, priors)
+        mean = np.where(self.experiment.held(), at, mean)
+        prior = LogPrior(precision, mean, limits_of(self.experiment))
+        part = None if seed is None or any(held) else parts_of(self.folds, kept, seed)
+        fit = fit_log(self.design, kept, prior, at, part)
+        covariance = covariance_of(fit.moments.normal, prior.precision, fit.moments.squares, fit.moments.count)
+        model = self.model_of(fit, prior, covariance, kept, tuple(tuple(f) for f in held))
+        return FittedLog(self, model, fit, prior, covariance, kept)
+
+    def model_of(
+        self,
+        fit: LogFit,
+        prior: LogPrior,
+        covariance: Array,
+        kept: Bools,
+        held: tuple[tuple[int, ...], ...],
+        told: Prior | None = None,
+    ) -> StageModel:
+        """The stage's model of a fit with ``covariance`` ``(P + K, P + K)`` of the folds ``kept`` ``(F,)``."""
+        slots, count = self.experiment.slots, len(self.experiment.slots)
+        here = np.flatnonzero(np.r_[np.ones(count, dtype=bool), kept[self.design.offset_keys[:, 0]]])
+        inside = np.ix_(here, here)
+        own = covariance[:count, :count]
+        std, size = np.sqrt(np.maximum(np.diag(own), 0.0)), prior.size[here]
+        information = fit.moments.normal[inside] * np.outer(size, size)
+        assumed = assumed_of(self.experiment)
+        return StageModel(
+            stage="free_air",
+            terms=self.terms,
+            slots=slots,
+            theta=fit.moments.at[:count],
+            covariance=own,
+            identified=tuple(bool(b) for b in std < self.experiment.clear()[:count]),
+            held_out=held,
+            outliers=tuple(self._place(int(row)) for row in fit.outliers),
+            null_directions=named_directions(information, size, slots, prior.precision[inside], assumed),
+            base=self._base(fit, own, prior.precision[:count, :count]),
+            told=told,
+            observability=observability(projected(information, count), fit.moments.count),
+            by_springs=log_by_springs(self.design, self.parts, slots, fit.noise.sigma, fit.moments, prior.precision),
+        )
+
+    def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:
+        """The base parameters of gravity and inertia."""
+        slots, effects = self.experiment.slots, self.experiment.effects
+        if not any(s.effect in INERTIAL for s in slots):
+            return ()
+        steady = not any(effects[s.effect].family == "inertia" for s in slots)
+        columns = sampled_columns(self.design, self.parts, slots, fit.noise.sigma, steady)
+        return grouped(self.experiment, fit.moments.at[: len(slots)], covariance, precision, *columns)
+
+    def _place(self, row: int) -> tuple[int, str, int]:
+        """Session, table and row from 1 of a row of the log from 0."""
+        for part in self.parts:
+            if row < part.table.rows:
+                return part.session, part.name, row + 1
+            row -= part.table.rows
+        raise IndexError(row)
+
+    def _bare(self, layout: Layout, offset_keys: Integers) -> Rows:
+        """One row per fold, without signals."""
+        folds = fold_table(self.parts, self.facts)
+        count, robot = len(folds["run"]), self.parts[0].campaign.robot
+        empty = np.zeros((count, robot.n))
+        index = np.arange(count)
+        return Rows(
+            stage="free_air",
+            robot=robot,
+            layout=layout,
+            signals={},
+            measured=empty,
+            sigma=np.ones_like(empty),
+            used=np.ones_like(empty, dtype=bool),
+            unit=index,
+            fold=index,
+            table=np.array([self.parts[p].name for p in folds["part"]]),
+            row=index + 1,
+            session=folds["session"],
+            constants={"run": folds["run"], "time": np.zeros(count), "offset_keys": offset_keys},
+            per_row=("time", "run"),
+        )

@@ -1,0 +1,275 @@
+"""All tables of a campaign in one fit, with the parameters that the stages share.
+
+The stages' whitened residuals are stacked, and one parameter vector holds every stage's own parameters and, once, those
+that several share: masses, arm-side friction, springs, clearances. The normal equations of the whole are the sums of
+the stages' own, each in its columns, so that what a step costs is what the stages cost one by one; a torque log whose
+effects are linear enters by its sums alone, which are sufficient. Source: Golub & Van Loan, Matrix Computations (2013),
+section 5.3 (normal equations of stacked rows); the weights are those that each stage's residual gave when it was fitted
+alone.
+
+What acts at a motor's shaft is not shared: friction of a motor that creeps in a clamp is not that of one in motion.
+Neither are springs and clearances where the poses contradict the clamped sweeps (`clampid.identification.carried`): one
+of the two is not understood, and would spoil the other.
+
+For each stage the result also says what all *other* rows tell of its parameters: the information matrix of the rest,
+the rest's own parameters eliminated. With it a stage can be fitted again alone (other effects, other folds), without
+counting any row twice; to first order the result is that of the joint fit.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clampid.effect import Effect, Stage
+from clampid.fitting.descent import Limits, Point, descend, inverse_of
+from clampid.fitting.flanks import settled
+from clampid.fitting.moments import LogPoint
+from clampid.fitting.priors import description_priors
+from clampid.fitting.solve import Estimate, StagePoint, limits_of, prior_of, stage_point
+from clampid.fitting.visits import gradient_covariance
+from clampid.identification.fitted_stage import FittedStage
+from clampid.identification.identify_log import FittedLog
+from clampid.models.agreement import SHARED as OF_DRIVES
+from clampid.slots import Prior, Slot
+from clampid.stages.experiment import Experiment
+from clampid.stages.rows import Array, Integers
+
+__all__ = ["JointPart", "fit_jointly", "is_shared", "shared_slots"]
+
+JointPart = FittedStage | FittedLog
+"""A stage as it was fitted alone."""
+
+Key = tuple[Stage | None, Slot | int]
+"""A parameter of the joint fit: its stage (None where shared), and its slot or the number of its offset."""
+
+
+def is_shared(effect: Effect) -> bool:
+    """Whether an effect is the arm's, the same in every experiment; friction at a motor's shaft is not."""
+    return set(effect.acts) != {"motor_torque"}
+
+
+@dataclass(frozen=True)
+class _Union:
+    """The joint parameter vector ``(U,)``: where each stage's own stand in it, its prior, its limits."""
+
+    columns: tuple[Integers, ...]
+    precision: Array
+    mean: Array
+    limits: Limits
+
+    def off(self, theta: Array) -> float:
+        """What the prior adds to the cost."""
+        return float((theta - self.mean) @ self.precision @ (theta - self.mean))
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The stages at one joint parameter vector."""
+
+    theta: Array
+    points: tuple[Point, ...]
+    columns: tuple[Integers, ...]
+
+    @property
+    def cost(self) -> float:
+        return sum(p.cost for p in self.points)
+
+    @property
+    def count(self) -> int:
+        return sum(p.count for p in self.points)
+
+    def normal(self) -> tuple[Array, Array]:
+        return self.weighted(np.ones(len(self.points)))
+
+    def weighted(self, weights: Array) -> tuple[Array, Array]:
+        """The sum of the stages' normal matrices and gradients, each times its weight."""
+        A, g = np.zeros((len(self.theta), len(self.theta))), np.zeros(len(self.theta))
+        for point, columns, weight in zip(self.points, self.columns, weights, strict=True):
+            own, slope = point.normal()
+            A[np.ix_(columns, columns)] += weight * own
+            g[columns] += weight * slope
+        return A, g
+
+
+def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
+    """Fit stages at once that were fitted one by one, from where they are.
+
+    Parameters
+    ----------
+    parts
+        The stages, each fitted to rows that no other has.
+
+    Returns
+    -------
+    list
+        The stages at the joint solution, with ``told`` in their models.
+
+    Raises
+    ------
+    clampid.fitting.solve.FitError
+        A stage gives no finite prediction.
+    """
+    union = _union(parts)
+    best = settled(
+        _start(parts, union),
+        lambda theta: [_experiment(p).with_flanks(theta[c]) for p, c in zip(parts, union.columns, strict=True)],
+        lambda held, theta: _search(parts, held, union, theta),
+        lambda held, theta: _at(parts, held, union, theta).cost + union.off(theta),
+    )
+    weights = _weights(best, union)
+    covariance = _covariance(parts, best, union, weights)
+    out: list[JointPart] = []
+    for k, (part, columns) in enumerate(zip(parts, union.columns, strict=True)):
+        told = _told_by_the_others(best, union, weights, k, _experiment(part))
+        own, spread = best.theta[columns], covariance[np.ix_(columns, columns)]
+        if isinstance(part, FittedLog):
+            out.append(part.with_solution(own, spread, told))
+        else:
+            out.append(part.with_estimate(_estimate(part, own, spread, told), told))
+    return out
+
+
+def _union(parts: Sequence[JointPart]) -> _Union:
+    """Number the parameters; those that stages share have one number."""
+    shared = shared_slots(parts)
+    number: dict[Key, int] = {}
+    columns = []
+    for part in parts:
+        trial = _experiment(part)
+        own: list[int] = []
+        for slot in trial.slots:
+            own.append(number.setdefault((None if slot in shared else trial.stage, slot), len(number)))
+        own += [number.setdefault((trial.stage, j), len(number)) for j in range(trial.offsets)]
+        columns.append(np.array(own, dtype=np.int64))
+    size = len(number)
+    mean, precision = np.zeros(size), np.zeros((size, size))
+    scale, lower, upper, bounded = np.ones(size), np.full(size, -np.inf), np.full(size, np.inf), np.zeros(size, bool)
+    for part, here in zip(parts, columns, strict=True):
+        trial = _experiment(part)
+        own_precision, own_mean = prior_of(trial, description_priors(trial.rows))
+        precision[np.ix_(here, here)] = own_precision
+        limits = limits_of(trial)
+        scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
+        bounded[here] |= limits.bounded
+        mean[here] = np.where(trial.held(), _alone(part), own_mean)
+    return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
+
+
+def shared_slots(parts: Sequence[JointPart]) -> frozenset[Slot]:
+    """The parameters that have one value in several stages of this fit."""
+    contradicted = any(isinstance(p, FittedStage) and p.contradicted for p in parts)
+    count: Counter[Slot] = Counter()
+    for trial in map(_experiment, parts):
+        count.update(
+            s
+            for s in trial.slots
+            if is_shared(trial.effects[s.effect]) and not (contradicted and s.effect in OF_DRIVES)
+        )
+    return frozenset(slot for slot, stages in count.items() if stages > 1)
+
+
+def _start(parts: Sequence[JointPart], union: _Union) -> Array:
+    """The mean ``(U,)`` of what the stages say alone, each weighted by its information, and the description.
+
+    From one stage's values for all that it shares, another's unknown constants of sweeps are far off, and where gaps
+    open and close no step from there leads down.
+    """
+    A, b = union.precision.copy(), union.precision @ union.mean
+    for part, columns in zip(parts, union.columns, strict=True):
+        alone = _alone(part)
+        own, slope = _point(part, _experiment(part), alone).normal()
+        A[np.ix_(columns, columns)] += own
+        b[columns] += own @ alone + slope
+    return union.limits.clipped(inverse_of(A) @ b)
+
+
+def _alone(part: JointPart) -> Array:
+    """The parameters ``(P,)`` of a stage as it was fitted alone."""
+    return part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta
+
+
+def _point(part: JointPart, trial: Experiment, theta: Array) -> Point:
+    """A stage at its own parameter vector."""
+    if isinstance(part, FittedLog):
+        return LogPoint(part.fit.moments.moved(theta))
+    return stage_point(trial, part.estimate.noise, theta)
+
+
+def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, start: Array) -> _Joint:
+    """The lowest point downhill from a start ``(U,)``, with flanks held."""
+    return descend(lambda x: _at(parts, held, union, x), start, union.precision, union.mean, union.limits)[0]
+
+
+def _at(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, theta: Array) -> _Joint:
+    """The stages at one joint parameter vector ``(U,)``."""
+    found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
+    return _Joint(theta, tuple(found), union.columns)
+
+
+def _experiment(part: JointPart) -> Experiment:
+    return part.stage.experiment if isinstance(part, FittedLog) else part.estimate.experiment
+
+
+def _weights(best: _Joint, union: _Union) -> Array:
+    """One over the variance ``(stages,)`` that each stage's whitened residual is left with."""
+    A, _ = best.normal()
+    covariance = inverse_of(A + union.precision)
+    out = []
+    for point, columns in zip(best.points, best.columns, strict=True):
+        told = float(np.sum(point.normal()[0] * covariance[np.ix_(columns, columns)]))  # parameters that it tells
+        out.append(max(point.count - told, 1.0) / max(point.cost, 1e-12))
+    return np.array(out)
+
+
+def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights: Array) -> Array:
+    """Covariance ``(U, U)`` of the solution, with what the numbers of a pose's visit share, as in `fitting.visits`.
+
+    A^-1 M A^-1, A the normal matrix, M the covariance of its gradient.
+    """
+    A, _ = best.normal()
+    inverse = inverse_of(A + union.precision)
+    middle = union.precision.copy()
+    for part, point, columns, weight in zip(parts, best.points, best.columns, weights, strict=True):
+        own = point.normal()[0] / weight
+        if isinstance(part, FittedStage) and part.estimate.scatter is not None and isinstance(point, StagePoint):
+            own = gradient_covariance(part.estimate, point)
+        middle[np.ix_(columns, columns)] += own
+    size = np.sqrt(np.maximum(np.diag(inverse), 1e-300))  # balanced, since parameters are of very different sizes
+    balanced, middle = inverse / np.outer(size, size), middle * np.outer(size, size)
+    found = balanced @ middle @ balanced
+    return np.asarray(0.5 * (found + found.T) * np.outer(size, size))
+
+
+def _told_by_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: Experiment) -> Prior:
+    """What all rows but those of stage ``k`` say of its slots, and the description."""
+    others = weights.copy()
+    others[k] = 0.0
+    A, _ = best.weighted(others)
+    covariance = inverse_of(A + union.precision)
+    # At the solution the rest, prior and bounds pull just as hard as the stage's own rows, the other way.
+    pull = np.zeros(len(best.theta))
+    pull[best.columns[k]] = -weights[k] * best.points[k].normal()[1]
+    mean = best.theta + covariance @ pull
+    chosen = [i for i, slot in enumerate(trial.slots) if is_shared(trial.effects[slot.effect])]
+    here = best.columns[k][chosen]
+    return Prior(tuple(trial.slots[i] for i in chosen), mean[here], covariance[np.ix_(here, here)])
+
+
+def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -> Estimate:
+    """A stage's estimate at the joint solution."""
+    alone = part.estimate
+    point = stage_point(alone.experiment, alone.noise, theta)
+    precision, mean = prior_of(alone.experiment, (told,))
+    return replace(
+        alone,
+        theta=theta,
+        covariance=covariance,
+        whitened=point.white,
+        residual=point.residual,
+        prior_precision=precision,
+        prior_mean=np.where(alone.experiment.held(), theta, mean),
+    )

@@ -1,0 +1,319 @@
+"""Adding effects: fit again with them, and say what the error was and is on held-out rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clampid.diagnosis.omission import exported_shift
+from clampid.diagnosis.result import Step
+from clampid.effect import STAGES, Effect, EffectError, Stage
+from clampid.evidence.candidates import named_candidates
+from clampid.evidence.events import event_scores
+from clampid.evidence.score import score, space_of
+from clampid.fitting.accuracy import Floor, StageErrors
+from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.identify import (
+    has_friction_state,
+    has_inertia,
+    session_of,
+    stage_rows,
+    stages_of,
+    verification_rows,
+)
+from clampid.identification.reopen import Reopened, reopen
+from clampid.models.model import Model, Round, StageModel
+from clampid.slots import Layout, Term, find_parameter, parse_term
+from clampid.stages.rows import Array, Rows
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign
+
+__all__ = ["Addition", "add", "add_steps"]
+
+
+@dataclass(frozen=True)
+class StageAddition:
+    """What was added in one stage, the errors before and after, and what its lack had done to the exported table."""
+
+    added: tuple[dict[str, Any], ...]
+    before: StageErrors
+    after: StageErrors
+    shift: tuple[dict[str, Any], ...] = ()
+
+
+@dataclass(frozen=True)
+class Addition:
+    """What adding effects did, stage by stage."""
+
+    stages: Mapping[Stage, StageAddition]
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs: INTERFACE's JSON of ``add``."""
+        return {
+            "stages": {
+                name: {
+                    "unit": "m" if name == "poses" else "sigma",
+                    "added": list(s.added),
+                    "noise_floor": s.after.noise_floor,
+                    "heldout_rms_before": s.before.heldout_rms,
+                    "heldout_rms_after": s.after.heldout_rms,
+                    "rms_before": s.before.rms,
+                    "rms_after": s.after.rms,
+                    "exported_shift": list(s.shift),
+                }
+                for name, s in self.stages.items()
+            }
+        }
+
+
+@single_threaded
+def add(
+    model: Model,
+    campaigns: Sequence[Campaign] | Campaign,
+    terms: Sequence[str],
+    *,
+    seed: int = 0,
+    user_effects: Path | None = None,
+) -> tuple[Model, Addition]:
+    """Add effects to a model and fit it again.
+
+    Parameters
+    ----------
+    terms
+        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a
+        stage: in every stage where the effect acts.
+
+    Raises
+    ------
+    EffectError
+        An effect is unknown, does not act there, or is active already.
+    ModelError
+        The model does not fit the campaigns.
+    """
+    opened = reopen(model, _several(campaigns), user_effects)
+    here = [s for s in stages_of(opened.campaigns) if s in opened.stages]
+    wanted = _parse(terms, opened.effects, opened.layout, here)
+    mended = _added(opened, {stage: [Step(tuple(asked))] for stage, asked in wanted.items()}, seed)
+    found = {stage: m.addition(opened.effects) for stage, m in mended.items() if m.rounds}
+    for stage, asked in wanted.items():
+        if stage not in found:
+            names = ", ".join(t.label for t in asked)
+            raise EffectError(f"{stage}: nothing can be told about {names} from these rows, or it is active already")
+    result = _model_with(opened, mended, user_effects)
+    if "poses" in found:
+        without = result.with_stage(mended["poses"].unmended.model)
+        shift = exported_shift(without, result, opened.campaign.robot)
+        found["poses"] = replace(found["poses"], shift=tuple(shift))
+    return result, Addition(found)
+
+
+@single_threaded
+def add_steps(
+    model: Model,
+    campaigns: Sequence[Campaign] | Campaign,
+    steps: Mapping[Stage, Sequence[Step]],
+    *,
+    seed: int = 0,
+    user_effects: Path | None = None,
+) -> tuple[Model, list[tuple[Stage, Step]]]:
+    """Add what a diagnosis confirmed, each step as a round of its own in the ledger, on top of those before it.
+
+    Returns
+    -------
+    model, left_out
+        The steps left out are those of which no row tells anything any more, once others have been added.
+
+    Raises
+    ------
+    EffectError
+        An effect needs something of these rows to begin with that they do not have.
+    ModelError
+        The model does not fit the campaigns.
+    """
+    opened = reopen(model, _several(campaigns), user_effects)
+    mended = _added(opened, steps, seed)
+    left_out = [(stage, step) for stage, m in mended.items() for step in m.left_out]
+    return _model_with(opened, mended, user_effects), left_out
+
+
+def _several(campaigns: Sequence[Campaign] | Campaign) -> list[Campaign]:
+    return [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
+
+
+@dataclass(frozen=True)
+class _Mended:
+    """A stage before and after its rounds, with errors; without a round, fitted again to what others have become."""
+
+    unmended: FittedStage
+    fitted: FittedStage
+    before: StageErrors
+    after: StageErrors
+    rounds: tuple[Round, ...]
+    left_out: tuple[Step, ...]
+
+    def addition(self, effects: Mapping[str, Effect]) -> StageAddition:
+        """What was added, and the errors before the first round and after the last."""
+        terms = [t for t in self.fitted.model.terms if t not in self.unmended.model.terms]
+        return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after)
+
+
+def _added(opened: Reopened, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
+    """All rounds of one stage, then those of the next: poses take loads, flanks and springs from the others."""
+    mended: dict[Stage, _Mended] = {}
+    stages = dict(opened.stages)
+    for stage in (s for s in stages_of(opened.campaigns) if s in opened.stages):
+        asked = steps.get(stage, ())
+        if asked or (stage == "poses" and any(m.rounds for m in mended.values())):
+            mended[stage] = _stage_with(opened, stage, asked, stages, seed)
+            stages[stage] = mended[stage].fitted.model
+    return mended
+
+
+def _stage_with(
+    opened: Reopened, stage: Stage, steps: Sequence[Step], stages: Mapping[Stage, StageModel], seed: int
+) -> _Mended:
+    """One stage after one round a step; a round begins with the fit of the one before it, not with one of its own."""
+    effects, model = opened.effects, opened.stages[stage]
+    before = {s: m for s, m in stages.items() if s != stage}
+    held, told = model.held_out, model.told
+
+    def acting(terms: Sequence[Term]) -> tuple[bool, bool]:
+        return has_inertia(terms, effects), has_friction_state(terms, effects)
+
+    def begin(known: StageModel, kind: tuple[bool, bool]) -> tuple[FittedStage, Rows | None, StageErrors]:
+        rows = stage_rows(opened.campaigns, opened.layout, stage, opened.base, accelerating=kind[0], resting=kind[1])
+        fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, told)
+        verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
+        return fitted, verification, fitted.errors(verification, seed, floor)
+
+    floor: Floor | None = None  # of all rounds that of the first fit: what is missing looks like noise in part
+    kind = acting((*model.terms, *(steps[0].terms if steps else ())))
+    fitted, verification, errors = begin(model, kind)
+    unmended, first, floor = fitted, errors, fitted.floor
+    rounds: list[Round] = []
+    left_out: list[Step] = []
+    for step in steps:
+        # Both models of a round are judged by the same rows: with inertia those in acceleration, too.
+        wanted = acting((*fitted.model.terms, *step.terms))
+        if wanted != kind:
+            kind = wanted
+            fitted, verification, errors = begin(fitted.model, kind)
+        new_terms, shapes = _resolved(step.terms, fitted, effects)
+        if not new_terms:
+            left_out.append(step)
+            continue
+        old, worse = fitted.model, errors
+        every = (*old.terms, *new_terms)
+        fitted = fit_stage(fitted.rows, effects, every, before, {**shapes, **old.values()}, held, told)
+        errors = fitted.errors(verification, seed, floor)
+        rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
+    return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out))
+
+
+def _round(
+    old: StageModel, new: StageModel, before: StageErrors, after: StageErrors, evidence: Mapping[str, Any]
+) -> Round:
+    """The line of the ledger. An effect that takes another's place finds its own places, so that it is the fit's."""
+    return Round(
+        new.stage,
+        tuple(t.label for t in new.terms),
+        tuple(t.label for t in new.terms if t not in old.terms),
+        after.rms,
+        after.heldout_rms,
+        after.noise_floor,
+        {"heldout_rms_before": before.heldout_rms, "heldout_rms_after": after.heldout_rms, **evidence},
+    )
+
+
+def _model_with(opened: Reopened, mended: Mapping[Stage, _Mended], user_effects: Path | None) -> Model:
+    """The model with its stages mended, and the rounds in its ledger."""
+    references: dict[int, Array] = dict(opened.base or {})
+    for m in mended.values():
+        references |= m.fitted.base_reference
+    model = opened.model
+    return replace(
+        model,
+        layout=opened.layout,
+        stages={**opened.stages, **{stage: m.fitted.model for stage, m in mended.items()}},
+        sessions=tuple(session_of(c, references.get(s)) for s, c in enumerate(opened.campaigns)),
+        ledger=(*model.ledger, *(entry for m in mended.values() for entry in m.rounds)),
+        user_effects=model.user_effects if user_effects is None else str(user_effects),
+    )
+
+
+def _parse(
+    texts: Sequence[str], effects: Mapping[str, Effect], layout: Layout, here: Sequence[Stage]
+) -> dict[Stage, list[Term]]:
+    wanted: dict[Stage, list[Term]] = {}
+    for text in texts:
+        head, sign, tail = text.partition("=")
+        named = head.strip() if sign else ""
+        if named and named not in STAGES:
+            raise EffectError(f"stage {named!r} is not known; known: {', '.join(STAGES)}")
+        term = parse_term(tail if sign else text, effects, layout)
+        acts = [s for s in here if s in effects[term.effect].stages and (not named or s == named)]
+        if not acts:
+            where = named or ", ".join(here)
+            raise EffectError(
+                f"effect {term.effect} does not act in {where}; it does in: {', '.join(effects[term.effect].stages)}"
+            )
+        for stage in acts:
+            wanted.setdefault(stage, []).append(term)
+    return wanted
+
+
+def _resolved(
+    asked: Sequence[Term], fitted: FittedStage, effects: Mapping[str, Effect]
+) -> tuple[list[Term], dict[Any, float]]:
+    """The terms place by place, where these rows say anything about them, and the best start of their shapes."""
+    if not asked:
+        return [], {}
+    estimate = fitted.estimate
+    active = {slot.effect for slot in estimate.slots}
+    out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
+    asked = [t for t in asked if effects[t.effect].aligns is None]
+    absent = {t.effect: effects[t.effect] for t in asked}
+    space = space_of(estimate)
+    scored = [*score(space, named_candidates(estimate, absent)), *event_scores(estimate, space, absent)]
+    shapes: dict[Any, float] = {}
+    for term in asked:
+        effect = effects[term.effect]
+        own = [s for s in scored if s.candidate.name == term.effect and s.freedom]
+        if term.place is not None and effect.tried == "jointly":
+            out |= {term: None} if own and term in own[0].candidate.terms else {}
+            continue
+        if term.place is not None and effect.per != "robot" and effect.tried != "together":
+            own = [s for s in own if s.candidate.places == (term.place,)]
+        for s in sorted(own, key=lambda s: s.explained):
+            shapes |= dict(s.candidate.shapes)
+            out |= dict.fromkeys(s.candidate.terms)
+    return list(out), shapes
+
+
+def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Effect]) -> tuple[dict[str, Any], ...]:
+    """The added effects with their parameters, one entry an effect."""
+    out = []
+    model = fitted.model
+    std = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    for name in dict.fromkeys(t.effect for t in terms):
+        places = [t.place for t in terms if t.effect == name and t.place is not None]
+        parameters = [
+            {
+                "name": slot.label,
+                "value": float(model.theta[k]),
+                "std": float(std[k]),
+                "unit": find_parameter(slot, effects).unit,
+                "identified": model.identified[k],
+            }
+            for k, slot in enumerate(model.slots)
+            if slot.effect == name and (not places or slot.place in places)
+        ]
+        out.append(
+            {"effect": effects[name].family, "name": name, "where": places, "parameters": parameters}
+            | effects[name].caveat_json
+        )
+    return tuple(out)

@@ -1,0 +1,77 @@
+"""One step back: a model without the effects of its last round, fitted again to the campaigns that it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from clampid.catalogue import catalogue
+from clampid.effect import Effect, Stage
+from clampid.identification.fitted_stage import fit_stage
+from clampid.identification.identify import has_friction_state, has_inertia, stage_rows
+from clampid.identification.reopen import reopen
+from clampid.models.model import Model, ModelError, Round, StageModel
+from clampid.slots import Term
+from clampid.threads import single_threaded
+from experiments.campaign import Campaign
+
+__all__ = ["undo"]
+
+
+@single_threaded
+def undo(
+    model: Model, campaigns: Sequence[Campaign] | Campaign, *, user_effects: Path | None = None
+) -> tuple[Model, Round]:
+    """Take back the last round that added something: the model as it was before, and the round that is gone.
+
+    A model file keeps one state, so that the stage is fitted again, from the values that its parameters have now; so
+    are the poses, where the round was of another stage: they take loads, flanks and springs from those.
+
+    Parameters
+    ----------
+    campaigns
+        Those that the model was fitted on, in their order.
+
+    Raises
+    ------
+    ModelError
+        Nothing was added to the model, or it was not fitted on these campaigns.
+    """
+    if not model.ledger or not model.ledger[-1].added:
+        raise ModelError("nothing to undo: the last round of the model is its first in that stage, and added nothing")
+    several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
+    known = {s.fingerprint for s in model.sessions}
+    for campaign in several:
+        if campaign.fingerprint not in known:
+            raise ModelError(f"{campaign.name}: expected a campaign that the model was fitted on, found another")
+    last = model.ledger[-1]
+    chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
+    opened = reopen(model, several, chosen)
+    effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
+    mended: dict[Stage, StageModel] = dict(stages)
+    # What the round put in another's place, such as one curve for several joints, stands there again.
+    earlier = next((r for r in reversed(model.ledger[:-1]) if r.stage == last.stage), None)
+    replaced = [] if earlier is None else [label for label in earlier.effects if label not in last.effects]
+    again: list[Stage] = [last.stage]
+    if last.stage != "poses" and "poses" in mended:
+        again.append("poses")
+    for stage in again:
+        old = mended[stage]
+        gone = set(last.added) if stage == last.stage else set()
+        terms = [t for t in old.terms if t.label not in gone]
+        if stage == last.stage:
+            terms += [Term(effect, place or None) for effect, _, place in (label.partition("@") for label in replaced)]
+        moves, rests = has_inertia(terms, effects), has_friction_state(terms, effects)
+        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
+        others = {s: m for s, m in mended.items() if s != stage}
+        mended[stage] = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.told).model
+    own = _still_used(mended, effects)
+    return replace(
+        model, layout=layout, stages=mended, ledger=model.ledger[:-1], user_effects=str(chosen) if own else None
+    ), last
+
+
+def _still_used(stages: Mapping[Stage, StageModel], effects: Mapping[str, Effect]) -> bool:
+    """Whether any effect of the user's own is left."""
+    return any(t.effect in effects and t.effect not in catalogue() for s in stages.values() for t in s.terms)

@@ -1,0 +1,164 @@
+"""The robot as it is, at one temperature of all links and under no load: a product of exponentials.
+
+The calibrated chain (see :mod:`clampid.stages.poses`) is::
+
+    x = X_0 M_0 prod_i exp([xi_i] q_i) M_i F
+
+with F the flange's nominal home pose. Moving every M_i through the exponentials behind it gives screws
+xi'_i = Ad(M_1 … M_{i-1}) xi_i and a home pose M_1 … M_n F: a chain as any other. Where a linkage couples joints,
+q are the joint values of the chain and not the controller's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from clampid.models.described import robot_of
+from clampid.models.model import Model, ModelError
+from clampid.slots import Slot
+from clampid.stages.pose_kernel import link_points
+from clampid.stages.poses import link_vectors
+from clampid.stages.rows import Array
+from kinematics.poe import forward
+from kinematics.robot import RobotDescription
+from kinematics.screws import adjoint, cayley, transform
+
+__all__ = ["REFERENCE", "CalibratedChain", "calibrated_chain", "sensitivity"]
+
+REFERENCE = 20.0  # °C, at which links have the length of the geometry
+EXPANSION = "thermal_expansion"
+STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
+_AXES = ("rx", "ry", "rz", "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class CalibratedChain:
+    """The robot as it is: a product of exponentials.
+
+    Attributes
+    ----------
+    base
+        ``(4, 4)``: the base in the instrument's frame.
+    screws
+        ``(n, 6)``: (omega, v) in the base frame at the zero pose.
+    home
+        ``(4, 4)``: the flange at the zero pose, in the base frame.
+    """
+
+    robot: RobotDescription
+    base: Array
+    screws: Array
+    home: Array
+
+    def flange(self, q: Array) -> Array:
+        """Poses ``(..., 4, 4)`` of the flange in the instrument's frame at joint values ``(..., n)``."""
+        return np.asarray(self.base @ forward(self.screws, self.home, q))
+
+
+def calibrated_chain(
+    model: Model,
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    theta: Array | None = None,
+    temperature: float = REFERENCE,
+) -> CalibratedChain:
+    """The static geometry of a model at one temperature of all links.
+
+    Parameters
+    ----------
+    session
+        Whose base and flange, from 0.
+    robot
+        The nominal robot, if the model's name for it is not that of a bundled one.
+    theta
+        Other values for the slots of the stage ``poses``.
+    temperature
+        °C; another than 20 needs expansion to have been identified.
+
+    Raises
+    ------
+    ModelError
+        The model has no geometry from a table of poses, no such session, or no expansion for another temperature.
+    """
+    stage = model.stages.get("poses")
+    if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
+        raise ModelError("expected a model with geometry identified from a table of poses, found none to export")
+    if not 0 <= session < len(model.sessions):
+        raise ModelError(f"session {session + 1}: the model has sessions 1 to {len(model.sessions)}")
+    reference = model.sessions[session].base_reference
+    if reference is None:
+        raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
+    if temperature != REFERENCE and not any(slot.effect == EXPANSION for slot in stage.slots):
+        raise ModelError(
+            f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "
+            f"is that of the temperatures of its poses, exported as {REFERENCE:g} degC"
+        )
+    nominal = robot_of(model, robot)
+    values = dict(zip(stage.slots, stage.theta if theta is None else theta, strict=True))
+    here = model.layout.sessions[session]
+
+    def twist(prefix: str, place: str) -> Array:
+        return np.array([values.get(Slot("geometry", prefix + axis, place), 0.0) for axis in _AXES])
+
+    vectors = link_vectors(nominal)
+    base = np.asarray(reference) @ _motion(twist("base_", here), np.zeros(3))
+    moved, screws = np.eye(4), np.empty((nominal.n, 6))
+    for i, pivot in enumerate(link_points(nominal)):
+        screws[i] = adjoint(moved) @ nominal.screws[i]
+        far_end = twist("", f"link{i + 1}")
+        alpha = values.get(Slot(EXPANSION, "alpha", f"link{i + 1}"), 0.0)
+        far_end[3:] += alpha * (temperature - REFERENCE) * vectors[i]
+        if i + 1 == nominal.n:
+            far_end = far_end + twist("flange_", here)
+        moved = moved @ _motion(far_end, pivot)
+    return CalibratedChain(nominal, base, screws, moved @ nominal.flange)
+
+
+def _motion(twist: Array, pivot: Array) -> Array:
+    """The small motion x -> pivot + v + C(w)(x - pivot), C Cayley's rotation, as in :mod:`clampid.stages.poses`."""
+    C = cayley(twist[:3])
+    return transform(C, pivot + twist[3:] - C @ pivot)
+
+
+def sensitivity(
+    model: Model,
+    numbers: Callable[[CalibratedChain], Array],
+    *,
+    session: int = 0,
+    robot: RobotDescription | None = None,
+    temperature: float = REFERENCE,
+    difference: Callable[[Array, Array], Array] = np.subtract,
+) -> tuple[Array, Array]:
+    """How numbers of the calibrated chain follow the parameters of the geometry, by central differences.
+
+    Parameters
+    ----------
+    numbers
+        Gives the numbers ``(M,)`` of a chain, SI.
+    session, robot, temperature
+        See `calibrated_chain`.
+    difference
+        Of two results of ``numbers``, where that is more than a subtraction.
+
+    Returns
+    -------
+    tuple of Array
+        Derivatives ``(M, P)`` by the P parameters of ``geometry`` (at another temperature than 20 °C also of the
+        expansion), and these parameters' covariance ``(P, P)``.
+    """
+    stage = model.stages["poses"]
+    warm = (EXPANSION,) if temperature != REFERENCE else ()
+    free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
+    columns = []
+    for k in free:
+        step = STEP * np.eye(len(stage.slots))[k]
+        sides = [
+            numbers(calibrated_chain(model, session=session, robot=robot, theta=theta, temperature=temperature))
+            for theta in (stage.theta + step, stage.theta - step)
+        ]
+        columns.append(difference(sides[0], sides[1]) / (2 * STEP))
+    return np.array(columns).T, stage.covariance[np.ix_(free, free)]

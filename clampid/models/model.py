@@ -1,0 +1,387 @@
+"""A model: one robot, its active effects with values and covariance, what data they came from, and the ledger.
+
+It is one JSON file that a person can read. Nothing in it is changed in place: every step gives a new model.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from clampid.effect import STAGES, Stage
+from clampid.fitting.base_names import BaseParameter, base_json, read_base
+from clampid.fitting.bootstrap import Bootstrap
+from clampid.models.ranges import Ranges, read_ranges
+from clampid.slots import Layout, Prior, Slot, Term
+from clampid.stages.rows import Array
+
+__all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model", "write_text"]
+
+FORMAT = "clampid-model/1"
+
+
+class ModelError(ValueError):
+    """A model file that is not one, or does not fit the campaign; the message says what was expected."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """One campaign that the model was fitted on.
+
+    Attributes
+    ----------
+    base_reference
+        ``(4, 4)``: where the instrument sees the nominal base, before the fitted motion of the base; None without
+        poses.
+    tool_com, gravity
+        ``(3,)`` each: the declared tool's centre of mass, m, flange frame, and gravity, m/s², base frame; None in
+        models of earlier versions.
+    """
+
+    name: str
+    fingerprint: str
+    base_reference: Array | None
+    targets: tuple[str, ...]
+    tool_mass: float
+    temperature: tuple[float, float] | None = None
+    tool_com: tuple[float, ...] | None = None
+    gravity: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class StageModel:
+    """The active effects of one stage with their values.
+
+    Attributes
+    ----------
+    theta, covariance
+        ``(P,)`` and ``(P, P)``, SI, in the order of ``slots``.
+    identified
+        Whether the data tell each parameter to within its reasonable size.
+    held_out
+        Folds (poses, runs or sweeps, by their numbers in the campaign, one tuple per session) kept out of the fit.
+    outliers
+        (session, table, row from 1) of the rows rejected.
+    null_directions
+        What these data cannot tell, in words.
+    base
+        The combinations of masses, first moments and inertias that torques can tell; of ``free_air`` only.
+    observability
+        Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.fitting.observability`.
+    bootstrap
+        Standard errors and intervals by drawing whole poses anew, where that was asked for.
+    told
+        Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
+        counting any row twice; else None.
+    lean
+        ``(n, 3)``, rad, of poses: how the robot leans as far as flanks tell, see `fitting.open_flanks`; else None.
+    by_springs
+        ``(P, n)``, of ``free_air``: how the parameters follow the springs, see :mod:`clampid.fitting.log_springs`; None
+        where not known.
+    ranges
+        Of poses: on what they were fitted, see :mod:`clampid.models.ranges`; None where a model file does not say.
+    """
+
+    stage: Stage
+    terms: tuple[Term, ...]
+    slots: tuple[Slot, ...]
+    theta: Array
+    covariance: Array
+    identified: tuple[bool, ...]
+    held_out: tuple[tuple[int, ...], ...] = ()
+    outliers: tuple[tuple[int, str, int], ...] = ()
+    null_directions: tuple[str, ...] = ()
+    base: tuple[BaseParameter, ...] = ()
+    observability: Mapping[str, float] = field(default_factory=dict)
+    bootstrap: Bootstrap | None = None
+    told: Prior | None = None
+    lean: Array | None = None
+    by_springs: Array | None = None
+    ranges: Ranges | None = None
+
+    @property
+    def std(self) -> Array:
+        """Standard errors ``(P,)``."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    def values(self) -> dict[Slot, float]:
+        """Slot → value."""
+        return {slot: float(v) for slot, v in zip(self.slots, self.theta, strict=True)}
+
+
+@dataclass(frozen=True)
+class Round:
+    """One line of the ledger: what a step made active in a stage, and the error it reached.
+
+    Errors are root mean squares: metres in ``poses``, units of the motors' noise elsewhere.
+    """
+
+    stage: Stage
+    effects: tuple[str, ...]
+    added: tuple[str, ...]
+    rms: float
+    heldout_rms: float
+    noise_floor: float
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is known of one particular robot.
+
+    Attributes
+    ----------
+    joint
+        From all tables in one fit, see :mod:`clampid.identification.joint`.
+    robot_file
+        Where the campaign's description of the robot is; None of a bundled one, and in models of earlier versions.
+    """
+
+    robot: str
+    layout: Layout
+    stages: Mapping[Stage, StageModel]
+    sessions: tuple[Session, ...]
+    ledger: tuple[Round, ...] = ()
+    seed: int = 0
+    holdout: float = 0.0
+    user_effects: str | None = None
+    joint: bool = False
+    robot_file: str | None = None
+
+    def with_stage(self, stage: StageModel) -> Model:
+        """The same model with one stage replaced."""
+        return replace(self, stages={**self.stages, stage.stage: stage})
+
+
+def save_model(model: Model, path: str | Path) -> None:
+    """Write a model as readable JSON, through a temporary name."""
+    write_text(path, json.dumps(_to_json(model), indent=1, allow_nan=False) + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file under a temporary name and rename it, so that nothing half-written is left behind."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def load_model(path: str | Path) -> Model:
+    """Read a model.
+
+    Raises
+    ------
+    ModelError
+        The file does not exist, is no JSON, or is no model of this format.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ModelError(f"{path}: expected a model file, found none") from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path}: expected a model as JSON, found: {error}") from error
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, dict) else type(data).__name__
+        raise ModelError(f"{path}: expected format = {FORMAT!r}, found {found!r}")
+    try:
+        return _with_files_beside(_from_json(data), Path(path))
+    except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:
+        raise ModelError(f"{path}: a model with a part missing or spoiled: {type(error).__name__}: {error}") from error
+
+
+def _with_files_beside(model: Model, path: Path) -> Model:
+    """The same model; a user's files that are not where it says are looked for beside the model's own file."""
+
+    def found(file: str | None) -> str | None:
+        if file is None or Path(file).is_file():
+            return file
+        beside = path.parent / Path(file).name
+        return str(beside) if beside.is_file() else file
+
+    return replace(model, user_effects=found(model.user_effects), robot_file=found(model.robot_file))
+
+
+def _to_json(model: Model) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "robot": model.robot,
+        "robot_file": model.robot_file,
+        "layout": {
+            "joints": model.layout.joints,
+            "targets": list(model.layout.targets),
+            "sessions": list(model.layout.sessions),
+            "wrist": list(model.layout.wrist),
+        },
+        "seed": model.seed,
+        "holdout": model.holdout,
+        "user_effects": model.user_effects,
+        "joint": model.joint,
+        "sessions": [
+            {
+                "name": s.name,
+                "fingerprint": s.fingerprint,
+                "base_reference": None if s.base_reference is None else s.base_reference.tolist(),
+                "targets": list(s.targets),
+                "tool_mass_kg": s.tool_mass,
+                "temperature_C": None if s.temperature is None else list(s.temperature),
+                "tool_com_m": None if s.tool_com is None else list(s.tool_com),
+                "gravity_m_s2": None if s.gravity is None else list(s.gravity),
+            }
+            for s in model.sessions
+        ],
+        "stages": {name: _stage_json(stage) for name, stage in model.stages.items()},
+        "ledger": [
+            {
+                "stage": r.stage,
+                "effects": list(r.effects),
+                "added": list(r.added),
+                "rms": r.rms,
+                "heldout_rms": r.heldout_rms,
+                "noise_floor": r.noise_floor,
+                "evidence": dict(r.evidence),
+            }
+            for r in model.ledger
+        ],
+    }
+
+
+def _stage_json(stage: StageModel) -> dict[str, Any]:
+    parameters = [
+        {"effect": s.effect, "parameter": s.parameter, "at": s.place, "value": v, "std": sd, "identified": ok}
+        for s, v, sd, ok in zip(stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True)
+    ]
+    return {
+        "effects": [term.label for term in stage.terms],
+        "parameters": parameters,
+        "covariance": stage.covariance.tolist(),
+        "held_out": [list(folds) for folds in stage.held_out],
+        "outliers": [{"session": s, "table": t, "row": r} for s, t, r in stage.outliers],
+        "not_identifiable": list(stage.null_directions),
+        "base_parameters": [base_json(parameter) for parameter in stage.base],
+        "observability": dict(stage.observability),
+        "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
+        "told": None if stage.told is None else _told_json(stage.told),
+        "lean_rad": None if stage.lean is None else stage.lean.tolist(),
+        "by_springs": None if stage.by_springs is None else stage.by_springs.tolist(),
+        "ranges": None if stage.ranges is None else stage.ranges.to_json(),
+    }
+
+
+def _bootstrap_json(found: Bootstrap) -> dict[str, Any]:
+    numbers = {"std": found.std, "low": found.low, "high": found.high}
+    return {"count": found.count, **{name: values.tolist() for name, values in numbers.items()}}
+
+
+def _read_bootstrap(data: Mapping[str, Any] | None) -> Bootstrap | None:
+    if data is None:
+        return None
+    std, low, high = (np.array(data[name], dtype=float) for name in ("std", "low", "high"))
+    return Bootstrap(int(data["count"]), std, low, high)
+
+
+def _told_json(told: Prior) -> dict[str, Any]:
+    places = [{"effect": s.effect, "parameter": s.parameter, "at": s.place} for s in told.slots]
+    return {"parameters": places, "mean": told.mean.tolist(), "covariance": told.covariance.tolist()}
+
+
+def _read_told(data: Mapping[str, Any] | None) -> Prior | None:
+    if data is None:
+        return None
+    slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in data["parameters"])
+    covariance = np.array(data["covariance"], dtype=float).reshape(len(slots), len(slots))
+    return Prior(slots, np.array(data["mean"], dtype=float), covariance)
+
+
+def _vector(data: list[float] | None) -> tuple[float, ...] | None:
+    return None if data is None else tuple(float(v) for v in data)
+
+
+def _from_json(data: Mapping[str, Any]) -> Model:
+    layout = data["layout"]
+    stages: dict[Stage, StageModel] = {}
+    for name, part in data["stages"].items():
+        if name not in STAGES:
+            raise ModelError(f"stage {name!r} is not known; known: {', '.join(STAGES)}")
+        slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in part["parameters"])
+        terms = []
+        for label in part["effects"]:
+            effect, _, place = label.partition("@")
+            terms.append(Term(effect, place or None))
+        stages[name] = StageModel(
+            stage=name,
+            terms=tuple(terms),
+            slots=slots,
+            theta=np.array([p["value"] for p in part["parameters"]], dtype=float),
+            covariance=np.array(part["covariance"], dtype=float).reshape(len(slots), len(slots)),
+            identified=tuple(bool(p["identified"]) for p in part["parameters"]),
+            held_out=tuple(tuple(int(f) for f in folds) for folds in part["held_out"]),
+            outliers=tuple((int(o["session"]), str(o["table"]), int(o["row"])) for o in part["outliers"]),
+            null_directions=tuple(part["not_identifiable"]),
+            base=tuple(read_base(p) for p in part.get("base_parameters", ())),
+            observability={name: float(v) for name, v in part.get("observability", {}).items()},
+            bootstrap=_read_bootstrap(part.get("bootstrap")),
+            told=_read_told(part.get("told")),
+            lean=None if part.get("lean_rad") is None else np.array(part["lean_rad"], dtype=float),
+            by_springs=None if part.get("by_springs") is None else np.array(part["by_springs"], dtype=float),
+            ranges=read_ranges(part.get("ranges")),
+        )
+    sessions = tuple(
+        Session(
+            name=s["name"],
+            fingerprint=s["fingerprint"],
+            base_reference=None if s["base_reference"] is None else np.array(s["base_reference"], dtype=float),
+            targets=tuple(s["targets"]),
+            tool_mass=float(s["tool_mass_kg"]),
+            temperature=None if s["temperature_C"] is None else (s["temperature_C"][0], s["temperature_C"][1]),
+            tool_com=_vector(s.get("tool_com_m")),
+            gravity=_vector(s.get("gravity_m_s2")),
+        )
+        for s in data["sessions"]
+    )
+    ledger = tuple(
+        Round(
+            stage=cast(Stage, r["stage"]),
+            effects=tuple(r["effects"]),
+            added=tuple(r["added"]),
+            rms=float(r["rms"]),
+            heldout_rms=float(r["heldout_rms"]),
+            noise_floor=float(r["noise_floor"]),
+            evidence=r["evidence"],
+        )
+        for r in data["ledger"]
+    )
+    return Model(
+        robot=data["robot"],
+        layout=Layout(
+            joints=int(layout["joints"]),
+            targets=tuple(layout["targets"]),
+            sessions=tuple(layout["sessions"]),
+            wrist=tuple(layout["wrist"]),
+        ),
+        stages=stages,
+        sessions=sessions,
+        ledger=ledger,
+        seed=int(data["seed"]),
+        holdout=float(data["holdout"]),
+        user_effects=data["user_effects"],
+        joint=bool(data.get("joint", False)),
+        robot_file=data.get("robot_file"),
+    )
