@@ -115,8 +115,8 @@ def _one(
     before = {s: m for s, m in opened.stages.items() if s != stage}
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
-        known = {**start, **last.model.values()}
-        return fit_stage(rows, opened.effects, terms, before, known, opened.held(stage), opened.stages[stage].told)
+        known, held, told = {**last.model.values(), **start}, opened.held(stage), opened.stages[stage].told
+        return fit_stage(rows, opened.effects, terms, before, known, held, told, last=last.estimate)
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
 

@@ -29,6 +29,8 @@ __all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "
 HELD_OUT_RATE = 0.05
 STABLE = 0.6
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
+RISES = 0.5  # a p of the held-out error's fall above which it rather rises
+NO_FALL = "the held-out error does not fall"
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -199,6 +201,12 @@ class Bench:
             best, rivals = known, []
         if rivals:
             return Undecided([best, *rivals], look)
+        promised = alongside(fitted.estimate, best)
+        if promised is not None and best.assumed <= MOSTLY:
+            new = held_out(promised, self.verification, self.floor, self.seed, self.block)
+            p_held = held.p_above(new, new.noise, self.seed)
+            if p_held > RISES:  # one Gauss-Newton step towards it is the fit but for curvature
+                return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
         along = [self._fitted_along(s, fitted) for s in (best, *variants_of(look.named, best))]
         first_named = best
@@ -206,7 +214,7 @@ class Bench:
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
         again = stability(first, best)
-        reason = "" if falls else "the held-out error does not fall"
+        reason = "" if falls else NO_FALL
         if falls and again < STABLE:
             alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
             if len(alike) >= STABLE * len(first):
@@ -217,7 +225,10 @@ class Bench:
 
     def _fitted_along(self, s: Scored, fitted: FittedStage) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
         """A candidate, the fit with it, the terms that pay, and that fit's errors on rows that it has not seen."""
-        trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, s.candidate.shapes)
+        near = alongside(fitted.estimate, s)
+        # From none of it, a search would not know in which direction its shape is to go.
+        start = s.candidate.shapes if near is None else near.values()
+        trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return s, trial, kept, self.held_out(trial)
 
@@ -233,9 +244,9 @@ class Bench:
         Tried or list of Undecided
             What is confirmed beside them; where nothing is, these and further candidates that cannot be told apart.
         """
-        groups = [undecided]
+        groups, whole = [undecided], fitted
         while len(groups) < GROUPS:
-            whole, look = self._along(groups, fitted, number)
+            whole, look = self._along(groups, fitted, whole, number)
             found, _ = self.decided(look, whole, self.held_out(whole))
             if isinstance(found, Tried):
                 return found
@@ -244,15 +255,19 @@ class Bench:
             groups.append(found)
         return groups
 
-    def _along(self, groups: Sequence[Undecided], fitted: FittedStage, number: int) -> tuple[FittedStage, Look]:
-        """The first of each group fitted along, and a look at what that and the others leave."""
+    def _along(
+        self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage, number: int
+    ) -> tuple[FittedStage, Look]:
+        """The first of each group fitted along, from the ``last`` fit, and a look at what that and the others leave."""
         members = [s.candidate for group in groups for s in group.members]
         firsts = {group.members[0].candidate.label for group in groups}
         granted = [c for c in members if c.label not in firsts and self._linear(c)]
         fitted_too = [c for c in members if c not in granted]
         terms = dict.fromkeys(term for c in fitted_too for term in c.terms)
         shapes = {slot: value for c in reversed(fitted_too) for slot, value in c.shapes.items()}
-        whole = self.refit([*fitted.model.terms, *terms], fitted, shapes)
+        near = alongside(last.estimate, groups[-1].members[0])
+        start = {**shapes, **last.model.values()} if near is None else {**shapes, **near.values()}
+        whole = self.refit([*fitted.model.terms, *terms], last, start)
         return whole, self.look(whole, 2 * number - 1, granted)
 
     def _linear(self, candidate: Candidate) -> bool:

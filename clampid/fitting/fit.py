@@ -35,11 +35,20 @@ def fit(
     *,
     reject: bool = True,
     noise: Noise | None = None,
+    weights: Noise | None = None,
 ) -> Estimate:
     """Fit the experiment's slots to its rows.
 
     Weighted first by what the instrument states, then by what the residual shows, in two rounds; in between, rows
     whose residual a clean table would show with a chance of 1 % are rejected, in at most three passes.
+
+    Parameters
+    ----------
+    noise
+        Kept throughout.
+    weights
+        At first, instead of the instrument's: what another fit of the same rows has left. Where a model leaves much,
+        the instrument's would make a narrow valley of it, along which a search takes long.
 
     Raises
     ------
@@ -52,7 +61,7 @@ def fit(
     theta = start_of(experiment, start, priors)
     mean = np.where(experiment.held(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
-    model = noise or initial_noise(experiment.rows)
+    model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
     estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
     for _ in range(OUTLIER_PASSES if reject else 0):
@@ -63,7 +72,7 @@ def fit(
         experiment = experiment.with_rows(experiment.rows.without(bad))
         estimate = solve(experiment, estimate.theta, model, precision, mean)
     if noise is None:
-        for _ in range(1 if experiment.stage == "poses" else 2):
+        for _ in range(1 if experiment.stage == "poses" and weights is None else 2):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
             if experiment.stage == "free_air" and estimate.noise.settled(model):
                 break

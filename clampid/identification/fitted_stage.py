@@ -94,6 +94,7 @@ def fit_stage(
     held: Sequence[Sequence[int]] = (),
     told: Prior | None = None,
     cost: Cost = "least-squares",
+    last: Estimate | None = None,
 ) -> FittedStage:
     """Fit one stage on all rows but those held out.
 
@@ -105,6 +106,8 @@ def fit_stage(
         What all other rows say, where a joint fit knows: taken instead.
     cost
         ``mean-norm``, of ``poses`` only: see :mod:`clampid.fitting.mean_norm`.
+    last
+        A fit of the same rows with other terms: how poses are weighted at first.
 
     Raises
     ------
@@ -113,26 +116,28 @@ def fit_stage(
     """
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
 
+    weights = last.noise if last is not None and rows.stage == "poses" else None
+
     def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
         first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
         if told is not None:
-            return fit(first, (told,), values)
+            return fit(first, (told,), values, weights=weights)
         priors, carried = carried_over(rows, before)
-        return fit(first, priors, {**carried, **values})
+        return fit(first, priors, {**carried, **values}, weights=weights)
 
     terms, start = begun(terms, effects, rows.layout, start or {}, begin)
     trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
     friction = RestFriction(start, None)
     if told is not None:
-        estimate = fit(trial, (told,), start)
+        estimate = fit(trial, (told,), start, weights=weights)
     else:
         priors, carried = carried_over(rows, before)
         if "free_air" in before:
             friction = with_rest_friction(trial, priors, {**carried, **start})
         else:
             friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
-        estimate = fit(trial, (*priors, *friction.priors), friction.start)
+        estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
         alone = with_open_friction(estimate, friction.held)
         drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
         contradicted = drives.contradicted
@@ -141,7 +146,7 @@ def fit_stage(
             friction = RestFriction(estimate.values(), None)
             if "free_air" in before:
                 friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
-            estimate = fit(trial, (*priors, *friction.priors), friction.start)
+            estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
     estimate = with_kept_friction(estimate)
     if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_friction(with_open_flanks(estimate), friction.held)
