@@ -40,8 +40,7 @@ def test_confirmed_candidates_and_alternatives_are_kept_apart() -> None:
     assert alternatives == {("poses", 1): [["poses=b@base"], ["poses=c@base"]]}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 7])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), pytest.param(7, marks=pytest.mark.study)])
 def test_the_demo_finds_what_was_hidden_and_tells_it_last(seed: int, clampid: Clampid, tmp_path: Path) -> None:
     ran = clampid("demo", "--seed", str(seed), "--out", tmp_path / "demo", "--json", tmp_path / "demo.json")
     assert ran.code == 0, ran.err

@@ -171,8 +171,9 @@ def _hidden_where(campaign: Campaign) -> str:
     return str(json.loads(hidden_file(campaign.path).read_text())[0]["where"])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(1, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.study) for s in (2, 3))]
+)
 @pytest.mark.parametrize("effect", CASES)
 def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Simulated, table: list[str]):
     check(CASES[effect], seed, simulated, table)

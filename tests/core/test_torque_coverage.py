@@ -38,7 +38,7 @@ def test_torques_of_another_program_are_predicted_to_within_their_noise():
     assert np.max([t.unseen for t in trials(FEW)]) < 1.1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.timeout(1800)
 def test_intervals_hold_the_truth_over_many_robots():
     inside = np.abs(errors(MANY)) < 1.96

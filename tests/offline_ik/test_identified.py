@@ -151,10 +151,12 @@ def test_directions_and_temperatures_count() -> None:
     assert np.array_equal(Solver(cold, np.eye(4)).pose(q, warm), Solver(cold, np.eye(4)).pose(q, here))
 
 
-@pytest.mark.slow
-def test_a_million_poses() -> None:
+@pytest.mark.parametrize(
+    "count", [pytest.param(100_000, marks=pytest.mark.slow), pytest.param(1_000_000, marks=pytest.mark.study)]
+)
+def test_poses_without_number(count: int) -> None:
     solver = Solver(drawn_arm(seed=4), MOUNT)
-    q = postures(solver.arm, 1_000_000)
+    q = postures(solver.arm, count)
     given_ = conditions()
     T = solver.pose(q, given_)
     found = solver.solve(T, np.zeros_like(q), solver.signs(q), given_)
