@@ -49,6 +49,7 @@ WEAK = 0.05
 HELD_OPEN = 4.0  # an error twice as large as the prior: it was held, and is open
 SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
 SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
+ORTHOGONAL = 1e-3  # how near to the identity the second factor must be, for its columns to be exact
 NOTHING = 1e-100  # of whitened columns: the inverse square of less is no number
 TINY = 1e-290  # a smaller tail than this may have underflowed
 
@@ -247,9 +248,7 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     residual = np.r_[white.residual, root @ np.where(weak, 0.0, estimate.prior_mean - estimate.theta)]
     jacobian = np.vstack([white.jacobian, root])
     norms = np.linalg.norm(jacobian, axis=0)
-    Q, R, _ = linalg.qr(jacobian / np.where(norms > 0, norms, 1.0), mode="economic", pivoting=True)
-    size_R = np.abs(np.diag(R))
-    basis = np.asarray(Q, dtype=float)[:, : int(np.sum(size_R > 1e-10 * size_R.max(initial=0.0)))]
+    basis = _span(jacobian / np.where(norms > 0, norms, 1.0))
     residual = residual - basis @ (basis.T @ residual)
     count = len(white.residual)
     unit = (estimate.experiment.rows.unit if unit is None else unit)[white.entry]
@@ -258,6 +257,27 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     scale = float(np.sqrt(residual @ residual / freedom))
     told = np.linalg.norm(vectors[~weak], axis=0)
     return Space(residual, basis, units, max(scale, 1e-12), freedom, count, told)
+
+
+def _span(A: Array) -> Array:
+    """An orthonormal basis ``(M, k)`` of the columns, of length one or zero, of ``A`` ``(M, P)``.
+
+    By Cholesky factors, twice, where the columns are independent enough for it: a fifth of the work where they are
+    many. Source: Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, Roundoff error analysis of the CholeskyQR2 algorithm,
+    Electron. Trans. Numer. Anal. 44, 2015. Else by pivots.
+    """
+    Q = A
+    try:
+        for _ in range(2):
+            R = linalg.cholesky(Q.T @ Q, check_finite=False)
+            Q = linalg.solve_triangular(R, Q.T, trans="T", check_finite=False).T
+        if np.abs(R - np.eye(len(R))).max(initial=0.0) < ORTHOGONAL:
+            return np.asarray(Q)
+    except linalg.LinAlgError:
+        pass
+    Q, R, _ = linalg.qr(A, mode="economic", pivoting=True)
+    size = np.abs(np.diag(R))
+    return np.asarray(Q, dtype=float)[:, : int(np.sum(size > 1e-10 * size.max(initial=0.0)))]
 
 
 def _opened(estimate: Estimate) -> Array:

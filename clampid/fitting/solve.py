@@ -10,6 +10,7 @@ import numpy as np
 
 from clampid.fitting.descent import Limits, covariance_of, descend, inverse_of
 from clampid.fitting.flanks import mirrored, settled
+from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import Noise, Whitened
 from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
@@ -147,9 +148,22 @@ def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoin
         The model gives no finite prediction.
     """
     residual, jacobian = experiment.residual(theta)
+    _must_be_finite(experiment, residual)
+    return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
+
+
+def _point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
+    """The same for a search, which needs no Jacobian on its way."""
+    if not has_many_amplitudes(experiment, noise):
+        return stage_point(experiment, noise, theta)
+    point = AmplitudePoint.at(experiment, noise, theta)
+    _must_be_finite(experiment, point.residual)
+    return point
+
+
+def _must_be_finite(experiment: Experiment, residual: Array) -> None:
     if not np.all(np.isfinite(residual)):
         raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
-    return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
 
 
 def limits_of(experiment: Experiment) -> Limits:
@@ -171,7 +185,7 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     theta = limits_of(experiment).clipped(theta)
 
     def cost(held: Sequence[Experiment], at: Array) -> float:
-        return stage_point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
+        return _point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
     known: dict[bytes, Experiment] = {}
 
@@ -212,9 +226,7 @@ def _at_its_own(estimate: Estimate, held: Experiment) -> Estimate:
 
 def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
     """Damped Gauss-Newton with flanks held."""
-    best, iterations = descend(
-        lambda at: stage_point(experiment, noise, at), theta, precision, mean, limits_of(experiment)
-    )
+    best, iterations = descend(lambda at: _point(experiment, noise, at), theta, precision, mean, limits_of(experiment))
     return Estimate(
         experiment=experiment,
         theta=best.theta,

@@ -19,7 +19,17 @@ from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
-__all__ = ["evaluate", "flanks", "held", "link_vectors", "predict", "pressing", "residual"]
+__all__ = [
+    "by_parameter",
+    "evaluate",
+    "flanks",
+    "held",
+    "link_vectors",
+    "predict",
+    "pressing",
+    "residual",
+    "residual_parts",
+]
 
 _NOTHING = np.zeros(0)
 
@@ -91,6 +101,12 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
 
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
     """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m = 6 with rotations."""
+    error, sensitivity, deviations = residual_parts(rows, chain, theta)
+    return error, by_parameter(sensitivity, deviations, chain)
+
+
+def residual_parts(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array, Deviations]:
+    """Measured less predicted ``(N, m)``, the prediction's derivative by the stations ``(N, m, S)``, and these."""
     deviations = evaluate(rows, chain, theta)
     position, rotation, sensitivity = predict(rows, deviations)
     width = rows.measured.shape[1]
@@ -98,10 +114,10 @@ def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
     error[:, :3] = rows.measured[:, :3] - position
     if width == 6:
         error[:, 3:] = log_so3(rows.constants["rotation"] @ np.swapaxes(rotation, 1, 2))
-    return error, _by_parameter(sensitivity[:, :width], deviations, chain)
+    return error, sensitivity[:, :width], deviations
 
 
-def _by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:
+def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:
     """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves."""
     jacobian = np.zeros((*sensitivity.shape[:2], len(chain.slots)))
     own, several = chain.moves_one, chain.moves_several
