@@ -65,10 +65,23 @@ class Later(NamedTuple):
 
 @dataclass
 class Session:
-    """What one client has said: the posture that its stream is at."""
+    """What one client has said.
+
+    Attributes
+    ----------
+    here
+        The posture that its stream is at ``(n,)``, rad.
+    done
+        It wants to end.
+    closed
+        Its side of the connection is closed: whether anybody waits for an answer is not known.
+    count
+        Targets of its stream.
+    """
 
     here: Array | None = None
     done: bool = False
+    closed: bool = False
     count: int = 0
 
 
@@ -236,30 +249,31 @@ class Speaker:
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
-        dt, here = number(given, "dt", math.inf), session.here
+        dt, sides = number(given, "dt", math.inf), self._sides(given)
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
-        asked = _asked(given, here, self._sides(given))
+        start = self._posture(session) if session.here is None else session.here
+        here = self.detector.check_posture(start, "the posture at hand")
+        asked = _asked(given, here, sides)
 
-        def work(detector: Detector) -> tuple[dict[str, Any], Answer]:
-            answer, data = detector.locate(**asked), {}
-            if answer.reachable and here is not None:
-                q = answer.solutions[0].q
-                needs = move_time(detector, np.array([here, q]))
-                data["needs_s"] = needs
+        def work(detector: Detector) -> Ways:
+            answer = detector.locate(**asked)
+            if answer.reachable:
+                needs = move_time(detector, np.array([here, answer.solutions[0].q]))
                 if needs > dt:
                     raise TargetError(f"stream: the joints need {needs:.3f} s for this step, dt is {dt:.3f} s")
-                path = check_path(detector, [here, q])
-                if not path.safe:
-                    raise TargetError(f"stream: {'; '.join(path.reasons)}")
-            return data, answer
+            ways = ways_to(detector, answer, start=here, direction=sides, others=False)
+            if ways.chosen and not ways.chosen[0].path.safe:
+                raise TargetError(f"stream: {'; '.join(ways.chosen[0].path.reasons)}")
+            return ways
 
-        def then(found: tuple[dict[str, Any], Answer]) -> Told:
-            data, answer = found
-            if answer.reachable:
-                session.here = answer.solutions[0].q
+        def then(ways: Ways) -> Told:
+            data = finite(ways.to_json())
+            if ways.chosen:
+                session.here = ways.chosen[0].solution.q
                 session.count += 1
-            return self._told({**data, "number": session.count}, answer)
+                data["needs_s"] = ways.chosen[0].path.duration
+            return self._told({**data, "number": session.count}, ways.answer)
 
         return Later(work, then)
 
@@ -316,6 +330,8 @@ class Speaker:
         def then(ways: Ways) -> Told:
             safe = bool(ways.chosen) and ways.chosen[0].path.safe
             if safe:
+                if session.closed:
+                    raise RequestError("move: the connection was closed before the way was checked; nothing moves")
                 if self._stops != stops:
                     raise RequestError("move: the robot was stopped while its way was checked")
                 if not np.abs(link.posture() - here).max() <= SETTLED:
