@@ -20,9 +20,9 @@ import orjson
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
 from offline_ik.answer import Answer
-from offline_ik.approach import approach_through, check_directions
+from offline_ik.approach import approach_through
 from offline_ik.assumed import time_effects
-from offline_ik.cell_values import COLDEST, HOTTEST
+from offline_ik.checks import check_directions
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.link import RobotLink
@@ -281,11 +281,6 @@ class Speaker:
         found = {k: numbers(given, k) for k in ("link", "motor")}
         if all(v is None for v in found.values()) and "running" not in given:
             raise RequestError("temperature: expected link=t1,t2,… or motor=t1,t2,… in degC, or running= in s")
-        for name, values in found.items():
-            if values is None:
-                continue
-            if len(values) != self.detector.arm.n or not ((values > COLDEST) & (values < HOTTEST)).all():
-                raise TargetError(f"{name}: expected {self.detector.arm.n} temperatures in degC, found {given[name]}")
         detector = self.detector.at_temperature(found["link"], found["motor"])
         if "running" in given:
             running = number(given, "running")

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from offline_ik.approach import Approach, approach_through, check_directions
+from offline_ik.approach import Approach, approach_through
 from offline_ik.branches import parse_choice
+from offline_ik.checks import check_directions
 from offline_ik.postures import Direction
 from offline_ik.safety import PathReport, check_path
 

@@ -56,7 +56,7 @@ def ik(
     """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
     out = Output(quiet, json)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
-    from offline_ik.approach import check_directions
+    from offline_ik.checks import check_directions
     from offline_ik.coordinates import check_target
     from offline_ik.ways import ways_to
 
