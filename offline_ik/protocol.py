@@ -207,7 +207,7 @@ class Speaker:
     def _path(self, given: Mapping[str, str], session: Session) -> Told | Later:
         start = numbers(given, "from")
         if start is None:
-            start = self._posture(session)
+            start = self._posture(session, "from")
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
@@ -231,13 +231,13 @@ class Speaker:
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
         return Told({**data, "convention": self._convention, **members_of(answer), "nearest": answer.nearest})
 
-    def _posture(self, session: Session) -> Array:
+    def _posture(self, session: Session, key: str | None = None) -> Array:
+        """Where the linked robot or the stream is; ``key``: what else would have said it."""
         if self.link is not None:
             return self.link.posture()
         if session.here is None:
-            raise TargetError(
-                "expected a posture to start from: give from=q1,q2,… (at: q=q1,q2,…) or say start q=q1,q2,… first"
-            )
+            other = "" if key is None else f"give {key}=q1,q2,… or "
+            raise TargetError(f"expected a posture to start from: {other}say start q=q1,q2,… first")
         return session.here
 
     def _start(self, given: Mapping[str, str], session: Session) -> Told:
@@ -301,7 +301,7 @@ class Speaker:
     def _at(self, given: Mapping[str, str], session: Session) -> Told:
         """The other way round than ``where``: what a posture means on the sphere."""
         q = numbers(given, "q")
-        there = self.detector.check_posture(self._posture(session) if q is None else q, "q")
+        there = self.detector.check_posture(self._posture(session, "q") if q is None else q, "q")
         place = place_of(self.detector, there, numbers(given, "near"))
         return Told({"q_rad": there.tolist(), **place.to_json(), "convention": self._convention})
 
