@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from clampid.display import length, number, readable
+from clampid.display import fixed, length, number, readable
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from offline_ik.answer import Solution
     from offline_ik.detector import Detector
     from offline_ik.postures import Direction
-    from offline_ik.ways import Ways
+    from offline_ik.ways import Way, Ways
 
 __all__ = ["ik"]
 
@@ -78,6 +79,9 @@ def ik(
         out.warn(note)
     say_assumed(detector, out)
     _show(detector, ways, out)
+    if "pyfai" in data:
+        at = ", ".join(f"{name} {fixed(value, 9)}" for name, value in data["pyfai"].items())
+        out.say(f"pyFAI: {at} (m, rad; poni counted from the detector's middle)")
     out.result(data)
 
 
@@ -127,9 +131,10 @@ def _show(detector: Detector, ways: Ways, out: Output) -> None:
     for way in ways.chosen:
         _show_solution(way.solution, answer.asked["r_m"] or 0.0, out)
         out.say(f"joints come {_coming(way.solution, ways.came)}")
-        out.say(f"path: {CHECKED[way.checked]}{'safe' if way.path.safe else 'refused: ' + '; '.join(way.path.reasons)}")
+        out.say(f"path: {CHECKED[way.checked]}{_path(way)}")
         if way.approach is not None:
-            out.say(f"approach through a point, gain {length(way.approach.gain)}")
+            through = ", ".join(f"{angle:.6f}" for angle in way.approach.through.tolist())
+            out.say(f"approach through {through} rad, gain {length(way.approach.gain)}")
 
 
 CAME = {
@@ -144,6 +149,20 @@ CHECKED = {
     "approach": "the way to the approach's point is not checked, nobody said from where (--near); from there on ",
     "place": "not checked, nobody said from where (--near); the place itself is ",
 }
+
+
+def _path(way: Way) -> str:
+    """What the check found, in words."""
+    path = way.path
+    if not path.safe:
+        return f"refused: {'; '.join(path.reasons)}"
+    near = []
+    if math.isfinite(path.clearance):
+        near.append(f"{' and '.join(path.between)} come within {length(path.clearance)}")
+    if math.isfinite(path.base_distance):
+        near.append(f"axes 4 and 5 within {length(path.base_distance)} of the base")
+    takes = "" if way.checked == "place" else f"; {number(path.duration, 2)} s"
+    return f"safe{': ' if near else ''}{', '.join(near)}{takes}"
 
 
 def _coming(solution: Solution, came: str) -> str:

@@ -47,6 +47,7 @@ def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file
     assert data["path"]["safe"] in (True, False)
     assert data["approach"]["gain_m"] > 0
     assert data["pyfai"]["dist"] == pytest.approx(0.8)
+    assert f"rot2 {data['pyfai']['rot2']:.9f}" in done.stdout
     assert data["convention"]["beam"][1] == pytest.approx(np.sqrt(0.5))
     assert data["notes"] == []
 
@@ -78,8 +79,11 @@ def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
     assert "from there on safe" in text
     assert data["path"]["checked"] == "approach"
     text, data = said("--approach", "--near", "0.1,-1.2,1.2,0.1,0.4,0")
-    assert "path: safe" in text
-    assert data["path"]["checked"] == "way"
+    path = data["path"]
+    assert f"path: safe: {' and '.join(path['between'])} come within {readable(path['least_distance_m'], 'm')}," in text
+    assert f"axes 4 and 5 within {readable(path['forearm_to_base_m'], 'm')} of the base; " in text
+    assert f"approach through {', '.join(f'{q:.6f}' for q in data['approach']['through_q_rad'])} rad" in text
+    assert path["checked"] == "way"
 
 
 def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path) -> None:
