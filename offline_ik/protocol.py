@@ -132,6 +132,7 @@ class Speaker:
     _since: float = field(init=False)
     _timed: bool = field(init=False)
     _stops: int = field(init=False, default=0)
+    _moves: int = field(init=False, default=0)
     _convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -319,7 +320,7 @@ class Speaker:
     def _move(self, given: Mapping[str, str], session: Session) -> Later:
         if self.link is None:
             raise RequestError("move: no robot is linked; this server only computes")
-        link, stops = self.link, self._stops
+        link, stops, moves = self.link, self._stops, self._moves
         here = self.detector.check_posture(link.posture(), "the robot's posture")
 
         def then(ways: Ways) -> Told:
@@ -329,8 +330,9 @@ class Speaker:
                     raise RequestError("move: the connection was closed before the way was checked; nothing moves")
                 if self._stops != stops:
                     raise RequestError("move: the robot was stopped while its way was checked")
-                if not np.abs(link.posture() - here).max() <= SETTLED:
+                if self._moves != moves or not np.abs(link.posture() - here).max() <= SETTLED:
                     raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
+                self._moves += 1
                 link.move(ways.chosen[0].postures, self.detector.cell.speed)
             return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 

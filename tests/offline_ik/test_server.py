@@ -222,6 +222,26 @@ def test_what_happens_while_a_move_is_checked_counts(
     serving(detector, talk)
 
 
+def test_of_two_moves_at_once_one_is_made(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
+    held, link = Held(monkeypatch), Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        server.speaker.link = link
+        async with connected(host, port) as one, connected(host, port) as other:
+            one[1].write(b"move gamma=0.35 delta=0.2 r=0.8\n")
+            await held.until_begun()
+            other[1].write(b"move gamma=0.25 delta=0.2 r=0.8\n")  # from where the robot still stands
+            while not all(client.job for client in server.clients):
+                await asyncio.sleep(0.002)
+            held.go.set()
+            assert json.loads(await one[0].readline())["moving"] is True
+            assert "moved while" in json.loads(await other[0].readline())["error"]
+            assert link.sent == 1
+            assert (await ask(*other, b"move gamma=0.25 delta=0.2 r=0.8"))["moving"] is True
+
+    serving(detector, talk)
+
+
 def test_a_client_that_asks_and_closes_its_side_is_answered_but_moves_nothing(detector: Detector) -> None:
     link = Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
 
