@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from offline_ik.checks import check_directions
 from offline_ik.errors import TargetError
 
 if TYPE_CHECKING:
     from offline_ik.answer import Answer
     from offline_ik.detector import Detector
 
-__all__ = ["Approach", "approach_through", "check_directions"]
+__all__ = ["Approach", "approach_through"]
 
 Array = npt.NDArray[np.float64]
 
@@ -68,20 +69,6 @@ class Approach:
             "std_with_m": self.left,
             "gain_m": self.gain,
         }
-
-
-def check_directions(joints: int, values: Sequence[float] | Array) -> Array:
-    """Directions ``(n,)`` in which joints come to rest: 1 towards larger angles, -1 smaller, 0 not said.
-
-    Raises
-    ------
-    TargetError
-        They are not as many, or other numbers.
-    """
-    found = np.asarray(values, dtype=float)
-    if found.shape != (joints,) or not np.isin(found, (-1.0, 0.0, 1.0)).all():
-        raise TargetError(f"direction: expected {joints} numbers 1, -1 or 0, one of each joint, found {found.tolist()}")
-    return found
 
 
 def approach_through(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from offline_ik.cell import Cell
     from offline_ik.detector import Detector
 
-__all__ = ["assumed_of", "moves_by", "notes_of", "time_effects"]
+__all__ = ["assumed_of", "assumptions", "moves_by", "notes_of", "time_effects"]
 
 Array = npt.NDArray[np.float64]
 
 SHIFT = 8 * 3600.0  # s
 
-# Each default by the part and key of a cell file that would say it; no key: anything in that part.
+# Each default by the part and key of a cell file that would say it.
 _DEFAULTS = {
     "convention": ("convention", "name"),
     "sample": ("convention", "sample_m"),
@@ -30,9 +30,10 @@ _DEFAULTS = {
     "detector at the flange": ("detector", "position_m"),
     "a detector without a body": ("detector", "size_m"),
     "tool at the flange": ("tool", "com_m"),
+    "tool as heavy as the campaign says": ("tool", "mass_kg"),
     "no obstacles": ("", "obstacle"),
     "gravity": ("", "gravity_m_s2"),
-    "20 degC": ("temperature", ""),
+    "links of 20 degC": ("temperature", "link_C"),
     "link radii from the arm's reach": ("robot_shape", "radius_m"),
     "base radius from the arm's reach": ("robot_shape", "base_radius_m"),
     "clearance of 20 mm": ("safety", "clearance_m"),
@@ -50,14 +51,35 @@ def assumed_of(table: Mapping[str, Any], robot: RobotDescription) -> tuple[str, 
     """
     out = []
     for name, (part, key) in _DEFAULTS.items():
-        said = table.get(part, {}) if part else table
-        if not (key in said if key else said):
+        if key not in (table.get(part, {}) if part else table):
             out.append(name)
     if np.array_equal(np.asarray(robot.transmission), np.eye(robot.n)):
         out.append("motors turn as joints do (no gears are described)")
     if any(not joint.max_speed for joint in robot.joints):
         out.append("joints of 180 deg/s where no greatest speed is described")
     return tuple(out)
+
+
+def assumptions(detector: Detector) -> tuple[str, ...]:
+    """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
+    from offline_ik.shapes import radii_of
+
+    cell, convention = detector.cell, detector.cell.convention
+    base, radii = radii_of(detector.robot, cell)
+    values = {
+        "convention": convention.name,
+        "sample": f"{_listed(convention.sample, 6)} m",
+        "beam": _listed(convention.beam),
+        "tool as heavy as the campaign says": f"{detector.arm.tool[0]:g} kg",
+        "gravity": f"{_listed(cell.gravity)} m/s2",
+        "link radii from the arm's reach": f"{_listed(radii)} m",
+        "base radius from the arm's reach": f"{base:.3g} m",
+    }
+    return tuple(f"{what}: {values[what]}" if what in values else what for what in cell.assumed)
+
+
+def _listed(values: Iterable[float], digits: int = 3) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in values)
 
 
 def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:

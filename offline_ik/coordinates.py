@@ -41,6 +41,7 @@ Order = Literal["gamma_outer", "delta_outer"]
 Frame = Literal["base", "instrument"]
 
 R_MAX = 10.0  # m: no arm here reaches as far; a larger r is in millimetres
+REAL = (float, int, np.floating, np.integer)
 AT_ZERO = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """The detector at gamma = delta = 0 in the laboratory's axes: x down, y against up × beam, z against the beam."""
 _SQUARE = 1e-6  # rad, how far beam and up may be from perpendicular
@@ -213,7 +214,7 @@ def check_target(gamma: float, delta: float, r: float, roll: float = 0.0) -> Non
         Not finite, an angle beyond ±pi, r not positive or beyond 10 m; asks whether degrees or millimetres were meant.
     """
     for name, value in (("gamma", gamma), ("delta", delta), ("r", r), ("roll", roll)):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, REAL) or not math.isfinite(value):
             raise TargetError(f"{name}: expected a finite number, found {value!r}")
     for name, value in (("gamma", gamma), ("delta", delta), ("roll", roll)):
         if abs(value) > math.pi:

@@ -25,8 +25,9 @@ from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm
 from offline_ik.assumed import notes_of
 from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import LONGEST, Cell, default_cell, read_cell
+from offline_ik.checks import check_arm, check_directions, check_posture, check_temperatures
 from offline_ik.coordinates import check_target, detector_pose
-from offline_ik.errors import CellError, DetectorError, TargetError
+from offline_ik.errors import CellError, TargetError
 from offline_ik.free_roll import effort, rolls_to_try
 from offline_ik.kernel import Kernel
 from offline_ik.kernels import looking_kernel
@@ -61,7 +62,7 @@ class Detector:
     def __init__(self, arm: IdentifiedArm, cell: Cell) -> None:
         self.arm, self.cell = arm, cell
         self.robot: RobotDescription = arm.robot
-        _check_arm(self.robot)
+        check_arm(self.robot)
         self.solver = Solver(arm, identified_mount(cell, arm))
         self.lower = self.robot.lower + cell.limit_margin
         self.upper = self.robot.upper - cell.limit_margin
@@ -101,13 +102,17 @@ class Detector:
         return notes_of(self.arm, self.cell)
 
     def at_temperature(self, link: Array | None = None, motor: Array | None = None) -> Detector:
-        """The same at other temperatures ``(n,)``, °C."""
-        cell = self.cell
-        return self.within(replace(
-            cell,
-            link_temperature=cell.link_temperature if link is None else link,
-            motor_temperature=cell.motor_temperature if motor is None else motor,
-        ))  # fmt: skip
+        """The same at other temperatures ``(n,)``, °C.
+
+        Raises
+        ------
+        TargetError
+            They are not as many, not finite, or no robot's (kelvin?).
+        """
+        cell, n = self.cell, self.arm.n
+        links = cell.link_temperature if link is None else check_temperatures(n, link, "link")
+        motors = cell.motor_temperature if motor is None else check_temperatures(n, motor, "motor")
+        return self.within(replace(cell, link_temperature=links, motor_temperature=motors))
 
     def at_running(self, seconds: float) -> Detector:
         """The same when the robot has been running for so long, s.
@@ -156,15 +161,7 @@ class Detector:
         TargetError
             Not as many finite numbers as there are joints, or far beyond the limits (degrees?).
         """
-        found = np.asarray(q, dtype=float)
-        if found.shape != (self.arm.n,):
-            raise TargetError(f"{what}: expected {self.arm.n} joint angles, found {list(q)}")
-        values = found.tolist()
-        if not all(map(math.isfinite, values)):
-            raise TargetError(f"{what}: expected {self.arm.n} finite joint angles, found {values}")
-        if max(map(abs, values)) > 3 * math.pi:
-            raise TargetError(f"{what}: expected joint angles in radians, found {values}; are these degrees?")
-        return found
+        return check_posture(self.arm.n, q, what)
 
     def locate(
         self,
@@ -200,9 +197,9 @@ class Detector:
         Raises
         ------
         TargetError
-            The coordinates cannot be meant.
+            The coordinates, the posture at hand or the directions cannot be meant.
         """
-        choice = parse_choice(branch) if isinstance(branch, str) else branch
+        choice, direction = parse_choice(branch) if isinstance(branch, str) else branch, self._sides(direction)
         here, quick = self._quickly(gamma, delta, r, roll, near, choice, direction)
         if quick is not None:
             first = quick.solutions[0]
@@ -237,11 +234,16 @@ class Detector:
         Raises
         ------
         TargetError
-            The coordinates cannot be meant.
+            As for :meth:`locate`.
         """
-        choice = parse_choice(branch) if isinstance(branch, str) else branch
+        choice, direction = parse_choice(branch) if isinstance(branch, str) else branch, self._sides(direction)
         _, quick = self._quickly(gamma, delta, r, roll, near, choice, direction)
         return None if quick is None or _wanders(quick.solutions[0]) else quick
+
+    def _sides(self, asked: Direction) -> Direction:
+        if asked is None or (isinstance(asked, str) and asked == "moved"):
+            return asked
+        return check_directions(self.arm.n, asked)
 
     def _quickly(
         self,
@@ -394,15 +396,6 @@ class Detector:
 def _wanders(solution: Solution) -> bool:
     """Whether the posture of a singular pose is far from the one at hand, so that others may be nearer."""
     return bool(solution.singular) and solution.distance >= STAYED
-
-
-def _check_arm(robot: RobotDescription) -> None:
-    """Refuse an arm that cannot hold a detector at any orientation, or whose joints have no turns."""
-    if robot.n < 6:
-        raise DetectorError(f"{robot.name}: expected an arm of at least six joints, found {robot.n}")
-    for joint in robot.joints:
-        if joint.kind != "revolute":
-            raise DetectorError(f"{robot.name}: expected revolute joints only, found {joint.name}, {joint.kind}")
 
 
 def open_detector(

@@ -51,7 +51,7 @@ def whole_jacobian(arm: IdentifiedArm, mount: Array) -> Any:
     n = arm.n
     q, R, p, conditions = (ca.SX.sym("q", n), ca.SX.sym("R", 9), ca.SX.sym("p", 3), ca.SX.sym("c", 3 * n + 1))
     position, rotation, S, values, pressing = arm.stations(q, conditions, mount)
-    J = S[:, :n] @ ca.DM(np.asarray(arm.robot.linkage)) + S @ ca.jacobian(values, q)
+    J = S[:, :n] + S @ ca.jacobian(values, q)  # the first by the joints before a linkage, as the others
     error = ca.vertcat(p - position, _rotation_vector(ca.reshape(R, 3, 3).T, rotation))
     presses = ca.SX.ones(n) if pressing is None else pressing
     outputs = ca.cse([error, ca.densify(J), presses])

@@ -133,7 +133,7 @@ def looking_kernel(arm: IdentifiedArm, mount: Array, convention: Convention) -> 
     row = ca.SX.sym("row", n + 1 + 3 * n + 1)
     q, conditions = row[:n], row[n + 1 :]
     position, rotation, S, values, _ = arm.stations(q, conditions, mount)
-    J = S[:, :n] @ ca.DM(np.asarray(arm.robot.linkage)) + S @ ca.jacobian(values, q)
+    J = S[:, :n] + S @ ca.jacobian(values, q)  # the first by the joints before a linkage, as the others
     frame = np.eye(4) if convention.frame == "base" else arm.base
     A = ca.DM(frame[:3, :3])
     p, R, roll = ca.SX.sym("p", 3), ca.SX.sym("R", 3, 3), ca.SX.sym("roll")

@@ -21,7 +21,13 @@ class RobotLink(Protocol):
         ...
 
     def move(self, postures: Array, speed: float) -> None:
-        """Begin a move through postures ``(m, n)``, rad, at a share of the greatest speeds; return at once."""
+        """Begin a move through postures ``(m, n)``, rad, at a share of the greatest speeds; return at once.
+
+        Raises
+        ------
+        CallError
+            It cannot: another one is under way, the drives are off. The client is told why.
+        """
         ...
 
     def state(self) -> Mapping[str, Any]:

@@ -20,9 +20,9 @@ import orjson
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
 from offline_ik.answer import Answer
-from offline_ik.approach import approach_through, check_directions
+from offline_ik.approach import approach_through
 from offline_ik.assumed import time_effects
-from offline_ik.cell_values import COLDEST, HOTTEST
+from offline_ik.checks import check_directions
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.link import RobotLink
@@ -65,10 +65,23 @@ class Later(NamedTuple):
 
 @dataclass
 class Session:
-    """What one client has said: the posture that its stream is at."""
+    """What one client has said.
+
+    Attributes
+    ----------
+    here
+        The posture that its stream is at ``(n,)``, rad.
+    done
+        It wants to end.
+    closed
+        Its side of the connection is closed: whether anybody waits for an answer is not known.
+    count
+        Targets of its stream.
+    """
 
     here: Array | None = None
     done: bool = False
+    closed: bool = False
     count: int = 0
 
 
@@ -119,6 +132,7 @@ class Speaker:
     _since: float = field(init=False)
     _timed: bool = field(init=False)
     _stops: int = field(init=False, default=0)
+    _moves: int = field(init=False, default=0)
     _convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -194,7 +208,7 @@ class Speaker:
     def _path(self, given: Mapping[str, str], session: Session) -> Told | Later:
         start = numbers(given, "from")
         if start is None:
-            start = self._posture(session)
+            start = self._posture(session, "from")
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
@@ -218,13 +232,13 @@ class Speaker:
     def _told(self, data: dict[str, Any], answer: Answer) -> Told:
         return Told({**data, "convention": self._convention, **members_of(answer), "nearest": answer.nearest})
 
-    def _posture(self, session: Session) -> Array:
+    def _posture(self, session: Session, key: str | None = None) -> Array:
+        """Where the linked robot or the stream is; ``key``: what else would have said it."""
         if self.link is not None:
             return self.link.posture()
         if session.here is None:
-            raise TargetError(
-                "expected a posture to start from: give from=q1,q2,… (at: q=q1,q2,…) or say start q=q1,q2,… first"
-            )
+            other = "" if key is None else f"give {key}=q1,q2,… or "
+            raise TargetError(f"expected a posture to start from: {other}say start q=q1,q2,… first")
         return session.here
 
     def _start(self, given: Mapping[str, str], session: Session) -> Told:
@@ -236,30 +250,31 @@ class Speaker:
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
-        dt, here = number(given, "dt", math.inf), session.here
+        dt, sides = number(given, "dt", math.inf), self._sides(given)
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
-        asked = _asked(given, here, self._sides(given))
+        start = self._posture(session) if session.here is None else session.here
+        here = self.detector.check_posture(start, "the posture at hand")
+        asked = _asked(given, here, sides)
 
-        def work(detector: Detector) -> tuple[dict[str, Any], Answer]:
-            answer, data = detector.locate(**asked), {}
-            if answer.reachable and here is not None:
-                q = answer.solutions[0].q
-                needs = move_time(detector, np.array([here, q]))
-                data["needs_s"] = needs
+        def work(detector: Detector) -> Ways:
+            answer = detector.locate(**asked)
+            if answer.reachable:
+                needs = move_time(detector, np.array([here, answer.solutions[0].q]))
                 if needs > dt:
                     raise TargetError(f"stream: the joints need {needs:.3f} s for this step, dt is {dt:.3f} s")
-                path = check_path(detector, [here, q])
-                if not path.safe:
-                    raise TargetError(f"stream: {'; '.join(path.reasons)}")
-            return data, answer
+            ways = ways_to(detector, answer, start=here, direction=sides, others=False)
+            if ways.chosen and not ways.chosen[0].path.safe:
+                raise TargetError(f"stream: {'; '.join(ways.chosen[0].path.reasons)}")
+            return ways
 
-        def then(found: tuple[dict[str, Any], Answer]) -> Told:
-            data, answer = found
-            if answer.reachable:
-                session.here = answer.solutions[0].q
+        def then(ways: Ways) -> Told:
+            data = finite(ways.to_json())
+            if ways.chosen:
+                session.here = ways.chosen[0].solution.q
                 session.count += 1
-            return self._told({**data, "number": session.count}, answer)
+                data["needs_s"] = ways.chosen[0].path.duration
+            return self._told({**data, "number": session.count}, ways.answer)
 
         return Later(work, then)
 
@@ -267,11 +282,6 @@ class Speaker:
         found = {k: numbers(given, k) for k in ("link", "motor")}
         if all(v is None for v in found.values()) and "running" not in given:
             raise RequestError("temperature: expected link=t1,t2,… or motor=t1,t2,… in degC, or running= in s")
-        for name, values in found.items():
-            if values is None:
-                continue
-            if len(values) != self.detector.arm.n or not ((values > COLDEST) & (values < HOTTEST)).all():
-                raise TargetError(f"{name}: expected {self.detector.arm.n} temperatures in degC, found {given[name]}")
         detector = self.detector.at_temperature(found["link"], found["motor"])
         if "running" in given:
             running = number(given, "running")
@@ -292,7 +302,7 @@ class Speaker:
     def _at(self, given: Mapping[str, str], session: Session) -> Told:
         """The other way round than ``where``: what a posture means on the sphere."""
         q = numbers(given, "q")
-        there = self.detector.check_posture(self._posture(session) if q is None else q, "q")
+        there = self.detector.check_posture(self._posture(session, "q") if q is None else q, "q")
         place = place_of(self.detector, there, numbers(given, "near"))
         return Told({"q_rad": there.tolist(), **place.to_json(), "convention": self._convention})
 
@@ -310,16 +320,19 @@ class Speaker:
     def _move(self, given: Mapping[str, str], session: Session) -> Later:
         if self.link is None:
             raise RequestError("move: no robot is linked; this server only computes")
-        link, stops = self.link, self._stops
+        link, stops, moves = self.link, self._stops, self._moves
         here = self.detector.check_posture(link.posture(), "the robot's posture")
 
         def then(ways: Ways) -> Told:
             safe = bool(ways.chosen) and ways.chosen[0].path.safe
             if safe:
+                if session.closed:
+                    raise RequestError("move: the connection was closed before the way was checked; nothing moves")
                 if self._stops != stops:
                     raise RequestError("move: the robot was stopped while its way was checked")
-                if not np.abs(link.posture() - here).max() <= SETTLED:
+                if self._moves != moves or not np.abs(link.posture() - here).max() <= SETTLED:
                     raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
+                self._moves += 1
                 link.move(ways.chosen[0].postures, self.detector.cell.speed)
             return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 WORDS = {
     "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "direction", "pyfai"),
     "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "direction", "to"),
-    "stream": ("gamma", "delta", "r", "roll", "dt"),
+    "stream": ("gamma", "delta", "r", "roll", "direction", "dt"),
     "start": ("q",),
     "temperature": ("link", "motor", "running"),
     "at": ("q", "near"),
@@ -81,9 +81,14 @@ def number(given: Mapping[str, str], key: str, default: float | None = None) -> 
             raise RequestError(f"expected {key}=NUMBER")
         return default
     try:
-        return float(given[key])
+        return float(_plain(given[key]))
     except ValueError:
         raise RequestError(f"{key}: expected a number, found {given[key][:40]!r}") from None
+
+
+def _plain(text: str) -> str:
+    """The same; nothing, which is no number, for what Python alone takes for one: 0_8 as 8."""
+    return "" if "_" in text else text
 
 
 def numbers(given: Mapping[str, str], key: str) -> Array | None:
@@ -97,7 +102,7 @@ def numbers(given: Mapping[str, str], key: str) -> Array | None:
     if key not in given:
         return None
     try:
-        return np.array([float(part) for part in given[key].split(",")])
+        return np.array([float(part) for part in _plain(given[key]).split(",")])
     except ValueError:
         raise RequestError(f"{key}: expected numbers separated by commas, found {given[key][:40]!r}") from None
 

@@ -27,6 +27,7 @@ TURN = 8  # requests of one client before others have their turn
 WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
 PATIENCE = 30.0  # s for a line to be completed
 CLIENTS = 256
+CUT_OFF = b"\n"  # stands, as no line can, for one that the end of its connection cut off
 SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
 
 
@@ -65,7 +66,7 @@ class _Client(asyncio.Protocol):
         self.server.clients.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self.ended = True
+        self.ended = self.session.closed = True
         self.server.clients.discard(self)
         self.lines.clear()
         self.partial = b""
@@ -98,8 +99,9 @@ class _Client(asyncio.Protocol):
             self._work()
 
     def eof_received(self) -> bool:
-        if self.partial and not self.skipping:
-            self.lines.append(self.partial)
+        self.session.closed = True
+        if self.partial and not self.skipping:  # cut off, it may be another request than was meant: r=0.8 of r=0.85
+            self.lines.append(CUT_OFF)
             self.partial = b""
         open_ = bool(self.lines) or self.working
         self.ended = not open_
@@ -131,7 +133,11 @@ class _Client(asyncio.Protocol):
             if not self.lines or not self.writable:
                 break
             line = self.lines.popleft()
-            if len(line) > LINE_BYTES:
+            if line == CUT_OFF:
+                transport.write(
+                    speaker.refuse("expected a newline at the end of a line, found the end of the connection")
+                )
+            elif len(line) > LINE_BYTES:
                 transport.write(speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes"))
             else:
                 found = self.server.reply(line, self.session)

@@ -17,13 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from kinematics.poe import joint_transforms
-from offline_ik.cell import Obstacle, reach_of
+from kinematics.robot import RobotDescription
+from offline_ik.cell import Cell, Obstacle, reach_of
 from offline_ik.errors import CellError
 
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["Shape", "carries", "checked_pairs", "distance_of", "shapes_of"]
+__all__ = ["Shape", "carries", "checked_pairs", "distance_of", "radii_of", "shapes_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -73,6 +74,13 @@ def distance_of(a: Any, a_at: Any, b: Any, b_at: Any) -> float:
     return float(coal.distance(a, a_at, b, b_at, coal.DistanceRequest(), coal.DistanceResult()))
 
 
+def radii_of(robot: RobotDescription, cell: Cell) -> tuple[float, Array]:
+    """Of the base and of the links ``(n,)``, m: the cell's, or guessed from the arm's reach."""
+    guessed = np.interp(np.linspace(0, 1, robot.n + 1), np.linspace(0, 1, len(RADII)), RADII) * reach_of(robot)
+    base = float(guessed[0]) if cell.base_radius is None else cell.base_radius
+    return base, guessed[1:] if cell.radius is None else cell.radius
+
+
 def shapes_of(detector: Detector) -> list[Shape]:
     """Obstacles, base, links and detector of a cell.
 
@@ -83,10 +91,7 @@ def shapes_of(detector: Detector) -> list[Shape]:
     """
     robot, cell = detector.robot, detector.cell
     points = np.array([*(j.point for j in robot.joints), robot.flange[:3, 3]])
-    n, reach = robot.n, reach_of(robot)
-    guessed = np.interp(np.linspace(0, 1, n + 1), np.linspace(0, 1, len(RADII)), RADII) * reach
-    radii = guessed[1:] if cell.radius is None else cell.radius
-    base = float(guessed[0]) if cell.base_radius is None else cell.base_radius
+    n, (base, radii) = robot.n, radii_of(robot, cell)
     height = max(BASE_HEIGHT * abs(float(points[1][2])), 1e-3)
     out = [_obstacle(o) for o in cell.obstacles]
     out.append(Shape("base", "base", 0, coal.Cylinder(base, height), _placed(np.array([0, 0, height / 2])), 0.0, base))

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from offline_ik.approach import Approach, approach_through, check_directions
+from offline_ik.approach import Approach, approach_through
 from offline_ik.branches import parse_choice
+from offline_ik.checks import check_directions
 from offline_ik.postures import Direction
 from offline_ik.safety import PathReport, check_path
 
@@ -35,11 +36,14 @@ class Way:
         What its check found.
     approach
         Through which point it comes; None: straight.
+    begins
+        Whether it is known where it begins.
     """
 
     solution: Solution
     path: PathReport
     approach: Approach | None = None
+    begins: bool = True
 
     @property
     def postures(self) -> Array:
@@ -50,7 +54,14 @@ class Way:
     def to_json(self) -> dict[str, Any]:
         """For programs: ``path``, and ``approach`` where there is one."""
         told: dict[str, Any] = {} if self.approach is None else {"approach": self.approach.to_json()}
-        return {**told, "path": self.path.to_json()}
+        return {**told, "path": self.path.to_json() | {"checked": self.checked}}
+
+    @property
+    def checked(self) -> str:
+        """What of it was checked: the whole ``way``, the ``approach`` from its point on, or just the ``place``."""
+        if self.begins:
+            return "way"
+        return "place" if self.approach is None else "approach"
 
 
 @dataclass(frozen=True)
@@ -119,6 +130,7 @@ def ways_to(
     branch: str = "nearest",
     approach: bool = False,
     direction: Sequence[float] | Array | None = None,
+    others: bool = True,
 ) -> Ways:
     """Check the ways to the postures of an answer.
 
@@ -135,6 +147,8 @@ def ways_to(
         Come through an intermediate point, see :mod:`offline_ik.approach`.
     direction
         ``(n,)``: from which side the joints come, as ``answer`` was located for; None: nothing was asked.
+    others
+        Whether to try other postures at all.
 
     Raises
     ------
@@ -147,7 +161,7 @@ def ways_to(
     asked = None if direction is None else check_directions(detector.arm.n, direction)
     chosen = tuple(_way(detector, answer, s, start, approach, asked) for s in answer.solutions)
     refused: list[Way] = []
-    if branch != "all" and not chosen[0].path.safe:
+    if others and branch != "all" and not chosen[0].path.safe:
         refused = list(chosen[:1])
         for solution in _others(detector, answer, start, branch, asked):
             way = _way(detector, answer, solution, start, approach, asked)
@@ -177,12 +191,12 @@ def _with(answer: Answer, ways: tuple[Way, ...]) -> Answer:
 def _way(
     detector: Detector, answer: Answer, solution: Solution, start: Array | None, approach: bool, asked: Array | None
 ) -> Way:
-    begin = [] if start is None else [start]
+    begin, begins = [] if start is None else [start], start is not None
     if not approach:
-        return Way(solution, check_path(detector, [*begin, solution.q]))
+        return Way(solution, check_path(detector, [*begin, solution.q]), begins=begins)
     through = approach_through(detector, answer._replace(solutions=(solution,)), near=start, direction=asked)
     end = through.answer.solutions[0]
-    return Way(end, check_path(detector, [*begin, through.through, end.q]), through)
+    return Way(end, check_path(detector, [*begin, through.through, end.q]), through, begins)
 
 
 def _others(

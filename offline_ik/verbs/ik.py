@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from clampid.display import length, number, readable
+from clampid.display import fixed, length, number, readable
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
-from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened
+from offline_ik.errors import DetectorError
+from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 
 if TYPE_CHECKING:
     from offline_ik.answer import Solution
     from offline_ik.detector import Detector
     from offline_ik.postures import Direction
-    from offline_ik.ways import Ways
+    from offline_ik.ways import Way, Ways
 
 __all__ = ["ik"]
 
@@ -55,11 +57,11 @@ def ik(
     """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
     out = Output(quiet, json)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
-    from offline_ik.approach import check_directions
+    from offline_ik.checks import check_directions
     from offline_ik.coordinates import check_target
     from offline_ik.ways import ways_to
 
-    turned = None if roll == "free" else (numbers("--roll", roll) or [0.0])[0]
+    turned = None if roll == "free" else _roll(roll)
     check_target(gamma, delta, r, turned or 0.0)
     here, sides = numbers("--near", near), numbers("--direction", direction)
     detector = opened(model, cell, robot, effects_from, running)
@@ -75,8 +77,19 @@ def ik(
         data["pyfai"] = pyfai_geometry(detector.cell.convention, answer.target).to_json()
     for note in data["notes"]:
         out.warn(note)
-    _show(ways, out)
+    say_assumed(detector, out)
+    _show(detector, ways, out)
+    if "pyfai" in data:
+        at = ", ".join(f"{name} {fixed(value, 9)}" for name, value in data["pyfai"].items())
+        out.say(f"pyFAI: {at} (m, rad; poni counted from the detector's middle)")
     out.result(data)
+
+
+def _roll(text: str) -> float:
+    found = numbers("--roll", text) or []
+    if len(found) != 1:
+        raise DetectorError(f"--roll: expected one angle in radians or free, found {text!r}")
+    return found[0]
 
 
 def _later(detector: Detector, ways: Ways) -> tuple[str, ...]:
@@ -98,16 +111,14 @@ def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
     return data
 
 
-def _show(ways: Ways, out: Output) -> None:
-    answer = ways.answer
+def _show(detector: Detector, ways: Ways, out: Output) -> None:
+    answer, running = ways.answer, detector.cell.running
     convention = answer.convention
-    out.say(f"robot: {answer.cell['robot']}, running for {answer.cell['running_s'] / 3600:.4g} h")
+    out.say(f"robot: {detector.robot.name}" + ("" if running is None else f", running for {running / 3600:.4g} h"))
     out.say(
         f"convention: {convention['name']}, {convention['order']}, beam {convention['beam']}, "
         f"sample {convention['sample_m']} m in the frame {convention['frame']}"
     )
-    for what in answer.cell["assumed"]:
-        out.warn(f"assumed, for want of a cell that says: {what}")
     if not answer.reachable:
         out.say(f"not reachable: {'; '.join(answer.reasons)}")
         if answer.nearest is not None:
@@ -118,11 +129,12 @@ def _show(ways: Ways, out: Output) -> None:
             )
         return
     for way in ways.chosen:
-        _show_solution(way.solution, out)
+        _show_solution(way.solution, answer.asked["r_m"] or 0.0, out)
         out.say(f"joints come {_coming(way.solution, ways.came)}")
-        out.say("path: safe" if way.path.safe else f"path: refused: {'; '.join(way.path.reasons)}")
+        out.say(f"path: {CHECKED[way.checked]}{_path(way)}")
         if way.approach is not None:
-            out.say(f"approach through a point, gain {length(way.approach.gain)}")
+            through = ", ".join(f"{angle:.6f}" for angle in way.approach.through.tolist())
+            out.say(f"approach through {through} rad, gain {length(way.approach.gain)}")
 
 
 CAME = {
@@ -130,6 +142,27 @@ CAME = {
     "moved": "as they move straight from --near",
     "approach": "on the last part of the approach",
 }
+
+
+CHECKED = {
+    "way": "",
+    "approach": "the way to the approach's point is not checked, nobody said from where (--near); from there on ",
+    "place": "not checked, nobody said from where (--near); the place itself is ",
+}
+
+
+def _path(way: Way) -> str:
+    """What the check found, in words."""
+    path = way.path
+    if not path.safe:
+        return f"refused: {'; '.join(path.reasons)}"
+    near = []
+    if math.isfinite(path.clearance):
+        near.append(f"{' and '.join(path.between)} come within {length(path.clearance)}")
+    if math.isfinite(path.base_distance):
+        near.append(f"axes 4 and 5 within {length(path.base_distance)} of the base")
+    takes = "" if way.checked == "place" else f"; {number(path.duration, 2)} s"
+    return f"safe{': ' if near else ''}{', '.join(near)}{takes}"
 
 
 def _coming(solution: Solution, came: str) -> str:
@@ -140,15 +173,19 @@ def _coming(solution: Solution, came: str) -> str:
     return f"{' '.join(marks[side] for side in solution.direction.tolist())} ({CAME[came]})"
 
 
-def _show_solution(solution: Solution, out: Output) -> None:
-    u = solution.uncertainty
+def _show_solution(solution: Solution, r: float, out: Output) -> None:
+    u, stated = solution.uncertainty, solution.uncertainty.stated()
     rows = [(f"joint {i + 1}", f"{a:.6f}", f"{m:.4f}") for i, (a, m) in enumerate(
         zip(solution.q.tolist(), solution.motor.tolist(), strict=True))]  # fmt: skip
-    out.table(f"S {solution.status}  T {solution.turn}", ("", "joint / rad", "motor / rad"), rows)
+    out.table(f"KUKA Status and Turn: S{solution.status}T{solution.turn}", ("", "joint / rad", "motor / rad"), rows)
     out.say(
-        f"uncertainty (1 σ): {length(u.std_m)} ({length(u.tangential_m)} = {number(u.tangential_m / u.pixel)} "
-        f"pixels along the sphere), {readable(u.std_rad, 'rad')}"
+        f"uncertainty (1 σ, by the model's covariance): {length(u.tangential_m)} along the sphere, both directions "
+        f"together ({readable(u.tangential_m / r, 'microrad')} as seen from the sample, "
+        f"{number(stated['tangential_std_pixels'])} pixels of {readable(u.pixel, 'm', 2)}); "
+        f"{length(stated['radial_std_m'])} along the line of sight; "
+        f"{readable(u.std_rad, 'microrad')} in orientation, all axes together"
     )
+    out.say(f"the detector is within {length(u.radius95_m)} of where it is asked to be, with 95 %")
     if solution.extrapolating:
         from clampid.verbs.findings import extrapolating_text
 

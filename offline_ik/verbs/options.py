@@ -11,9 +11,10 @@ import typer
 from offline_ik.errors import DetectorError
 
 if TYPE_CHECKING:
+    from clampid.verbs.output import Output
     from offline_ik.detector import Detector
 
-__all__ = ["CellFile", "Robot", "Running", "numbers", "opened", "seconds"]
+__all__ = ["CellFile", "Robot", "Running", "numbers", "opened", "say_assumed", "seconds"]
 
 CellFile = Annotated[
     Path | None,
@@ -78,3 +79,12 @@ def opened(
     time = seconds("--running", running)
     detector = open_detector(model, cell, robot=robot, user_effects=effects_from)
     return detector if time is None else detector.at_running(time)
+
+
+def say_assumed(detector: Detector, out: Output) -> None:
+    """What nobody said, with the values that are taken for it."""
+    from offline_ik.assumed import assumptions
+
+    assumed = assumptions(detector)
+    if assumed:
+        out.warn("\n  ".join(["assumed, for want of a cell that says:", *assumed]))

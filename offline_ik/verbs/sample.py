@@ -11,7 +11,7 @@ import typer
 
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
-from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened
+from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 
 if TYPE_CHECKING:
     from offline_ik.peaks import SampleFound
@@ -60,8 +60,7 @@ def sample(
             result = sample_from_peaks(detector, found, near=before, repeatability=repeatability)
         except TargetError as error:
             raise TargetError(f"{peaks}: {error}") from None
-    for what in detector.cell.assumed:
-        out.warn(f"assumed, for want of a cell that says: {what}")
+    say_assumed(detector, out)
     for note in result.notes:
         out.warn(f"note: {note}")
     _show(result, out)

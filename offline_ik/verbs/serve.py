@@ -10,7 +10,7 @@ import typer
 from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
-from offline_ik.verbs.options import CellFile, Robot, Running, opened
+from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assumed
 
 if TYPE_CHECKING:
     from offline_ik.link import RobotLink
@@ -45,9 +45,8 @@ def serve(
         detector = opened(model, cell, robot, effects_from, running)
         speaker = Speaker(detector, linked)
         detector.warm_up()
-        detector.twin.warm_up()
-    for what in detector.cell.assumed:
-        out.warn(f"assumed, for want of a cell that says: {what}")
+        _ = detector.twin  # the server's, warmed up as it is made
+    say_assumed(detector, out)
     for note in detector.notes:
         out.warn(note)
     if not is_loopback(host):

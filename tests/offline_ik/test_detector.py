@@ -212,6 +212,26 @@ def test_a_posture_that_is_none_is_refused(detector: Detector, near: list[float]
         detector.locate(*HERE, near=near)
 
 
+@pytest.mark.parametrize("wrong", [[1, 1], [np.nan] * 6, [5.0] * 6, "there"])
+def test_directions_that_are_none_are_refused(detector: Detector, wrong: object) -> None:
+    for ask in (detector.locate, detector.at_once):
+        with pytest.raises(TargetError, match="direction: expected 6 numbers"):
+            ask(*HERE, direction=wrong)
+
+
+@pytest.mark.parametrize("wrong", [[300.0] * 6, [np.nan] * 6, [20.0] * 2])
+def test_temperatures_that_are_none_are_refused(detector: Detector, wrong: list[float]) -> None:
+    for name in ("link", "motor"):
+        with pytest.raises(TargetError, match=f"{name}: expected 6 temperatures in degC"):
+            detector.at_temperature(**{name: np.array(wrong)})
+
+
+def test_numbers_of_numpy_are_numbers(detector: Detector) -> None:
+    found = detector.locate(np.float32(0.25), 0.25, np.float32(0.75))
+    assert found.solutions[0].q.tolist() == detector.locate(0.25, 0.25, 0.75).solutions[0].q.tolist()
+    assert not detector.locate(np.int64(0), 0.2, np.int64(4), nearest=False).reachable
+
+
 def test_a_sample_inside_the_pedestal_is_refused() -> None:
     model = drawn_model()
     cell = default_cell(load_robot(model.robot))

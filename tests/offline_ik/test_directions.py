@@ -11,7 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from clampid.cli import app
-from offline_ik.approach import BACK, approach_through, check_directions
+from offline_ik.approach import BACK, approach_through
+from offline_ik.checks import check_directions
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.protocol import Session, Speaker

@@ -14,7 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ik_arms import drawn_model
+from typer.testing import CliRunner
 
+from clampid.cli import app
+from clampid.display import number, readable
 from clampid.models.model import save_model
 from offline_ik.detector import open_detector
 
@@ -44,8 +47,43 @@ def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file
     assert data["path"]["safe"] in (True, False)
     assert data["approach"]["gain_m"] > 0
     assert data["pyfai"]["dist"] == pytest.approx(0.8)
+    assert f"rot2 {data['pyfai']['rot2']:.9f}" in done.stdout
     assert data["convention"]["beam"][1] == pytest.approx(np.sqrt(0.5))
     assert data["notes"] == []
+
+
+def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
+    model_file: Path, cell_file: Path, tmp_path: Path
+) -> None:
+    out, asked = tmp_path / "ik.json", ["ik", str(model_file), *PLACE, "--cell", str(cell_file)]
+
+    def said(*more: str) -> tuple[str, dict]:
+        done = CliRunner().invoke(app(), [*asked, *more, "--json", str(out)])
+        assert done.exit_code == 0, done.output
+        return done.output, json.loads(out.read_text(encoding="utf-8"))
+
+    text, data = said()
+    solution = data["solutions"][0]
+    across, up, along = solution["uncertainty"]["std_axes_m"]
+    sphere = np.hypot(across, up)
+    for value in (
+        f"{readable(sphere, 'm')} along the sphere", f"({readable(sphere / 0.8, 'microrad')} as seen from the sample",
+        f"{number(sphere / 55e-6)} pixels of 55 µm", f"{readable(along, 'm')} along the line of sight",
+        f"{readable(np.linalg.norm(solution['uncertainty']['std_axes_rad']), 'microrad')} in orientation",
+    ):  # fmt: skip
+        assert value in text
+    assert f"KUKA Status and Turn: S{solution['status']}T{solution['turn']}" in text
+    assert "path: not checked, nobody said from where" in text
+    assert data["path"]["checked"] == "place"
+    text, data = said("--approach")
+    assert "from there on safe" in text
+    assert data["path"]["checked"] == "approach"
+    text, data = said("--approach", "--near", "0.1,-1.2,1.2,0.1,0.4,0")
+    path = data["path"]
+    assert f"path: safe: {' and '.join(path['between'])} come within {readable(path['least_distance_m'], 'm')}," in text
+    assert f"axes 4 and 5 within {readable(path['forearm_to_base_m'], 'm')} of the base; " in text
+    assert f"approach through {', '.join(f'{q:.6f}' for q in data['approach']['through_q_rad'])} rad" in text
+    assert path["checked"] == "way"
 
 
 def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path) -> None:
@@ -81,7 +119,9 @@ def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
 def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr
-    assert "assumed, for want of a cell that says: sample" in done.stderr
+    assert "assumed, for want of a cell that says:\n" in done.stderr
+    for what in ("sample: 1.432, 0, -0.017 m", "gravity: 0, 0, -9.81 m/s2", "links of 20 degC", "says: 12 kg"):
+        assert f"{what}\n" in done.stderr
     assert "sample" in json.loads(done.stdout)["cell"]["assumed"]
 
 
@@ -92,6 +132,7 @@ def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
         (("--gamma", "0.3", "--delta", "0.2", "--r", "800"), "did you mean 800 mm"),
         (("--gamma", "nan", "--delta", "0.2", "--r", "0.8"), "finite"),
         ((*PLACE, "--roll", "wide"), "--roll"),
+        ((*PLACE, "--roll", "0.1,0.2"), "expected one angle"),
         ((*PLACE, "--near", "1,2,x"), "--near"),
         ((*PLACE, "--branch", "best"), "branch"),
         ((*PLACE, "--robot", "ur10"), "ur10"),

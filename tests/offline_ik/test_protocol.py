@@ -72,6 +72,11 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
         (b"where gamma=0.3 delta=0.2 r=800", "did you mean 800 mm"),
         (b"where gamma=nan delta=0.2 r=0.8", "finite"),
         (b"where gamma=x delta=0.2 r=0.8", "expected a number, found 'x'"),
+        (b"where gamma=0.3 delta=0.2 r=0_8", "expected a number, found '0_8'"),
+        (b"where gamma=0.3 delta=0.2 r=1e308", "at most 10, found 1e+308"),
+        (b"where gamma=0.3 delta=0.2 r=-0.8", "positive distance"),
+        (b"where gamma=0.3 delta=0.2 r=0.8 near=0,-1_2,1,0,0,0", "separated by commas"),
+        (b"stream gamma=0.3 delta=0.2 r=0.8", "expected a posture to start from"),
         (b"where gamma=0.3 delta=0.2 r=0.8 r=0.9", "twice"),
         (b"where gamma=0.3 delta=0.2 r=0.8 colour=red", "no key is called 'colour'"),
         (b"where gamma 0.3", "expected key=value"),
@@ -98,7 +103,7 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
     ],
 )
 def test_a_malformed_line_gets_an_error_and_changes_nothing(speaker: Speaker, line: bytes, says: str) -> None:
-    session = Session(here=np.zeros(6)) if line.startswith(b"stream") else Session()
+    session = Session(here=np.zeros(6)) if b"dt" in line else Session()
     before, here = say(speaker, "state"), session.here
     found = say(speaker, line, session)
     assert found["ok"] is False
@@ -124,8 +129,12 @@ def test_no_line_raises(speaker: Speaker, line: bytes) -> None:
 
 def test_a_stream_follows_its_last_target_and_refuses_what_is_too_fast(speaker: Speaker) -> None:
     session = Session()
+    none = say(speaker, "stream gamma=0.30 delta=0.2 r=0.8", session)
+    assert "expected a posture to start from" in none["error"]
+    assert say(speaker, f"start q={','.join(map(str, START))}", session)["ok"]
     first = say(speaker, "stream gamma=0.30 delta=0.2 r=0.8", session)
     assert first["number"] == 1
+    assert first["path"]["safe"] is True
     second = say(speaker, "stream gamma=0.31 delta=0.2 r=0.8 dt=1", session)
     assert second["number"] == 2
     assert second["needs_s"] < 1
@@ -136,6 +145,27 @@ def test_a_stream_follows_its_last_target_and_refuses_what_is_too_fast(speaker: 
     assert "the joints need" in fast["error"]
     assert session.here is here
     assert say(speaker, "stream gamma=0.31 delta=0.21 r=0.8 dt=1", session)["number"] == 3
+
+
+def test_a_stream_begins_where_the_linked_robot_is_and_takes_sides(detector: Detector) -> None:
+    speaker, session = Speaker(detector, Arm(np.array(START))), Session()
+    q = np.array(say(speaker, "stream gamma=0.3 delta=0.2 r=0.8", session)["solutions"][0]["q_rad"])
+    moved = np.sign(q - START)
+    session = Session()
+    told = say(speaker, f"stream gamma=0.3 delta=0.2 r=0.8 direction={','.join(f'{-s:.0f}' for s in moved)}", session)
+    assert told["direction_from"] == "asked"
+    assert told["solutions"][0]["approach_direction"] == (-moved).tolist()
+    assert "comes from another side" in told["notes"][0]
+    assert 1e-9 < np.abs(np.subtract(told["solutions"][0]["q_rad"], q)).max() < 0.01
+    assert session.here is not None
+    assert session.here.tolist() == told["solutions"][0]["q_rad"]
+
+
+def test_a_stream_takes_no_other_posture_where_the_nearest_is_refused(speaker: Speaker) -> None:
+    session = Session(here=np.array([float(x) for x in BESIDE_THE_STAGE.split(",")]))
+    here = session.here
+    assert "sample stage" in say(speaker, "stream gamma=0.3 delta=0.2 r=0.4", session)["error"]
+    assert session.here is here
 
 
 def test_a_path_is_checked_along_its_length(speaker: Speaker) -> None:

@@ -114,3 +114,36 @@ def test_an_arm_without_a_closed_form(tmp_path: Path, cell_file: Path) -> None:
     (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
     model = drawn_model("ur10", ("geometry", "joint_compliance"))
     check(open_detector(model, read_cell(tmp_path / "cell.toml", open_detector(model).robot)), (0.3, 0.2, 4.0), 0.0, 8)
+
+
+@pytest.fixture(scope="module")
+def linked() -> Detector:
+    """An arm whose elbow is held by a linkage with joint 2."""
+    return open_detector(drawn_model("abb_irb2400_12_155"))
+
+
+def test_an_arm_with_a_linkage(linked: Detector) -> None:
+    check(linked, (0.3, 0.2, 0.4), 0.0, 16)
+
+
+def test_derivatives_by_the_joints_of_a_linkage(linked: Detector) -> None:
+    still = linked.still.vector
+    for q in np.random.default_rng(2).uniform(-0.8, 0.8, (4, 6)):
+        target = linked.pose(q[None] + 0.01)[0]
+        wanted = [*target[:3, :3].ravel(), *target[:3, 3]]
+        rows = {
+            "looking": (linked.looking, np.concatenate([q, [0.3], still]), 0),
+            "whole": (linked.solver.whole, np.concatenate([wanted, q, still]), 12),
+        }
+        _, moves, _, slopes = (o.copy() for o in linked.looking.one(rows["looking"][1]))
+        jacobian = linked.solver.whole.one(rows["whole"][1])[1].copy().reshape(6, 6)
+        for k in range(6):
+            sides = {}
+            for name, (kernel, row, first) in rows.items():
+                step = 1e-6 * np.eye(len(row))[first + k]
+                sides[name] = [[o.copy() for o in kernel.one(row + s * step)] for s in (1.0, -1.0)]
+            up, down = sides["looking"]
+            assert moves.reshape(3, 6)[:, k] == pytest.approx((up[0] - down[0]) / 2e-6, abs=1e-7)
+            assert slopes.reshape(3, 6)[:, k] == pytest.approx((up[2] - down[2]) / 2e-6, abs=1e-7)
+            up, down = sides["whole"]  # what is left to the pose falls as the arm comes nearer
+            assert jacobian[:3, k] == pytest.approx((down[0] - up[0])[:3] / 2e-6, abs=1e-7)

@@ -198,7 +198,7 @@ def test_what_happens_while_a_move_is_checked_counts(
                 assert (await ask(*other, b"stop"))["ok"]
             elif what == "moved":
                 link.q = link.q + 0.1
-            elif what == "closed":  # on the wire no other than a client that has asked all that it wants to
+            elif what == "closed":  # on the wire no other than a client that still waits for its answer
                 writer.close()
             elif what == "reset":
                 sock = writer.get_extra_info("socket")
@@ -210,14 +210,64 @@ def test_what_happens_while_a_move_is_checked_counts(
             held.go.set()
             if what in ("closed", "reset"):
                 assert (await ask(*other, PATH))["path"]["safe"]  # is computed after the move
-                assert server.speaker.answered == (2 if what == "closed" else 1)
+                assert (server.speaker.answered, server.speaker.refused) == (1, 1 if what == "closed" else 0)
                 assert not server.failures
             else:
                 answer = json.loads(await reader.readline())
                 assert answer["ok"] is (what == "nothing")
                 told = {"stop": "was stopped while", "moved": "moved while"}
                 assert told.get(what, "") in answer.get("error", "")
-            assert link.sent == (what in ("nothing", "closed"))
+            assert link.sent == (what == "nothing")
+
+    serving(detector, talk)
+
+
+def test_of_two_moves_at_once_one_is_made(detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
+    held, link = Held(monkeypatch), Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        server.speaker.link = link
+        async with connected(host, port) as one, connected(host, port) as other:
+            one[1].write(b"move gamma=0.35 delta=0.2 r=0.8\n")
+            await held.until_begun()
+            other[1].write(b"move gamma=0.25 delta=0.2 r=0.8\n")  # from where the robot still stands
+            while not all(client.job for client in server.clients):
+                await asyncio.sleep(0.002)
+            held.go.set()
+            assert json.loads(await one[0].readline())["moving"] is True
+            assert "moved while" in json.loads(await other[0].readline())["error"]
+            assert link.sent == 1
+            assert (await ask(*other, b"move gamma=0.25 delta=0.2 r=0.8"))["moving"] is True
+
+    serving(detector, talk)
+
+
+def test_a_client_that_asks_and_closes_its_side_is_answered_but_moves_nothing(detector: Detector) -> None:
+    link = Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        server.speaker.link = link
+        async with connected(host, port) as (reader, writer):
+            writer.write(b"move gamma=0.35 delta=0.2 r=0.8\nstop\n" + PATH + b"\n" + GOOD + b"\n")
+            writer.write_eof()
+            answers = [json.loads(line) for line in (await reader.read()).splitlines()]
+            assert [a["ok"] for a in answers] == [False, True, True, True]
+            assert "connection was closed" in answers[0]["error"]
+            assert not link.sent
+
+    serving(detector, talk)
+
+
+def test_a_line_that_the_end_of_its_connection_cuts_off_is_refused(detector: Detector) -> None:
+    async def talk(server: Server, host: str, port: int) -> None:
+        async with connected(host, port) as (reader, writer):
+            writer.write(GOOD + b"\n" + GOOD)  # may have been r=0.85
+            writer.write_eof()
+            whole, cut = json.loads(await reader.readline()), json.loads(await reader.readline())
+            assert whole["reachable"]
+            assert "expected a newline" in cut["error"]
+            assert "q_rad" not in json.dumps(cut)
+            assert not await reader.readline()
 
     serving(detector, talk)
 
