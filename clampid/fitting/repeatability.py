@@ -27,6 +27,7 @@ from clampid.stages.rows import Array, Integers
 __all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]
 
 FEWEST = 20  # visits with more than one point; of fewer no seven variances can be told
+VISITS = 2000  # at once, for the memory they take
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
 
 
@@ -110,9 +111,11 @@ def clustered_covariance(
 def shared_moments(X: Array, by_joint: Array, visit: Integers, scatter: Scatter) -> Array:
     """Covariance ``(P, P)`` of Xᵀ r, r the whitened noise ``(M,)`` of visits that share where the robot has stopped."""
     out = scatter.noise * (X.T @ X)
-    for rows in _groups(visit):
-        shared = X[rows].T @ (by_joint[rows] * scatter.joints)
-        out += shared @ shared.T
+    groups = _groups(visit)
+    for start in range(0, len(groups), VISITS):
+        shared = [(by_joint[rows] * scatter.joints).T @ X[rows] for rows in groups[start : start + VISITS]]
+        together = np.concatenate(shared)  # one product of many visits: of each its own, P² would be summed as often
+        out += together.T @ together
     return np.asarray(out)
 
 
