@@ -221,8 +221,5 @@ def experiment(
     clampid.effect.EffectError
         An effect does not act in the rows' stage.
     """
-    robot = rows.robot
-    chain = build_chain(
-        rows.stage, slots, effects, rows.layout, np.asarray(robot.transmission), poses.link_vectors(robot)
-    )
+    chain = build_chain(rows.stage, slots, effects, rows.layout, poses.constants_of(rows.robot))
     return Experiment(rows, effects, tuple(slots), replace(chain, lean=lean))

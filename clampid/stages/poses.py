@@ -19,7 +19,7 @@ from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
-__all__ = ["evaluate", "flanks", "held", "link_vectors", "predict", "pressing", "residual"]
+__all__ = ["constants_of", "evaluate", "flanks", "held", "link_vectors", "predict", "pressing", "residual"]
 
 _NOTHING = np.zeros(0)
 
@@ -27,6 +27,14 @@ _NOTHING = np.zeros(0)
 def link_vectors(robot: Any) -> Array:
     """From each joint's point to its link's far end ``(n, 3)``, base axes at the zero pose, m."""
     return np.asarray(link_points(robot) - np.array([joint.point for joint in robot.joints]))
+
+
+def constants_of(robot: Any) -> dict[str, Array]:
+    """What effects may read of the nominal robot.
+
+    ``transmission`` ``(n, n)``; ``link_vectors`` ``(n, 3)``, m.
+    """
+    return {"transmission": np.asarray(robot.transmission), "link_vectors": link_vectors(robot)}
 
 
 def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
