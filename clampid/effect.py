@@ -29,6 +29,7 @@ __all__ = [
 Stage = Literal["free_air", "clamped", "poses"]
 Per = Literal["robot", "joint", "link", "target", "session"]
 Within = Literal["q", "torque", "link_temperature"]
+JointKind = Literal["revolute", "prismatic", "helical"]
 Deviation = Callable[[Any, Any], Any]
 
 WEAK = 10.0  # sizes: a prior that says next to nothing
@@ -48,6 +49,7 @@ UNITS: frozenset[str] = frozenset(
     {
         "", "m", "rad", "kg", "kg m", "kg m^2", "s", "K", "1/K", "Nm", "Nm s/rad", "Nm s^2/rad^2", "Nm/rad", "Nm/K",
         "rad/Nm", "rad/Nm^3", "rad/s", "m/Nm", "m/N", "m/s", "N/m", "rad/m", "1/(N m^2)", "rad/K",
+        "m/rad",
     }
 )  # fmt: skip
 
@@ -274,6 +276,8 @@ class Effect:
         the catalogue, and the probe asks the same question of the same rows.
     asked
         Whether it is fitted where somebody asks for it only: diagnosis does not look for it.
+    tried_on
+        The kind of joint at which alone diagnosis looks for it; None: any.
     """
 
     name: str
@@ -298,6 +302,7 @@ class Effect:
     caveat: str = field(default="")
     known_within: Within | None = None
     asked: bool = False
+    tried_on: JointKind | None = None
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):

@@ -32,9 +32,15 @@ def link_vectors(robot: Any) -> Array:
 def constants_of(robot: Any) -> dict[str, Array]:
     """What effects may read of the nominal robot.
 
-    ``transmission`` ``(n, n)``; ``link_vectors`` ``(n, 3)``, m.
+    ``transmission`` and ``linkage`` ``(n, n)``; ``link_vectors`` ``(n, 3)``, m; ``turning_axes`` ``(n, 3)``: unit
+    vectors, base axes at the zero pose, zero for joints that slide.
     """
-    return {"transmission": np.asarray(robot.transmission), "link_vectors": link_vectors(robot)}
+    return {
+        "transmission": np.asarray(robot.transmission),
+        "linkage": np.asarray(robot.linkage),
+        "link_vectors": link_vectors(robot),
+        "turning_axes": robot.screws[:, :3],
+    }
 
 
 def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
