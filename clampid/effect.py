@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 Stage = Literal["free_air", "clamped", "poses"]
-Per = Literal["robot", "joint", "link", "target", "session"]
+Per = Literal["robot", "joint", "link", "target", "anchor", "session"]
 Within = Literal["q", "torque", "link_temperature"]
 JointKind = Literal["revolute", "prismatic", "helical"]
 Deviation = Callable[[Any, Any], Any]
@@ -63,7 +63,7 @@ RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
 class Signal:
     """One recorded or derived variable, a value of it per row.
 
-    The shape may name ``n`` (joints), ``m`` (targets) and ``s`` (sessions).
+    The shape may name ``n`` (joints), ``m`` (targets), ``a`` (anchors) and ``s`` (sessions).
     """
 
     shape: tuple[str | int, ...]
@@ -108,6 +108,7 @@ SIGNALS: Mapping[str, Signal] = {
     "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
     "sweep_progress": Signal((), "", "sweeps before this one, and the share of its rows that came before: s to s + 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
+    "anchor_is": Signal(("a",), "", "1 for the anchor that the row's distance was measured from, else 0"),
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
     "position": Signal((3,), "m", "the measured point in the instrument's frame"),
 }
@@ -152,7 +153,7 @@ class Parameter:
         which they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it), 1 for
         a speed and -2 for viscous friction. A description without gears has its motors at the joints.
     per
-        ``robot``: one; ``joint``, ``link``, ``target``, ``session``: one for each.
+        ``robot``: one; ``joint``, ``link``, ``target``, ``anchor``, ``session``: one for each.
     bounds
         Physical limits.
     shape

@@ -227,8 +227,8 @@ class IdentifiedArm:
                 return conditions[3 * n]
             case "session_is":
                 return ca.DM(self._session_is)
-            case "target_is":
-                return ca.DM.zeros(len(self.layout.targets))
+            case "target_is" | "anchor_is":
+                return ca.DM.zeros(len(self.layout.targets if name == "target_is" else self.layout.anchors))
             case "position":
                 return ca.DM.zeros(3)
             case _:

@@ -161,6 +161,7 @@ def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
         "4n": 4 * layout.joints,
         "6n": 6 * layout.joints,
         "m": len(layout.targets),
+        "a": len(layout.anchors),
         "s": len(layout.sessions),
     }
     return tuple(counts[k] if isinstance(k, str) else k for k in shape)

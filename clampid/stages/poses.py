@@ -19,7 +19,17 @@ from clampid.stages.pose_kernel import kernel, link_points
 from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
-__all__ = ["constants_of", "evaluate", "flanks", "held", "link_vectors", "predict", "pressing", "residual"]
+__all__ = [
+    "by_station",
+    "constants_of",
+    "evaluate",
+    "flanks",
+    "held",
+    "link_vectors",
+    "predict",
+    "pressing",
+    "residual",
+]
 
 _NOTHING = np.zeros(0)
 
@@ -104,15 +114,43 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
 
 
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
-    """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m = 6 with rotations."""
+    """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; zero where nothing was read.
+
+    m = 3, with rotations 6, with distances 7.
+    """
     deviations = evaluate(rows, chain, theta)
+    error, sensitivity = by_station(rows, deviations)
+    return error, _by_parameter(sensitivity, deviations, chain)
+
+
+def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
+    """Measured less predicted ``(N, m)``, and what a deviation at each station does to the prediction ``(N, m, S)``.
+
+    Of a distance from the anchor a to the point p: the distance less the length of p - a, and u' dp with u the unit
+    vector from a to p.
+    """
     position, rotation, sensitivity = predict(rows, deviations)
     width = rows.measured.shape[1]
-    error = np.empty((len(rows), width))
+    error = np.zeros((len(rows), width))
     error[:, :3] = rows.measured[:, :3] - position
-    if width == 6:
-        error[:, 3:] = log_so3(rows.constants["rotation"] @ np.swapaxes(rotation, 1, 2))
-    return error, _by_parameter(sensitivity[:, :width], deviations, chain)
+    if width == 3:
+        return error, sensitivity[:, :3]
+    read = rows.constants["oriented"]
+    error[read, 3:6] = log_so3(rows.constants["rotation"][read] @ np.swapaxes(rotation[read], 1, 2))
+    if width == 6 and read.all():
+        return error, sensitivity
+    seen = np.zeros((len(rows), width, sensitivity.shape[2]))
+    seen[:, :6] = sensitivity
+    seen[~read, 3:6] = 0.0
+    if width > 6:
+        far = rows.ranged
+        way = position[far] - rows.constants["anchor"][far]
+        distance = np.linalg.norm(way, axis=1)
+        along = way / np.maximum(distance, 1e-12)[:, None]
+        error[far, :3], seen[far, :3] = 0.0, 0.0
+        error[far, 6] = rows.measured[far, 6] - distance
+        seen[far, 6] = np.einsum("ni,nis->ns", along, sensitivity[far, :3])
+    return error, seen
 
 
 def _by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:

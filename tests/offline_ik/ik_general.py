@@ -80,6 +80,7 @@ def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -
         "rest_direction": REST_FRICTION * arm._rated * direction,
         "elapsed": np.full(count, conditions.elapsed),
         "target_is": np.zeros((count, len(arm.layout.targets))),
+        "anchor_is": np.zeros((count, len(arm.layout.anchors))),
         "session_is": each(arm._session_is),
         "position": np.zeros((count, 3)),
         "link_temperature": each(conditions.link_temperature),
