@@ -43,6 +43,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m/N": ((1e-6, 1e6, "µm/N"), (0.0, 1e9, "nm/N")),
     "m/Nm": ((1e-6, 1e6, "µm/Nm"), (0.0, 1e9, "nm/Nm")),
     "m/s": ((0.0, 3.6e9, "µm/h"),),
+    "m/rad": ((1e-3, 1e3, "mm/rad"), (0.0, 1e6, "µm/rad")),
     "1/(N m^2)": ((1e-6, 1e6, "1e-6/(N·m²)"), (0.0, 1e9, "1e-9/(N·m²)")),
     "Nm s/rad": ((1.0, 1.0, "Nm·s/rad"), (0.0, 1e3, "mNm·s/rad")),
 }

@@ -27,8 +27,9 @@ __all__ = [
 ]
 
 Stage = Literal["free_air", "clamped", "poses"]
-Per = Literal["robot", "joint", "link", "target", "session"]
+Per = Literal["robot", "joint", "link", "target", "anchor", "session"]
 Within = Literal["q", "torque", "link_temperature"]
+JointKind = Literal["revolute", "prismatic", "helical"]
 Deviation = Callable[[Any, Any], Any]
 
 WEAK = 10.0  # sizes: a prior that says next to nothing
@@ -48,6 +49,7 @@ UNITS: frozenset[str] = frozenset(
     {
         "", "m", "rad", "kg", "kg m", "kg m^2", "s", "K", "1/K", "Nm", "Nm s/rad", "Nm s^2/rad^2", "Nm/rad", "Nm/K",
         "rad/Nm", "rad/Nm^3", "rad/s", "m/Nm", "m/N", "m/s", "N/m", "rad/m", "1/(N m^2)", "rad/K",
+        "m/rad",
     }
 )  # fmt: skip
 
@@ -61,7 +63,7 @@ RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
 class Signal:
     """One recorded or derived variable, a value of it per row.
 
-    The shape may name ``n`` (joints), ``m`` (targets) and ``s`` (sessions).
+    The shape may name ``n`` (joints), ``m`` (targets), ``a`` (anchors) and ``s`` (sessions).
     """
 
     shape: tuple[str | int, ...]
@@ -106,6 +108,7 @@ SIGNALS: Mapping[str, Signal] = {
     "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
     "sweep_progress": Signal((), "", "sweeps before this one, and the share of its rows that came before: s to s + 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
+    "anchor_is": Signal(("a",), "", "1 for the anchor that the row's distance was measured from, else 0"),
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
     "position": Signal((3,), "m", "the measured point in the instrument's frame"),
 }
@@ -150,7 +153,7 @@ class Parameter:
         which they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it), 1 for
         a speed and -2 for viscous friction. A description without gears has its motors at the joints.
     per
-        ``robot``: one; ``joint``, ``link``, ``target``, ``session``: one for each.
+        ``robot``: one; ``joint``, ``link``, ``target``, ``anchor``, ``session``: one for each.
     bounds
         Physical limits.
     shape
@@ -274,6 +277,8 @@ class Effect:
         the catalogue, and the probe asks the same question of the same rows.
     asked
         Whether it is fitted where somebody asks for it only: diagnosis does not look for it.
+    tried_on
+        The kind of joint at which alone diagnosis looks for it; None: any.
     """
 
     name: str
@@ -298,6 +303,7 @@ class Effect:
     caveat: str = field(default="")
     known_within: Within | None = None
     asked: bool = False
+    tried_on: JointKind | None = None
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):

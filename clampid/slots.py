@@ -60,12 +60,13 @@ class Term:
 
 @dataclass(frozen=True)
 class Layout:
-    """How many of everything there are: joints, targets and sessions; which joints are coupled."""
+    """How many of everything there are: joints, targets, anchors and sessions; which joints are coupled."""
 
     joints: int
     targets: tuple[str, ...] = ()
     sessions: tuple[str, ...] = ("session1",)
     wrist: tuple[int, ...] = ()
+    anchors: tuple[str, ...] = ()
 
     def places(self, effect: Effect, parameter: Parameter) -> tuple[str, ...]:
         """Names of the places of a parameter, in the order of its column of values."""
@@ -76,6 +77,8 @@ class Layout:
                 return tuple(f"link{i + 1}" for i in range(self.joints))
             case "target":
                 return self.targets
+            case "anchor":
+                return self.anchors
             case "session":
                 return self.sessions
             case _:

@@ -145,7 +145,7 @@ def target_points(campaign: Campaign, table: str) -> FloatArray:
     campaign
         The campaign.
     table
-        ``"poses"`` or ``"verification"``.
+        ``"poses"``, ``"distances"`` or ``"verification"``.
 
     Returns
     -------

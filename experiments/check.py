@@ -12,6 +12,7 @@ import numpy as np
 from experiments.campaign import Campaign
 from experiments.check_angles import angle_findings
 from experiments.check_clock import clock_findings
+from experiments.check_distances import distance_findings
 from experiments.check_friction import friction_findings
 from experiments.check_motion import motion_findings, moved_joints, replicates
 from experiments.check_points import point_findings
@@ -50,6 +51,7 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
     findings = [
         *angles,
         *point_findings(campaign, wrong),
+        *distance_findings(campaign, wrong),
         *torques,
         *signal_findings(campaign, wrong, weighed),
         *friction_findings(campaign, {table: log for table, log in logs.items() if table not in weighed}),
@@ -78,7 +80,7 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
         ``campaign``, ``robot``, ``joints``, ``instrument``, ``targets``, ``fingerprint`` and, per table in ``tables``:
         ``rows``, ``duration_s``, ``joints_moved`` (from 1; in ``clamped`` those driven), ``temperatures``; for logs
         ``runs`` (or ``sweeps``) and ``velocities`` or ``fixture``; for poses ``poses``, ``visits``, ``replicates``,
-        ``targets``, ``orientation`` and ``directions``.
+        ``targets``, ``orientation`` and ``directions``, for distances ``anchors``, too.
     """
     return {
         "campaign": campaign.name,
@@ -109,6 +111,7 @@ def _table(campaign: Campaign, table: str) -> dict[str, Any]:
         "visits": len(frame[["pose", "visit"]].drop_duplicates()),
         "replicates": replicates(campaign) if table == "poses" else 0,
         "targets": sorted(set(frame["target"])),
+        **({"anchors": sorted(set(frame["anchor"]))} if table == "distances" else {}),
         "orientation": QUATERNION[0] in frame,
         "directions": bool(frame.filter(regex=r"^dir\d+$").to_numpy().any()),
     }

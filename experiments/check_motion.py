@@ -10,7 +10,7 @@ import pandas as pd
 
 from experiments.campaign import Campaign
 from experiments.check_angles import joint_angles
-from experiments.columns import POSITION, joint_columns
+from experiments.columns import POSES, POSITION, joint_columns
 from experiments.finding import Finding, joint_list
 from experiments.returns import ENOUGH_RETURNS, SAME_TEMPERATURE_K, comparable_returns, freedom_of
 
@@ -24,8 +24,12 @@ SAME_POSE_RAD = 1e-2
 # wrists give way by more: there it is this many times what the described spring does at the rated torque.
 CLAMPED_RAD, CLAMPED_SPRINGS = 0.05, 3.0
 
+_FROM_NEIGHBOURS = (
+    "its zero offset, compliance and clearance cannot be told from its neighbours' and the frames' parameters"
+)
 _LOST = {
-    "poses": "its zero offset, compliance and clearance cannot be told from its neighbours' and the frames' parameters",
+    "poses": _FROM_NEIGHBOURS,
+    "distances": _FROM_NEIGHBOURS,
     "free_air": "its friction cannot be identified, and gravity about it only as a constant",
     "wrist": "friction that reaches several motors through it cannot be told apart",
 }
@@ -120,7 +124,7 @@ def motion_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
             for i in sorted(set(wanted) - set(moved)):
                 message = f"joint {i + 1} never moves in {table}: {lost}"
                 yield Finding("warning", table, f"q{i + 1}_rad", None, message)
-    for table in ("poses", "verification"):
+    for table in POSES:
         if table in campaign.tables:
             yield from _directions(table, campaign.tables[table], n)
             yield from _stops(table, campaign.tables[table], n)
@@ -142,7 +146,7 @@ def _directions(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
         yield Finding("note", table, names[unknown[0]], None, message)
     for i in range(n):
         signs = set(directions[:, i].tolist()) - {0}
-        if len(signs) == 1 and table == "poses":
+        if len(signs) == 1 and table != "verification":
             message = (
                 f"joint {i + 1} was only approached from one side ({signs.pop():+d}): its backlash looks like an offset"
             )
@@ -150,13 +154,14 @@ def _directions(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
 
 
 def _stops(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
-    again = np.flatnonzero(frame.duplicated(["pose", "visit", "target"]).to_numpy())
+    what = ["target", "anchor"] if "anchor" in frame else ["target"]
+    again = np.flatnonzero(frame.duplicated(["pose", "visit", *what]).to_numpy())
     if again.size:
         row = int(again[0])
-        pose, visit, target = (frame[name].iloc[row] for name in ("pose", "visit", "target"))
+        where = ", ".join(f"{name} {frame[name].iloc[row]}" for name in ("pose", "visit", *what))
         message = (
-            f"{again.size} rows measure a target again within one visit, first in row {row + 1} (pose {pose}, visit "
-            f"{visit}, target {target}): returns are numbered in the column visit"
+            f"{again.size} rows measure a target again within one visit, first in row {row + 1} ({where}): returns are "
+            "numbered in the column visit"
         )
         yield Finding("warning", table, "visit", row + 1, message)
     q = list(joint_columns("q{}_rad", n))
@@ -170,14 +175,15 @@ def _stops(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
             f"{spread[apart[0]]:.3g} rad: what shares a pose number is kept together and compared as replicates"
         )
         yield Finding("warning", table, "pose", None, message)
-    copied = frame.duplicated(["pose", "target", *POSITION]).to_numpy() & ~frame.duplicated(["pose", "visit", "target"])
+    read, word = (["distance_m"], "distance") if "anchor" in frame else ([*POSITION], "position")
+    copied = frame.duplicated(["pose", *what, *read]).to_numpy() & ~frame.duplicated(["pose", "visit", *what])
     rows = np.flatnonzero(copied)
     if rows.size:
         message = (
-            f"{rows.size} returns have exactly the position of an earlier one, first in row {rows[0] + 1}: copied, not "
+            f"{rows.size} returns have exactly the {word} of an earlier one, first in row {rows[0] + 1}: copied, not "
             "measured again"
         )
-        yield Finding("warning", table, "x_m", int(rows[0]) + 1, message)
+        yield Finding("warning", table, read[0], int(rows[0]) + 1, message)
 
 
 def _replicates(campaign: Campaign) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from experiments.campaign import Campaign
-from experiments.columns import joint_columns, table_format, temperature_columns
+from experiments.columns import POSES, joint_columns, table_format, temperature_columns
 from experiments.finding import Finding, joint_list
 
 __all__ = ["signal_findings"]
@@ -150,7 +150,7 @@ def _unread(campaign: Campaign, table: str, frame: pd.DataFrame) -> Iterator[Fin
 
 def _clocks(campaign: Campaign) -> Iterator[Finding]:
     ends: dict[str, tuple[float, float]] = {}
-    for table in ("poses", "verification"):
+    for table in POSES:
         if table in campaign.tables:
             time = campaign.tables[table]["time_s"].to_numpy(dtype=np.float64)
             ends[table] = float(time.min()), float(time.max())
@@ -159,7 +159,7 @@ def _clocks(campaign: Campaign) -> Iterator[Finding]:
                 row = int(back[0]) + 2
                 message = f"rows are not in order of time ({back.size} steps back, first in row {row})"
                 yield Finding("note", table, "time_s", row, message)
-    if len(ends) == 2 and ends["verification"][0] < ends["poses"][1]:
+    if {"poses", "verification"} <= set(ends) and ends["verification"][0] < ends["poses"][1]:
         message = (
             "verification starts before poses ends, on what should be one clock: drift with time will not carry over"
         )

@@ -1,6 +1,7 @@
 """The columns of each table of a campaign, for a robot of n joints, and what a misnamed one was probably meant to be.
 
-This is ``CAMPAIGN_FORMAT.md`` as a value; nothing else in the program lists column names.
+This is ``CAMPAIGN_FORMAT.md`` as a value, with the table ``distances`` beside it; nothing else in the program lists
+column names.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Literal
 
 __all__ = [
     "LOGS",
+    "POSES",
     "TABLES",
     "Column",
     "TableFormat",
@@ -23,7 +25,8 @@ __all__ = [
 ]
 
 LOGS = ("free_air", "wrist")
-TABLES = ("free_air", "wrist", "clamped", "poses", "verification")
+TABLES = ("free_air", "wrist", "clamped", "poses", "distances", "verification")
+POSES = ("poses", "distances", "verification")
 QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x_m", "y_m", "z_m")
 
@@ -136,11 +139,13 @@ def table_format(table: str, n: int) -> TableFormat:
             for axes, unit in ((("x", "y", "z"), "m"), (("rx", "ry", "rz"), "rad"))
         )
         return TableFormat(table, (_count("sweep"), driven, time, *motor, *tau), fixture, run="sweep")
-    if table in ("poses", "verification"):
+    if table in POSES:
         directions = tuple(Column(name, "integer", lower=-1, upper=1) for name in joint_columns("dir{}", n))
-        measured = (Column("target", "text"), *map(Column, POSITION))
-        required = (_count("pose"), _count("visit"), time, *q, *directions, *measured)
-        return TableFormat(table, required, (tuple(map(Column, QUATERNION)),), run=None)
+        stop = (_count("pose"), _count("visit"), time, *q, *directions, Column("target", "text"))
+        if table == "distances":
+            measured = (Column("anchor", "text"), Column("distance_m", lower=0.0))
+            return TableFormat(table, (*stop, *measured), (), run=None)
+        return TableFormat(table, (*stop, *map(Column, POSITION)), (tuple(map(Column, QUATERNION)),), run=None)
     raise KeyError(f"no table {table!r} in the contract; known: {', '.join(TABLES)}")
 
 

@@ -33,6 +33,12 @@ FARTHEST_POINT_M = 5.0
 # them, while a usual one stated in mm (0.02 … 0.1), or in degrees or mrad, is above these.
 WORST_POSITION_STD_M = 5e-3
 WORST_ORIENTATION_STD_RAD = 0.1
+_STATED = {
+    "position_std_m": WORST_POSITION_STD_M,
+    "orientation_std_rad": WORST_ORIENTATION_STD_RAD,
+    "distance_std_m": WORST_POSITION_STD_M,
+}
+"""Keys of one sigma each, with the worst that an instrument may have."""
 
 _KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables")
 _TRACKER = {
@@ -74,12 +80,15 @@ class Instrument:
     tracker
         How the error of a laser tracker grows with distance, or None if not stated; then it stands in for
         ``position_std``.
+    distance_std
+        Of what measured distances, one sigma [m], or None if not stated.
     """
 
     name: str
     position_std: float | None
     orientation_std: float | None
     tracker: Tracker | None = None
+    distance_std: float | None = None
 
 
 @dataclass(frozen=True)
@@ -244,20 +253,20 @@ def _targets(raw: Mapping[str, Any], path: Path) -> Mapping[str, FloatArray]:
 
 def _instrument(raw: Mapping[str, Any], path: Path) -> Instrument:
     section = _section(raw, "instrument", path)
-    _refuse_misspelt(section, ("name", "position_std_m", "orientation_std_rad", *_TRACKER), path, "instrument")
+    _refuse_misspelt(section, ("name", *_STATED, *_TRACKER), path, "instrument")
     name = section.get("name", "unknown")
     if not isinstance(name, str):
         raise fault(path, expected="text", found=repr(name), column="instrument.name")
-    limits = {"position_std_m": WORST_POSITION_STD_M, "orientation_std_rad": WORST_ORIENTATION_STD_RAD}
     sigmas: dict[str, float | None] = {}
-    for key, limit in limits.items():
+    for key, limit in _STATED.items():
         sigmas[key] = _number(section, key, f"instrument.{key}", path) if key in section else None
         sigma = sigmas[key]
         if sigma is not None and not 0.0 < sigma <= limit:
             unit = key.rsplit("_", 1)[-1]
             expected = f"one sigma in {unit}, above 0 and not above {limit:g} {unit} (is it in another unit?)"
             raise fault(path, expected=expected, found=f"{sigma:g}", column=f"instrument.{key}")
-    return Instrument(name, sigmas["position_std_m"], sigmas["orientation_std_rad"], _tracker(section, path))
+    position, orientation, distance = sigmas.values()
+    return Instrument(name, position, orientation, _tracker(section, path), distance)
 
 
 def _tracker(section: Mapping[str, Any], path: Path) -> Tracker | None:

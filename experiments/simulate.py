@@ -142,7 +142,12 @@ def declared_campaign(
         gravity=np.array(header["gravity_m_s2"]),
         tool=Tool(tool["mass_kg"], np.array(tool["com_m"])),
         targets={target: np.array(point) for target, point in header["targets_m"].items()},
-        instrument=Instrument(instrument["name"], instrument["position_std_m"], instrument.get("orientation_std_rad")),
+        instrument=Instrument(
+            instrument["name"],
+            instrument["position_std_m"],
+            instrument.get("orientation_std_rad"),
+            distance_std=instrument.get("distance_std_m"),
+        ),
         tables=tables,
         fingerprint="0" * 64,
     )

@@ -100,7 +100,7 @@ def _typed(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray[n
 
 
 def _text(cells: pd.Series, column: Column, source: TableFile) -> pd.Series:
-    empty = np.flatnonzero(cells.isna().to_numpy())
+    empty = np.flatnonzero(cells.isna().to_numpy() | (cells.astype(str).str.strip() == "").to_numpy())
     if empty.size:
         raise _cell_fault(cells, column, empty, source)
     return cells.astype(str)

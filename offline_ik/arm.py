@@ -26,7 +26,7 @@ from clampid.models.ranges import Ranges
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
-from clampid.stages.poses import link_vectors
+from clampid.stages.poses import constants_of
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import cayley
@@ -174,11 +174,7 @@ class IdentifiedArm:
         active = [self.effects[name] for name in dict.fromkeys(slot.effect for slot in self.slots)]
         index = {slot: k for k, slot in enumerate(self.slots)}
         parameters = {e.name: parameter_columns(e, self.layout, index, theta) for e in active}
-        constants = {
-            "transmission": ca.DM(np.asarray(self.robot.transmission)),
-            "link_vectors": ca.DM(link_vectors(self.robot)),
-        }
-        row = RowSymbols(self.layout, constants, parameters)
+        row = RowSymbols(self.layout, constants_of(self.robot), parameters)
         offer_torque(row, "poses", active)
         values = ca.vertcat(*(ca.vec(row.total(station, active).T) for station in OUTPUTS["poses"]))
         outputs = [values]
@@ -231,8 +227,8 @@ class IdentifiedArm:
                 return conditions[3 * n]
             case "session_is":
                 return ca.DM(self._session_is)
-            case "target_is":
-                return ca.DM.zeros(len(self.layout.targets))
+            case "target_is" | "anchor_is":
+                return ca.DM.zeros(len(self.layout.targets if name == "target_is" else self.layout.anchors))
             case "position":
                 return ca.DM.zeros(3)
             case _:

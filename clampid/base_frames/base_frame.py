@@ -128,13 +128,13 @@ def base_from_circles(
     effects = with_user_effects(user_effects or (Path(model.user_effects) if model and model.user_effects else None))
     layout = layout_of([campaign])
     yielding = what_yields(campaign.robot, model, rigid=rigid)
-    rows = pose_rows([campaign], layout, "poses")
+    rows = pose_rows([campaign], layout, "poses").points
     circles = circles_of(rows)
     measured = rows.measured[:, :3]
     plain = fit_circles(rows, circles, measured, rows.constants["base_reference"][0])
     found, way, by = plain, np.zeros_like(measured), np.zeros((len(rows), 3, 0))
     for _ in range(0 if rigid else PASSES):
-        rows = pose_rows([campaign], layout, "poses", {0: found.base})
+        rows = pose_rows([campaign], layout, "poses", {0: found.base}).points
         way, by = gives_way(rows, effects, yielding)
         found = fit_circles(rows, circles, measured - way, found.base)
     on = np.unique(np.concatenate([c.rows for c in circles]))

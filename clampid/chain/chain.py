@@ -161,6 +161,7 @@ def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
         "4n": 4 * layout.joints,
         "6n": 6 * layout.joints,
         "m": len(layout.targets),
+        "a": len(layout.anchors),
         "s": len(layout.sessions),
     }
     return tuple(counts[k] if isinstance(k, str) else k for k in shape)
@@ -179,17 +180,14 @@ def build_chain(
     slots: Sequence[Slot],
     effects: Mapping[str, Effect],
     layout: Layout,
-    transmission: Array,
-    link_vectors: Array,
+    constants: Mapping[str, Array],
 ) -> Chain:
     """Compile the deviations of ``slots`` in a stage.
 
     Parameters
     ----------
-    transmission
-        ``(n, n)``, T.
-    link_vectors
-        ``(n, 3)``, from each joint's point to the next one's (the last: to the flange), base axes, zero pose, m.
+    constants
+        What effects may read of the nominal robot: :func:`clampid.stages.poses.constants_of`.
 
     Raises
     ------
@@ -203,7 +201,6 @@ def build_chain(
     theta = ca.SX.sym("theta", len(slots))
     index = {slot: k for k, slot in enumerate(slots)}
     parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
-    constants = {"transmission": ca.DM(transmission), "link_vectors": ca.DM(link_vectors)}
     row = RowSymbols(layout, constants, parameters)
     offer_friction_state(row, stage, active)
     offer_torque(row, stage, active)
@@ -260,8 +257,11 @@ def least_deciding(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Arra
 class RowSymbols:
     """The signals of a row as symbols, made when they are first read, and the sums of deviations at stations."""
 
-    def __init__(self, layout: Layout, constants: Mapping[str, Any], parameters: Mapping[str, SimpleNamespace]) -> None:
-        self.layout, self.constants, self.parameters = layout, constants, parameters
+    def __init__(
+        self, layout: Layout, constants: Mapping[str, Array], parameters: Mapping[str, SimpleNamespace]
+    ) -> None:
+        self.layout, self.parameters = layout, parameters
+        self.constants = {name: ca.DM(value) for name, value in constants.items()}
         self.flats: dict[str, Any] = {}
         self.offered: dict[str, Any] = {}
         self.shift = _gravity_shift(parameters)

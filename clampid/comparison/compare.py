@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def compare(
                     f"the model was not fitted on {campaign.name}, so that nothing says where its instrument and "
                     "targets stand: use --refit base,tool"
                 )
-            tables["poses"] = _refitted(opened, refit, refit_fraction, seed, sample)
+            tables |= _refitted(opened, refit, refit_fraction, seed, sample)
         else:
             tables |= _as_fitted(opened, stage, seed, sample)
     if sample is not None and "poses" not in tables:
@@ -152,29 +153,53 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     floor = noise_floor(rows, residual)
     held = opened.held(stage)
     fitted = ~rows.in_folds(held) if opened.session is not None else np.zeros(len(rows), dtype=bool)
-    test, test_residual = rows, residual
     verification = opened.verification() if stage == "poses" else None
-    if verification is not None:
-        test_residual = predicted(trial.with_rows(verification), model.theta)
-        test = without_outlying(verification, test_residual, rows, residual)
-        tested = np.ones(len(test), dtype=bool)
-    elif opened.session is None or any(held):
-        tested = ~fitted
-    else:
+
+    @cache
+    def kept_out() -> tuple[Rows, Array, Bools]:
+        """Rows of these tables that no fit has seen, or each predicted by a fit without it."""
+        if opened.session is None or any(held):
+            return rows, residual, ~fitted
         estimate = opened.refit(stage).estimate
-        test, test_residual = cross_validated(estimate, estimate.experiment.rows, seed)
-        tested = np.ones(len(test), dtype=bool)
+        test, left = cross_validated(estimate, estimate.experiment.rows, seed)
+        return test, left, np.ones(len(test), dtype=bool)
+
     out = {}
     for table in TABLES_OF[stage]:
         if table not in opened.campaign.tables:
             continue
-        shown = (rows.table == table) & (fitted if fitted.any() else True)
-        chosen = tested & (np.isin(test.table, [table, "verification"]))
+        own = rows.table == table
+        shown = own & (fitted if fitted.any() else True)
+        if table == "poses" and verification is not None:
+            test_residual = predicted(trial.with_rows(verification), model.theta)
+            test = without_outlying(verification, test_residual, rows, residual)
+            chosen = np.ones(len(test), dtype=bool)
+        else:
+            test, test_residual, tested = kept_out()
+            chosen = tested & (test.table == table)
+        if stage == "poses":
+            floor = noise_floor(rows.take(own), residual[own])
         out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
         if stage == "poses":
             out[table] |= _beyond(opened, test, chosen)
-            out[table] |= placing(rows, residual, test, test_residual, chosen, opened.effects, sample)
+        if table == "poses":
+            out[table] |= _placed(opened, rows, residual, test, test_residual, chosen, sample)
     return out
+
+
+def _placed(
+    opened: Reopened,
+    rows: Rows,
+    residual: Array,
+    test: Rows,
+    test_residual: Array,
+    chosen: Bools,
+    sample: Sequence[float] | None,
+) -> dict[str, Any]:
+    """What is told of points alone."""
+    kept = ~test.ranged
+    found = test_residual[kept], chosen[kept]
+    return placing(rows.points, residual[~rows.ranged], test.points, *found, opened.effects, sample)
 
 
 def _table(
@@ -186,8 +211,7 @@ def _table(
     chosen: Bools,
     floor: Floor,
 ) -> dict[str, Any]:
-    poses = rows.stage == "poses"
-    counts = rows.used[:, 0] if poses else rows.used.any(axis=1)
+    poses, counts = rows.stage == "poses", rows.used.any(axis=1)
     entry: dict[str, Any] = {
         "unit": "m" if poses else "sigma",
         "rows": int((shown & counts).sum()),
@@ -195,7 +219,9 @@ def _table(
         "noise_floor": floor.norm if poses else 1.0,
         "noise_source": floor.source,
     }
-    seen = test.used[:, 0] if poses else test.used.any(axis=1)
+    if poses and rows.ranged[shown].any():
+        entry["measured"] = "distances"
+    seen = test.used.any(axis=1)
     entry["heldout"] = {"rows": int((chosen & seen).sum()), **_numbers(test, test_residual, chosen, floor)}
     wrong = chosen & ~seen & (test.table == "verification")
     if wrong.any():
@@ -241,7 +267,7 @@ def _motor(rows: Rows, residual: Array, chosen: Bools, motor: int) -> dict[str, 
 
 def _refitted(
     opened: Reopened, refit: Sequence[str], share: float, seed: int, sample: Sequence[float] | None
-) -> dict[str, Any]:
+) -> dict[str, dict[str, Any]]:
     """The poses with only base, tool or both fitted anew on a share of whole poses; the rest is held out."""
     model, rows = opened.stages["poses"], opened.rows("poses")
     held = held_out_folds(rows, 1.0 - share, seed)
@@ -259,9 +285,15 @@ def _refitted(
     prior = Prior(fixed, values[: len(fixed)], np.diag((1e-7 * size) ** 2))
     estimate = fit(trial, (prior,), dict(zip(slots, values.tolist(), strict=True)))
     residual = predicted(trial.with_rows(rows), estimate.theta)
-    floor = noise_floor(rows, residual)
-    entry = _table(rows, residual, ~out, rows, residual, out, floor) | _beyond(opened, rows, out)
-    return entry | placing(rows, residual, rows, residual, out, opened.effects, sample)
+    found: dict[str, dict[str, Any]] = {}
+    for table in dict.fromkeys(rows.table.tolist()):
+        own = rows.table == table
+        floor, chosen = noise_floor(rows.take(own), residual[own]), own & out
+        found[table] = _table(rows, residual, own & ~out, rows, residual, chosen, floor)
+        found[table] |= _beyond(opened, rows, chosen)
+        if table == "poses":
+            found[table] |= _placed(opened, rows, residual, rows, residual, chosen, sample)
+    return found
 
 
 def _beyond(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]:
@@ -301,10 +333,12 @@ def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Sl
     """The slots of base and tool in this campaign."""
     found: list[Slot] = []
     session = opened.layout.sessions[0]
-    if "base" in refit:
+    if "base" in refit:  # where anchors stand is as much the instrument's as that
+        found += [Slot("geometry", f"anchor_{a}", anchor) for anchor in opened.layout.anchors for a in "xyz"]
+    if "base" in refit and not rows.ranged.all():
         found += [Slot("geometry", f"base_{a}", session) for a in ("x", "y", "z", "rx", "ry", "rz")]
     if "tool" in refit:
-        if rows.measured.shape[1] == 6:
+        if rows.oriented:
             found += [Slot("geometry", f"flange_{a}", session) for a in ("x", "y", "z", "rx", "ry", "rz")]
         found += [Slot("geometry", f"target_{a}", t) for t in opened.layout.targets for a in "xyz"]
     return tuple(found)

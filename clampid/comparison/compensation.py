@@ -105,7 +105,7 @@ def compensation_of(opened: Reopened) -> Compensation | None:
         return None
     if not opened.campaign.robot.has_masses and not any(s.effect == "gravity" for s in model.slots):
         return None
-    trial = opened.experiment("poses", opened.rows("poses"))
+    trial = opened.experiment("poses", opened.rows("poses").points)
     bent = _bending(opened, trial)
     if not np.any(bent.parts):
         return None
@@ -231,7 +231,7 @@ def _sent(opened: Reopened, rows: Rows, shift: Array) -> Rows:
     names = [f"q{i + 1}_rad" for i in range(rows.robot.n)]
     table[names] = table[names].to_numpy(float) + shift
     campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
-    return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]}).rows("poses")
+    return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]}).rows("poses").points
 
 
 def _values(trial: Experiment, opened: Reopened) -> Array:

@@ -165,7 +165,8 @@ def _test_too(
 
 def _alone(opened: Reopened, poses: FittedStage) -> Model:
     """A model of the poses of these campaigns alone."""
-    sessions = tuple(session_of(c, poses.base_reference.get(s)) for s, c in enumerate(opened.campaigns))
+    seen, anchors = poses.base_reference, poses.anchors
+    sessions = tuple(session_of(c, seen.get(s), anchors.get(s)) for s, c in enumerate(opened.campaigns))
     return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=sessions)
 
 

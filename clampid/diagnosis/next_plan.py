@@ -18,6 +18,7 @@ from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign
+from experiments.plans.errors import PlanError
 
 __all__ = ["parting_plan", "showing_plan", "weak_ones"]
 
@@ -58,6 +59,9 @@ def _pool_of(campaign: Campaign, estimate: Estimate, seed: int) -> PoolOf:
     # Each brings collision checking along, which few need.
     stage: Stage = estimate.experiment.stage
     if stage == "poses":
+        if "poses" not in campaign.tables:
+            raise PlanError("poses are planned for an instrument that measures points, and these rows are distances")
+
         from clampid.diagnosis.next_poses import poses_to_choose
 
         return partial(poses_to_choose, campaign, estimate, seed=seed)

@@ -97,7 +97,8 @@ def _imagined_columns(
     own = len(estimate.slots)
     trial = estimate.experiment.with_rows(pool).with_slots((*estimate.slots, *slots))
     _, jacobian = trial.residual(np.r_[estimate.theta[:own], list(slots.values())])
-    jacobian = jacobian / np.median(estimate.noise.sigma[rows.used.any(axis=1)], axis=0)[:, None]
+    sigma = estimate.noise.sigma[rows.used.any(axis=1) & ~rows.ranged, : jacobian.shape[1]]
+    jacobian = jacobian / np.median(sigma, axis=0)[:, None]
     count, index = len(q), {slot: own + k for k, slot in enumerate(slots)}
     blocks = jacobian.reshape(count, -1, jacobian.shape[2])
     return blocks[:, :, :own], [blocks[:, :, [index[slot] for slot in c.slots]] for c in wanted]

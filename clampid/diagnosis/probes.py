@@ -69,14 +69,14 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     rows, n = experiment.rows, experiment.rows.robot.n
     theta = estimate.theta[: len(experiment.slots)]
     deviations = poses.evaluate(rows, experiment.chain, theta)
-    _, _, sensitivity = poses.predict(rows, deviations)
+    _, sensitivity = poses.by_station(rows, deviations)
     width = rows.measured.shape[1]
     offsets = experiment.chain.offsets
     s = rows.signals
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
     found: list[Candidate | None] = []
-    levers = _whitened(estimate, sensitivity[:, :width, offsets["joint_angle"]])
+    levers = _whitened(estimate, sensitivity[:, :, offsets["joint_angle"]])
     common = _by_other_joints(rows)
     for j in range(n):
         q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
@@ -93,7 +93,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
     for name, start in frames:
-        frame = _whitened(estimate, sensitivity[:, :width, start : start + 6])
+        frame = _whitened(estimate, sensitivity[:, :, start : start + 6])
         found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])

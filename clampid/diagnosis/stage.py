@@ -29,7 +29,7 @@ from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
-from clampid.fitting.accuracy import noise_floor
+from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
@@ -95,7 +95,7 @@ def _looked_through(
     """One diagnosis; ``block``: how many consecutive visits of poses are one to its tests."""
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
-    floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
+    floor = noise_floor(*counted(fitted.estimate, verification))
     result.outliers = outliers_of(fitted.estimate)
     bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for))
     result.noise_floor = floor.norm if stage == "poses" else 1.0

@@ -11,7 +11,7 @@ from clampid.diagnosis.result import StageDiagnosis
 from clampid.display import error_text
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, find_parameter
-from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.rows import Array, Bools, Rows, lengths
 
 __all__ = ["listed_outliers", "omission_of", "outliers_of", "summary_of"]
 
@@ -23,11 +23,8 @@ def outliers_of(estimate: Estimate) -> list[dict[str, Any]]:
 
 def listed_outliers(rows: Rows, residual: Array, bad: Bools) -> list[dict[str, Any]]:
     """Rows marked ``(N,)``, and the size of their residual ``(N, m)``: m of a point, Nm over all motors."""
-    width = 3 if rows.stage == "poses" else rows.robot.n
-    return [
-        {"table": str(rows.table[i]), "row": int(rows.row[i]), "size": float(np.linalg.norm(residual[i, :width]))}
-        for i in np.flatnonzero(bad)
-    ]
+    size = lengths(residual) if rows.stage == "poses" else np.linalg.norm(residual[:, : rows.robot.n], axis=1)
+    return [{"table": str(rows.table[i]), "row": int(rows.row[i]), "size": float(size[i])} for i in np.flatnonzero(bad)]
 
 
 def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:

@@ -1,8 +1,8 @@
 """Where joints, base, flange and targets really are: the screws of the product of exponentials, moved.
 
-Each link carries a small motion of its far end, which moves the screws of all joints after it; base, flange and
-targets belong to a session of measurement and have their own for each. Which of all these can be told apart follows
-from the robot, not from names: see :mod:`clampid.fitting.gauge`.
+Each link carries a small motion of its far end, which moves the screws of all joints after it; base, flange, targets
+and the anchors that distances are measured from belong to a session of measurement and have their own for each. Which
+of all these can be told apart follows from the robot, not from names: see :mod:`clampid.fitting.gauge`.
 """
 
 from __future__ import annotations
@@ -31,6 +31,11 @@ def target(p: Any, x: Any) -> Any:
     return rows(*(dot(part, x.target_is) for part in (p.target_x, p.target_y, p.target_z)))
 
 
+def anchor(p: Any, x: Any) -> Any:
+    """What the row's anchor, off by a, takes away from the way to the target."""
+    return -rows(*(dot(part, x.anchor_is) for part in (p.anchor_x, p.anchor_y, p.anchor_z)))
+
+
 def _frame(prefix: str, per: Per, what: str) -> tuple[Parameter, ...]:
     return (
         *(Parameter(f"{prefix}{a}", "m", 1e-3, per, meaning=f"{what} moved along {a}") for a in "xyz"),
@@ -41,14 +46,20 @@ def _frame(prefix: str, per: Per, what: str) -> tuple[Parameter, ...]:
 EFFECT = Effect(
     name="geometry",
     family="geometry",
-    acts={"base_twist": base, "link_twist": link, "target_shift": target},
+    acts={"base_twist": base, "link_twist": link, "target_shift": target, "measurement": anchor},
     parameters=(
         *_frame("base_", "session", "base"),
         *(Parameter(f"target_{a}", "m", 1e-3, "target", meaning=f"target off along {a} of the flange") for a in "xyz"),
+        *(
+            Parameter(
+                f"anchor_{a}", "m", 1e-3, "anchor", spread=100.0, meaning=f"anchor off along {a}, instrument frame"
+            )
+            for a in "xyz"
+        ),
         *_frame("flange_", "session", "flange"),
         *_frame("", "link", "far end of the link, in base axes at the zero pose,"),
     ),
-    needs=("session_is", "target_is"),
+    needs=("session_is", "target_is", "anchor_is"),
     stages=("poses",),
     equation="T = B prod exp([xi_i] q_i) M_i; M_i the motion of link i's far end",
     source=("UniversalModel", "LynchPark2017"),

@@ -103,9 +103,15 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.experiment.stage)
-            if (effect.name, p) not in active and (not refined or p in refined) and not _recorded(estimate, effect, p)
+            if (effect.name, p) not in active and (not refined or p in refined) and _sought(estimate, effect, p)
         ]
     return out
+
+
+def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
+    """Whether an effect is looked for at a joint or link: of its kind, and where no signal tells the same better."""
+    joint = estimate.experiment.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
+    return effect.tried_on in (None, joint.kind) and not _recorded(estimate, effect, place)
 
 
 def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:

@@ -13,10 +13,10 @@ from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
-from clampid.stages.rows import Array, Bools, Integers, Rows
+from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
-__all__ = ["Floor", "StageErrors", "cross_validated", "noise_floor", "predicted", "stage_errors"]
+__all__ = ["Floor", "StageErrors", "counted", "cross_validated", "noise_floor", "predicted", "stage_errors"]
 
 FOLDS = 5
 QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
@@ -25,15 +25,19 @@ QUIET_ROWS = 6  # the same for sweeps of single steps
 
 @dataclass(frozen=True)
 class Floor:
-    """The error that noise alone leaves: per channel ``(m,)`` SI, and where that is known from."""
+    """The error that noise alone leaves: per channel ``(m,)`` SI, and where that is known from.
+
+    Of poses ``(3,)``, with distances ``(4,)``: the mean square over all rows, those that lack a channel counted as none
+    there, as the errors of :func:`size_of` are, so that floor and errors go together.
+    """
 
     sigma: Array
     source: Literal["replicates", "instrument", "log"]
 
     @property
     def norm(self) -> float:
-        """Root sum of squares over a point's three coordinates, m."""
-        return float(np.sqrt(np.sum(self.sigma[:3] ** 2)))
+        """Of poses: root sum of squares, m; of points over their coordinates."""
+        return float(np.sqrt(np.sum(self.sigma**2)))
 
 
 @dataclass(frozen=True)
@@ -54,10 +58,7 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     missing effect that varies with posture nor the fit's quality counts as noise.
     """
     if rows.stage == "poses":
-        spread = _returns(rows)
-        if spread is not None:
-            return Floor(spread, "replicates")
-        return Floor(np.sqrt(np.mean(rows.sigma[:, :3] ** 2, axis=0)), "instrument")
+        return _pose_floor(rows)
     run, time = rows.constants["run"], rows.constants["time"]
     lag = QUIET_ROWS
     if rows.stage == "free_air" and len(time) > 1:
@@ -74,16 +75,31 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     return Floor(np.maximum(out, 1e-12), "log")
 
 
-def _returns(rows: Rows) -> Array | None:
-    """Pooled standard deviation ``(3,)`` of positions over comparable returns, or None if there are too few."""
-    place = np.c_[rows.session, rows.fold, rows.signals["target_is"]]
+def _pose_floor(rows: Rows) -> Floor:
+    """That of points and of distances, each from its own returns where there are enough, by their shares of rows."""
+    kinds = [(~rows.ranged, [0, 1, 2]), (rows.ranged, [6])]
+    variances, sources = [], []
+    for mine, channels in kinds:
+        if not mine.any() and channels == [6]:
+            continue
+        spread = _returns(rows, mine, channels)
+        sources.append("instrument" if spread is None else "replicates")
+        if spread is None:
+            spread = np.sqrt(np.mean(rows.sigma[mine][:, channels] ** 2, axis=0)) if mine.any() else np.zeros(3)
+        variances.append(np.mean(mine) * spread**2)
+    return Floor(np.sqrt(np.concatenate(variances)), "instrument" if "instrument" in sources else "replicates")
+
+
+def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> Array | None:
+    """Pooled standard deviation of channels of some rows ``(N,)`` over comparable returns; None if too few."""
+    place = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["anchor_is"]]
     warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
-    told = rows.used[:, :3].all(axis=1)  # an outlier is no noise
+    told = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
     returns = comparable_returns(place[told], rows.unit[told], rows.signals["direction"][told], warm[told])
     freedom = freedom_of(returns)
     if freedom < ENOUGH_RETURNS:
         return None
-    measured, squares = rows.measured[told, :3], np.zeros(3)
+    measured, squares = rows.measured[told][:, channels], np.zeros(len(channels))
     for members in returns:
         x = measured[members]
         squares += ((x - x.mean(axis=0)) ** 2).sum(axis=0)
@@ -91,9 +107,12 @@ def _returns(rows: Rows) -> Array | None:
 
 
 def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:
-    """Errors as the stage counts them: norms in metres ``(N,)``, or ``(N, n)`` in units of noise; and which count."""
+    """Errors as the stage counts them, and which count: in metres ``(N,)``, or ``(N, n)`` in units of noise.
+
+    In metres a point's is a norm, and a distance's its one number.
+    """
     if rows.stage == "poses":
-        return np.linalg.norm(residual[:, :3], axis=1), rows.used[:, 0]
+        return lengths(residual), np.asarray(rows.used.any(axis=1))
     return residual / floor.sigma, rows.used
 
 
@@ -166,6 +185,14 @@ def _normal(J: Array, r: Array) -> tuple[Array, Array]:
     return J.T @ J, J.T @ r
 
 
+def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]:
+    """Fitted rows and residual that errors are of: beside a verification table, which is of points, no distances."""
+    rows, residual = estimate.experiment.rows, estimate.residual
+    if verification is None or rows.stage != "poses":
+        return rows, residual
+    return rows.points, residual[~rows.ranged]
+
+
 def stage_errors(
     estimate: Estimate,
     rows: Rows,
@@ -176,16 +203,17 @@ def stage_errors(
 ) -> StageErrors:
     """Errors on fitted and held-out rows: a verification table, else the rows kept out, else cross-validation.
 
-    Single rows of a verification table that are wrong do not count, as in a fit. ``floor``: what torques are measured
-    in, so that models can be compared; the estimate's own by default.
+    Where points are held against a verification table, distances beside them do not count. Single rows of that table
+    that are wrong do not count either, as in a fit. ``floor``: what torques are measured in, so that models can be
+    compared; the estimate's own by default.
     """
-    fitted = estimate.experiment.rows
-    if floor is None:
-        floor = noise_floor(fitted, estimate.residual)
+    fitted, left = counted(estimate, verification)
+    if floor is None or len(left) < len(estimate.residual):
+        floor = noise_floor(fitted, left)
     count = len(estimate.slots)
     if verification is not None:
         residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
-        test = without_outlying(verification, residual, fitted, estimate.residual)
+        test = without_outlying(verification, residual, fitted, left)
     elif held and any(held):
         test = rows.take(np.flatnonzero(rows.in_folds(held)))
         residual = predicted(estimate.experiment.with_rows(test), estimate.theta[:count])
@@ -193,7 +221,7 @@ def stage_errors(
         test, residual = cross_validated(estimate, fitted, seed)
     level = floor.norm if rows.stage == "poses" else 1.0
     return StageErrors(
-        rms=rms_of(fitted, estimate.residual, floor),
+        rms=rms_of(fitted, left, floor),
         heldout_rms=rms_of(test, residual, floor),
         noise_floor=level,
         heldout_rows=int(test.used.any(axis=1).sum()),

@@ -16,7 +16,7 @@ from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
-from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows
 
 __all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit", "outlying", "without_outlying"]
 
@@ -154,7 +154,7 @@ def outlying(rows: Rows, residual: Array) -> Bools:
     outliers, more than anyone would use, that is so by chance in one of 60,000 blocks.
     """
     out = np.zeros(len(rows), dtype=bool)
-    groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
+    groups = POSE_CHANNELS if rows.stage == "poses" else [(c,) for c in range(residual.shape[1])]
     for group in groups:
         inside = [c for c in group if c < residual.shape[1]]
         used = rows.used[:, inside].all(axis=1) if inside else np.zeros(len(rows), dtype=bool)

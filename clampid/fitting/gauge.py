@@ -2,8 +2,9 @@
 
 Turning a link's far end about the joint before it is the same as an offset of that joint, and so on: a chain of n
 revolute joints has 4 n + 6 independent numbers, far fewer than 6 per link. The choice is made by rank: parameters are
-taken in a fixed order (base, flange or targets, then link by link), and one that adds nothing new over random postures
-is left at zero, where it costs nothing.
+taken in a fixed order (anchors, base, flange or targets, then link by link), and one that adds nothing new over random
+postures is left at zero, where it costs nothing. Where distances alone are measured, that is all of the base: moving it
+is the same as moving the anchors.
 """
 
 from __future__ import annotations
@@ -22,18 +23,20 @@ __all__ = ["independent_geometry"]
 
 NEW = 1e-5  # a column whose new part is less than this share of it is a combination of those before it
 POSTURES = 60
+ABOUT = 2.0  # m: anchors stand somewhere about the robot
 
 
 def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slot, ...]:
-    """The independent slots of ``geometry`` for the targets and sessions that the rows have.
+    """The independent slots of ``geometry`` for the targets, anchors and sessions that the rows have.
 
-    The rows' own postures do not matter: random ones stand in for them, so that what is left out is left out for the
-    robot's sake and not for a poor campaign's.
+    The rows' own postures do not matter, nor where anchors stand: random ones stand in for them, so that what is left
+    out is left out for the robot's sake and not for a poor campaign's.
     """
     slots = _ordered(slots_of(effects["geometry"], rows.layout))
-    if rows.measured.shape[1] == 3:  # points alone: targets carry the tool
+    if not rows.oriented:  # points and distances alone: targets carry the tool
         slots = tuple(s for s in slots if not s.parameter.startswith("flange_"))
-    _, first = np.unique(np.c_[rows.session, rows.signals["target_is"]], axis=0, return_index=True)
+    seen = np.c_[rows.session, rows.signals["target_is"], rows.signals["anchor_is"]]
+    _, first = np.unique(seen, axis=0, return_index=True)
     rng = np.random.default_rng(0)
     robot = rows.robot
     chosen = np.repeat(first, POSTURES)
@@ -41,7 +44,9 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
     upper = np.where(np.isfinite(robot.upper), robot.upper, np.pi)
     q = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (len(chosen), robot.n))
     sample = rows.take(chosen)
-    sample = replace(sample, signals={**sample.signals, "q": q})
+    anchor = sample.signals["anchor_is"] @ rng.uniform(-ABOUT, ABOUT, (len(rows.layout.anchors), 3))
+    constants = {**sample.constants, "anchor": anchor}
+    sample = replace(sample, signals={**sample.signals, "q": q}, constants=constants)
     trial = experiment(sample, effects, slots)
     _, jacobian = trial.residual(np.zeros(len(slots)))
     size = trial.sizes()
@@ -62,10 +67,11 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
 
 
 def _ordered(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
-    """Base, flange, targets, then link by link, shifts before turns."""
+    """Anchors, base, flange, targets, then link by link, shifts before turns."""
+    before = ("anchor_", "base_", "flange_", "target_")
 
     def key(slot: Slot) -> tuple[int, str, int]:
-        kind = next((i for i, p in enumerate(("base_", "flange_", "target_")) if slot.parameter.startswith(p)), 3)
-        return kind, slot.place if kind == 3 else "", len(slot.parameter)
+        kind = next((i for i, p in enumerate(before) if slot.parameter.startswith(p)), len(before))
+        return kind, slot.place if kind == len(before) else "", len(slot.parameter)
 
     return tuple(sorted(slots, key=key))

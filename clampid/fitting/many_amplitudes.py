@@ -51,8 +51,8 @@ class AmplitudePoint:
     @staticmethod
     def at(experiment: Experiment, noise: Noise, theta: Array) -> AmplitudePoint:
         """The point of an experiment of poses, flanks as they are held."""
-        parts = poses.residual_parts(experiment.rows, experiment.chain, theta)
-        return AmplitudePoint(experiment, noise, theta, *parts)
+        deviations = poses.evaluate(experiment.rows, experiment.chain, theta)
+        return AmplitudePoint(experiment, noise, theta, *poses.by_station(experiment.rows, deviations), deviations)
 
     @cached_property
     def white(self) -> Whitened:

@@ -56,6 +56,8 @@ def mean_norm(estimate: Estimate) -> Estimate:
             f"the mean norm is of measured points: expected the stage poses, found {estimate.experiment.stage}"
         )
     rows = estimate.experiment.rows
+    if rows.ranged.any():
+        raise FitError("the mean norm is of measured points: expected no table distances, found one")
     used = rows.used.copy()
     used[:, 3:] = False
     trial = estimate.experiment.with_rows(replace(rows, used=used))

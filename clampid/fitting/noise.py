@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
-from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 from experiments.signals import segments
 
 __all__ = ["Noise", "Whitened", "initial_noise", "learn_noise"]
@@ -119,8 +119,9 @@ def initial_noise(rows: Rows) -> Noise:
 def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> Noise:
     """Noise from a fit's residual ``(N, m)``: one scale per kind of channel, and for logs their autoregression.
 
-    In poses positions share one scale and rotations another; each motor has its own. The scale is the rms of the used
-    residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model that is.
+    In poses positions share one scale, rotations another and distances a third; each motor has its own. The scale is
+    the rms of the used residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model
+    that is.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
         variance components; one step of it.
     """
     sigma = rows.sigma.copy()
-    groups = [[0, 1, 2], [3, 4, 5]] if rows.stage == "poses" else [[c] for c in range(residual.shape[1])]
+    groups = POSE_CHANNELS if rows.stage == "poses" else [(c,) for c in range(residual.shape[1])]
     for group in groups:
         inside = [c for c in group if c < residual.shape[1]]
         used = rows.used[:, inside]

@@ -26,7 +26,7 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]
 
-FEWEST = 20  # visits with more than one point; of fewer no seven variances can be told
+FEWEST = 20  # visits with more than one point or distance; of fewer no seven variances can be told
 VISITS = 2000  # at once, for the memory they take
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
 
@@ -64,7 +64,9 @@ def visit_scatter(white: Whitened, by_joint: Array, visit: Integers, covariance:
     n = by_joint.shape[1]
     products, observed, several = np.zeros((n + 1, n + 1)), np.zeros(n + 1), 0
     for rows in _groups(visit):
-        if len(rows) <= 3:  # one point: whether instrument or robot is off cannot be told
+        if (
+            len(rows) <= 3 and np.ptp(white.entry[rows]) == 0
+        ):  # one point or distance: whether instrument or robot is off cannot be told
             continue
         several += 1
         X, J = white.jacobian[rows], by_joint[rows]

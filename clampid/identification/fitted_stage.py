@@ -31,6 +31,7 @@ from clampid.models.model import StageModel
 from clampid.models.ranges import ranges_of
 from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
+from clampid.stages.pose_rows import Anchors, anchors_of
 from clampid.stages.rows import Array, Rows
 
 __all__ = ["Cost", "FittedStage", "active_slots", "fit_stage"]
@@ -58,6 +59,11 @@ class FittedStage:
     rows: Rows
     contradicted: tuple[Agreement, ...] = ()
     universal: Mapping[str, Any] | None = None
+
+    @property
+    def anchors(self) -> Anchors:
+        """Where the anchors of distances stand before their fitted shifts."""
+        return anchors_of(self.rows) if self.model.stage == "poses" else {}
 
     @property
     def floor(self) -> Floor:

@@ -21,7 +21,7 @@ from clampid.slots import Layout, Term, parse_term
 from clampid.stages.clamped import clamped_rows
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts, steady_share
-from clampid.stages.pose_rows import pose_rows
+from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Rows
 from clampid.stages.torques import torque_rows
 from clampid.threads import single_threaded
@@ -44,7 +44,7 @@ __all__ = [
 TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "free_air": ("free_air", "wrist"),
     "clamped": ("clamped",),
-    "poses": ("poses",),
+    "poses": ("poses", "distances"),
 }
 MOSTLY = 0.5  # of a log's motion
 
@@ -70,7 +70,9 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     if "free_air" not in found and "clamped" not in found:
         n = campaigns[0].robot.n
         columns = [f"dir{i + 1}" for i in range(n)]
-        directed = any((c.tables["poses"][columns] != 0).any(axis=None) for c in campaigns if "poses" in c.tables)
+        directed = any(
+            (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in TABLES_OF["poses"] if t in c.tables
+        )
         names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
     if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
         names["free_air"] += ("inertia",)
@@ -85,6 +87,7 @@ def stage_rows(
     table: str = "poses",
     accelerating: bool = False,
     resting: bool = False,
+    anchors: Anchors | None = None,
 ) -> Rows:
     """The rows of a stage, or of the table ``verification``.
 
@@ -96,7 +99,7 @@ def stage_rows(
         case "clamped":
             return clamped_rows(campaigns, layout)
         case _:
-            return pose_rows(campaigns, layout, table, base)
+            return pose_rows(campaigns, layout, table, base, anchors)
 
 
 def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
@@ -230,10 +233,12 @@ def identify(
         parts = fit_jointly(alone)
     ledger = []
     reference: dict[int, Array] = {}
+    anchors: Anchors = {}
     for part, apart in zip(parts, alone, strict=True):
         verification = None
         if isinstance(part, FittedStage):
             reference |= part.base_reference
+            anchors = part.anchors or anchors
             verification = verification_rows(several, layout, part.model.stage, part.base_reference)
         errors = part.errors(verification, seed)
         labels = tuple(t.label for t in part.model.terms)
@@ -247,7 +252,7 @@ def identify(
     for part in parts:
         if bootstrap and isinstance(part, FittedStage) and part.model.stage == "poses":
             stages["poses"] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
-    sessions = tuple(session_of(c, reference.get(s)) for s, c in enumerate(several))
+    sessions = tuple(session_of(c, reference.get(s), anchors.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)
     name, file = several[0].robot.name, several[0].robot_file
     return Model(name, layout, stages, sessions, tuple(ledger), seed, holdout, path, joint, file)
@@ -273,13 +278,15 @@ def _same_robot(campaigns: Sequence[Campaign]) -> None:
                 "several campaigns are sessions of one robot"
             )
     if not stages_of(campaigns):
-        raise CampaignError(f"{first.name}: expected a table free_air, wrist, clamped or poses to fit, found none")
+        raise CampaignError(
+            f"{first.name}: expected a table free_air, wrist, clamped, poses or distances to fit, found none"
+        )
 
 
-def session_of(campaign: Campaign, reference: Array | None) -> Session:
+def session_of(campaign: Campaign, reference: Array | None, anchors: Mapping[str, Array] | None = None) -> Session:
     """What a model keeps of a campaign that it was fitted on."""
     temperature = None
-    for table in ("poses", "free_air", "clamped"):
+    for table in ("poses", "distances", "free_air", "clamped"):
         if table in campaign.long and temperature is None:
             temperature = campaign.long[table].warmth
             continue
@@ -290,4 +297,6 @@ def session_of(campaign: Campaign, reference: Array | None) -> Session:
             temperature = (float(values.min()), float(values.max())) if values.size else None
     com, gravity = (tuple(np.asarray(v, dtype=float).tolist()) for v in (campaign.tool.com, campaign.gravity))
     targets, mass = tuple(campaign.targets), campaign.tool.mass
-    return Session(campaign.name, campaign.fingerprint, reference, targets, mass, temperature, com, gravity)
+    return Session(
+        campaign.name, campaign.fingerprint, reference, targets, mass, temperature, com, gravity, anchors or {}
+    )

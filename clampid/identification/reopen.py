@@ -18,7 +18,7 @@ from clampid.models.model import Model, ModelError, StageModel
 from clampid.slots import Layout, Slot
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
-from clampid.stages.pose_rows import pose_rows
+from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 
@@ -37,6 +37,8 @@ class Reopened:
         The model's stages that the campaigns have tables for, slots renamed to the one campaign's own layout.
     base
         Session → where the instrument sees the base; None where the campaign must say itself.
+    anchors
+        The same of the anchors of distances.
     """
 
     model: Model
@@ -46,6 +48,7 @@ class Reopened:
     session: int | None
     stages: Mapping[Stage, StageModel]
     base: Mapping[int, Array] | None
+    anchors: Anchors | None = None
 
     @property
     def campaign(self) -> Campaign:
@@ -67,6 +70,7 @@ class Reopened:
             self.base,
             accelerating=moves,
             resting=has_friction_state(terms, self.effects),
+            anchors=self.anchors,
         )
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
@@ -139,7 +143,8 @@ def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str,
         names = ", ".join(s.name for s in model.sessions)
         raise ModelError(f"expected the campaigns that the model was fitted on, in their order ({names}), found others")
     base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
-    return Reopened(model, campaigns, effects, layout, None, model.stages, base or None)
+    anchors = {k: s.anchors for k, s in enumerate(model.sessions)} if base else None
+    return Reopened(model, campaigns, effects, layout, None, model.stages, base or None, anchors)
 
 
 def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> Reopened:
@@ -160,11 +165,11 @@ def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> 
         stages = {s: _left_out(m, [e for e in effects.values() if e.of_session]) for s, m in stages.items()}
     # Stages without a table here still supply loads and flanks.
     stages |= {s: m for s, m in model.stages.items() if s not in stages}
-    base = None
+    base = anchors = None
     reference = model.sessions[session or 0].base_reference if model.sessions else None
     if reference is not None and session is not None:
-        base = {0: reference}
-    return Reopened(model, (campaign,), effects, layout, session, stages, base)
+        base, anchors = {0: reference}, {0: model.sessions[session].anchors}
+    return Reopened(model, (campaign,), effects, layout, session, stages, base, anchors)
 
 
 def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> StageModel:
@@ -173,7 +178,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
     prefix = f"session{session + 1}:"
     for k, slot in enumerate(stage.slots):
         place = slot.place
-        if sessions > 1 and slot.parameter.startswith("target_"):
+        if sessions > 1 and slot.parameter.startswith(("target_", "anchor_")):
             if not place.startswith(prefix):
                 continue
             place = place.removeprefix(prefix)
@@ -181,7 +186,8 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
             if place != f"session{session + 1}":
                 continue
             place = layout.sessions[0]
-        if slot.parameter.startswith("target_") and slot.effect == "geometry" and place not in layout.targets:
+        known = {"target_": layout.targets, "anchor_": layout.anchors} if slot.effect == "geometry" else {}
+        if any(slot.parameter.startswith(kind) and place not in names for kind, names in known.items()):
             continue
         keep.append(k)
         slots.append(Slot(slot.effect, slot.parameter, place))

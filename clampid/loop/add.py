@@ -185,7 +185,15 @@ def _stage_with(
         return has_inertia(terms, effects), has_friction_state(terms, effects)
 
     def begin(known: StageModel, kind: tuple[bool, bool]) -> tuple[FittedStage, Rows | None, StageErrors]:
-        rows = stage_rows(opened.campaigns, opened.layout, stage, opened.base, accelerating=kind[0], resting=kind[1])
+        rows = stage_rows(
+            opened.campaigns,
+            opened.layout,
+            stage,
+            opened.base,
+            accelerating=kind[0],
+            resting=kind[1],
+            anchors=opened.anchors,
+        )
         fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, told)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
@@ -232,14 +240,16 @@ def _round(
 def _model_with(opened: Reopened, mended: Mapping[Stage, _Mended], user_effects: Path | None) -> Model:
     """The model with its stages mended, and the rounds in its ledger."""
     references: dict[int, Array] = dict(opened.base or {})
+    anchors = dict(opened.anchors or {})
     for m in mended.values():
         references |= m.fitted.base_reference
+        anchors |= m.fitted.anchors
     model = opened.model
     return replace(
         model,
         layout=opened.layout,
         stages={**opened.stages, **{stage: m.fitted.model for stage, m in mended.items()}},
-        sessions=tuple(session_of(c, references.get(s)) for s, c in enumerate(opened.campaigns)),
+        sessions=tuple(session_of(c, references.get(s), anchors.get(s)) for s, c in enumerate(opened.campaigns)),
         ledger=(*model.ledger, *(entry for m in mended.values() for entry in m.rounds)),
         user_effects=model.user_effects if user_effects is None else str(user_effects),
     )

@@ -63,7 +63,7 @@ def undo(
         if stage == last.stage:
             terms += [Term(effect, place or None) for effect, _, place in (label.partition("@") for label in replaced)]
         moves, rests = has_inertia(terms, effects), has_friction_state(terms, effects)
-        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests)
+        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests, anchors=opened.anchors)
         others = {s: m for s, m in mended.items() if s != stage}
         mended[stage] = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.told).model
     own = _still_used(mended, effects)

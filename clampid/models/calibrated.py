@@ -38,6 +38,9 @@ _AXES = ("rx", "ry", "rz", "x", "y", "z")
 class CalibratedChain:
     """The robot as it is: a product of exponentials.
 
+    Errors of ratio and pitch are no part of it, because no form for others could hold them: exports say what they are
+    worth.
+
     Attributes
     ----------
     base

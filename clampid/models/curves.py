@@ -78,8 +78,7 @@ def angle_errors(
     active = np.zeros(q.shape[1], dtype=bool)
     if not slots:
         return AngleErrors(error[:count], std[:count], assumed[:count], std[0], active)
-    transmission = np.asarray(robot.transmission)
-    chain = build_chain("poses", slots, effects, layout, transmission, poses.link_vectors(robot))
+    chain = build_chain("poses", slots, effects, layout, poses.constants_of(robot))
     found = chain.evaluate(stage.theta[chosen], {"q": q})
     covariance = stage.covariance[np.ix_(chosen, chosen)]
     prior = np.array([_assumed(find_parameter(slot, effects)) for slot in slots])

@@ -43,6 +43,8 @@ class Session:
     tool_com, gravity
         ``(3,)`` each: the declared tool's centre of mass, m, flange frame, and gravity, m/s², base frame; None in
         models of earlier versions.
+    anchors
+        Where each anchor of distances, ``(3,)`` m, was before its fitted shift, in the instrument's frame.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Session:
     temperature: tuple[float, float] | None = None
     tool_com: tuple[float, ...] | None = None
     gravity: tuple[float, ...] | None = None
+    anchors: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -227,6 +230,7 @@ def _to_json(model: Model) -> dict[str, Any]:
         "layout": {
             "joints": model.layout.joints,
             "targets": list(model.layout.targets),
+            "anchors": list(model.layout.anchors),
             "sessions": list(model.layout.sessions),
             "wrist": list(model.layout.wrist),
         },
@@ -240,6 +244,7 @@ def _to_json(model: Model) -> dict[str, Any]:
                 "fingerprint": s.fingerprint,
                 "base_reference": None if s.base_reference is None else s.base_reference.tolist(),
                 "targets": list(s.targets),
+                "anchors_m": {anchor: place.tolist() for anchor, place in s.anchors.items()},
                 "tool_mass_kg": s.tool_mass,
                 "temperature_C": None if s.temperature is None else list(s.temperature),
                 "tool_com_m": None if s.tool_com is None else list(s.tool_com),
@@ -353,6 +358,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             temperature=None if s["temperature_C"] is None else (s["temperature_C"][0], s["temperature_C"][1]),
             tool_com=_vector(s.get("tool_com_m")),
             gravity=_vector(s.get("gravity_m_s2")),
+            anchors={anchor: np.array(place, dtype=float) for anchor, place in s.get("anchors_m", {}).items()},
         )
         for s in data["sessions"]
     )
@@ -373,6 +379,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
         layout=Layout(
             joints=int(layout["joints"]),
             targets=tuple(layout["targets"]),
+            anchors=tuple(layout.get("anchors", ())),
             sessions=tuple(layout["sessions"]),
             wrist=tuple(layout["wrist"]),
         ),

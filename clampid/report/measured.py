@@ -9,6 +9,7 @@ from clampid.display import count_text, number
 from clampid.models.model import Model
 from clampid.report.style import Section, as_table
 from experiments.campaign import Campaign
+from experiments.columns import POSES
 
 __all__ = ["measured_section"]
 
@@ -17,6 +18,7 @@ _WHAT = {
     "wrist": "motor torques, only the wrist moving",
     "clamped": "motor torques against motor angles, flange held",
     "poses": "a point of the arm, standing still",
+    "distances": "from an anchor to a point of the arm, standing still; fitted along, in no figure",
     "verification": "as poses; never used in any fit",
 }
 
@@ -69,7 +71,7 @@ def _fitted_on(model: Model, campaign: Campaign) -> str:
 
 
 def _units(name: str, frame: pd.DataFrame) -> str:
-    if name in ("poses", "verification"):
+    if name in POSES:
         poses = frame["pose"].nunique()
         visits = len(frame[["pose", "visit"]].drop_duplicates())
         targets = frame["target"].nunique()

@@ -117,11 +117,13 @@ def stage_data(opened: Reopened) -> dict[Stage, StageData]:
     for stage in in_order(opened.stages):
         if not any(t in tables for t in TABLES_OF[stage]):
             continue
+        if stage == "poses" and "poses" not in tables:
+            continue  # figures are of points
         rows = opened.rows(stage)
         verification = None
         if stage == "poses":
             base = opened.base or _aligned(opened, rows)
-            rows = stage_rows([opened.campaign], opened.layout, stage, base)
+            rows = stage_rows([opened.campaign], opened.layout, stage, base).points
             verification = opened.verification(base)
         pieces = [_piece(opened, stage, rows, False)]
         if verification is not None:
@@ -135,6 +137,7 @@ def stage_data(opened: Reopened) -> dict[Stage, StageData]:
 def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
     """Where the instrument sees the base, from the points that the model predicts."""
     model = opened.stages["poses"]
+    rows = rows.points
     residual = predicted(opened.experiment("poses", rows), model.theta)
     motion = align(rows.measured[:, :3] - residual[:, :3], rows.measured[:, :3])
     return {0: motion @ rows.constants["base_reference"][0]}

@@ -67,8 +67,7 @@ class Experiment:
     def by_joint(self, theta: Array) -> Array:
         """In poses, what a small turn of each joint does to the prediction ``(N, m, n)``, m/rad and rad/rad."""
         deviations = poses.evaluate(self.rows, self.chain, theta[: len(self.slots)])
-        sensitivity = poses.predict(self.rows, deviations)[2]
-        return np.asarray(sensitivity[:, : self.rows.measured.shape[1], : self.rows.robot.n])
+        return poses.by_station(self.rows, deviations)[1][:, :, : self.rows.robot.n]
 
     def with_rows(self, rows: Rows) -> Experiment:
         """The same effects on other rows of the same layout."""
@@ -221,8 +220,5 @@ def experiment(
     clampid.effect.EffectError
         An effect does not act in the rows' stage.
     """
-    robot = rows.robot
-    chain = build_chain(
-        rows.stage, slots, effects, rows.layout, np.asarray(robot.transmission), poses.link_vectors(robot)
-    )
+    chain = build_chain(rows.stage, slots, effects, rows.layout, poses.constants_of(rows.robot))
     return Experiment(rows, effects, tuple(slots), replace(chain, lean=lean))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.slots import Layout
-from clampid.stages.pose_rows import target_names
+from clampid.stages.pose_rows import anchor_names, target_names
 from experiments.campaign import Campaign
 from kinematics.description import RobotDescription
 
@@ -27,6 +27,7 @@ def layout_of(campaigns: Sequence[Campaign]) -> Layout:
     return Layout(
         joints=robot.n,
         targets=target_names(campaigns),
+        anchors=anchor_names(campaigns),
         sessions=tuple(f"session{s + 1}" for s in range(len(campaigns))),
         wrist=coupled_joints(robot),
     )

@@ -1,98 +1,221 @@
-"""Rows of the pose experiment from the tables poses or verification."""
+"""Rows of the pose experiment from the tables poses and distances, or verification."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pandas as pd
 
 from clampid.slots import Layout
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Bools, Rows
 from clampid.stages.temperatures import link_recorded, temperatures
 from experiments.campaign import Campaign, Instrument
+from experiments.columns import POSES
+from experiments.lateration import locate
 from experiments.temperatures import filled
 from kinematics.poe import forward
 from kinematics.screws import nearest_rotation
 
-__all__ = ["align", "join_rows", "pose_rows", "quaternion_to_rotation"]
+__all__ = [
+    "Anchors",
+    "align",
+    "anchor_names",
+    "anchors_of",
+    "join_rows",
+    "pose_rows",
+    "quaternion_to_rotation",
+    "target_names",
+]
 
-DEFAULT_POSITION_STD = 1e-4  # m, where the instrument's maker says nothing
+DEFAULT_POSITION_STD = 1e-4  # m, of points and of distances, where the instrument's maker says nothing
 DEFAULT_ORIENTATION_STD = 3e-4  # rad
+_PER_ROW = (
+    "target", "ranged", "base_reference", "time", "link_recorded", "tool_mass", "rotation", "oriented", "anchor",
+)  # fmt: skip
 REST_FRICTION = 1e-3  # of rated torque: the dry friction that any bearing has, which decides an unloaded joint's flank
+
+
+Anchors = Mapping[int, Mapping[str, Array]]
+"""Session → anchor → its place ``(3,)``, m, instrument frame."""
 
 
 def target_names(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
     """The targets of all sessions, each session's own: ``session/target`` where there are several sessions."""
+    return _names(campaigns, POSES, "target")
+
+
+def anchor_names(campaigns: Sequence[Campaign]) -> tuple[str, ...]:
+    """The anchors of all sessions' distances, named like their targets."""
+    return _names(campaigns, ("distances",), "anchor")
+
+
+def _names(campaigns: Sequence[Campaign], tables: Sequence[str], column: str) -> tuple[str, ...]:
     names: list[str] = []
     for s, campaign in enumerate(campaigns):
         seen: dict[str, None] = {}
-        for table in ("poses", "verification"):
+        for table in tables:
             if table in campaign.tables:
-                seen |= dict.fromkeys(str(t) for t in campaign.tables[table]["target"].unique())
-        names += [_target_label(s, t, len(campaigns)) for t in seen if t != "flange"]
+                seen |= dict.fromkeys(str(t) for t in campaign.tables[table][column].unique())
+        names += [_label(s, t, len(campaigns)) for t in seen if t != "flange"]
     return tuple(names)
 
 
-def _target_label(session: int, target: str, sessions: int) -> str:
-    return target if sessions == 1 else f"session{session + 1}:{target}"
+def _label(session: int, name: str, sessions: int) -> str:
+    return name if sessions == 1 else f"session{session + 1}:{name}"
+
+
+def _is_own(labels: Sequence[str], names: Sequence[str], session: int, sessions: int) -> Array:
+    """``(N, labels)``: 1 at the label of each row's name, in that session."""
+    own = {label: k for k, label in enumerate(labels)}
+    out = np.zeros((len(names), len(labels)))
+    for i, name in enumerate(names):
+        label = _label(session, str(name), sessions)
+        if label in own:
+            out[i, own[label]] = 1.0
+    return out
 
 
 def pose_rows(
-    campaigns: Sequence[Campaign], layout: Layout, table: str, base: Mapping[int, Array] | None = None
+    campaigns: Sequence[Campaign],
+    layout: Layout,
+    table: str,
+    base: Mapping[int, Array] | None = None,
+    anchors: Anchors | None = None,
 ) -> Rows:
-    """Rows of one table of one or several sessions.
+    """Rows of one table of one or several sessions; with those of ``poses`` go those of ``distances``.
 
     Parameters
     ----------
     base
         Session → ``(4, 4)``, where the instrument sees the robot's base. Without it that is found from the rows by
-        aligning the nominal robot with what was measured.
+        aligning the nominal robot with what was measured; where that is distances only, it is the base itself.
+    anchors
+        Session → anchor → ``(3,)``, where the instrument sees that. Without it they are located from the distances to
+        the nominal robot's targets.
     """
-    parts = [_one(c, s, len(campaigns), layout, table, base) for s, c in enumerate(campaigns) if table in c.tables]
+    parts: list[Rows] = []
+    for s, campaign in enumerate(campaigns):
+        reference = None
+        for name in (table, "distances") if table == "poses" else (table,):
+            if name in campaign.tables:
+                reference = base[s] if base is not None else reference
+                seen = None if anchors is None else anchors[s]
+                parts.append(_one(campaign, s, len(campaigns), layout, name, reference, seen))
+                reference = parts[-1].constants["base_reference"][0]
     return parts[0] if len(parts) == 1 else join_rows(parts)
 
 
+def anchors_of(rows: Rows) -> dict[int, dict[str, Array]]:
+    """Session → anchor → ``(3,)`` m, where the rows have it before its fitted shift, in the instrument's frame."""
+    found: dict[int, dict[str, Array]] = {}
+    for k, label in enumerate(rows.layout.anchors):
+        mine = np.flatnonzero(rows.signals["anchor_is"][:, k])
+        if len(mine):
+            session = int(rows.session[mine[0]])
+            name = label if len(rows.layout.sessions) == 1 else label.removeprefix(f"session{session + 1}:")
+            found.setdefault(session, {})[name] = rows.constants["anchor"][mine[0]]
+    return found
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What an instrument read: columns of the rows' numbers ``(N, m)``, and constants of theirs that others lack."""
+
+    measured: Array
+    sigma: Array
+    used: Bools
+    reference: Array
+    position: Array
+    constants: Mapping[str, Array]
+    axes: Mapping[str, Array] = field(default_factory=dict)
+
+
+def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, reference: Array | None) -> _Read:
+    """Points and, where there are any, orientations; ``points`` ``(N, 3)`` as the nominal robot has them, m."""
+    count, instrument = len(frame), campaign.instrument
+    position = frame[["x_m", "y_m", "z_m"]].to_numpy(float)
+    sigma, axes = _position_noise(instrument, position)
+    rotated = all(c in frame.columns for c in ("qw", "qx", "qy", "qz"))
+    measured, rotation = position, np.tile(np.eye(3), (count, 1, 1))
+    if rotated:
+        rotation = quaternion_to_rotation(frame[["qw", "qx", "qy", "qz"]].to_numpy(float))
+        measured = np.c_[position, np.zeros((count, 3))]
+        sigma = np.c_[sigma, np.full((count, 3), instrument.orientation_std or DEFAULT_ORIENTATION_STD)]
+    return _Read(
+        measured=measured,
+        sigma=sigma,
+        used=np.ones(measured.shape, dtype=bool),
+        reference=align(points, position) if reference is None else reference,
+        position=position,
+        constants={"rotation": rotation, "oriented": np.full(count, rotated), "anchor": np.zeros((count, 3))},
+        axes=axes,
+    )
+
+
+def _read_distances(
+    campaign: Campaign,
+    frame: pd.DataFrame,
+    points: Array,
+    reference: Array | None,
+    anchors: Mapping[str, Array] | None,
+) -> _Read:
+    """Distances from anchors; the columns of positions have the nominal robot's points, which do not count."""
+    count, instrument = len(frame), campaign.instrument
+    reference = np.eye(4) if reference is None else reference
+    points = points @ reference[:3, :3].T + reference[:3, 3]
+    names, distance = frame["anchor"].astype(str).to_numpy(), frame["distance_m"].to_numpy(float)
+    anchor = np.zeros((count, 3))
+    for name in dict.fromkeys(names):
+        mine = names == name
+        anchor[mine] = locate(points[mine], distance[mine]).place if anchors is None else anchors[name]
+    sigma = np.full(count, instrument.distance_std or DEFAULT_POSITION_STD)
+    if instrument.distance_std is None and instrument.tracker is not None:
+        sigma = instrument.tracker.range_std + instrument.tracker.range_rate * distance
+    return _Read(
+        measured=np.c_[points, np.zeros((count, 3)), distance],
+        sigma=np.c_[np.ones((count, 6)), sigma],
+        used=np.tile(np.arange(7) == 6, (count, 1)),
+        reference=reference,
+        position=np.zeros((count, 3)),  # the scale of an instrument that sees points is not that of distances
+        constants={
+            "rotation": np.tile(np.eye(3), (count, 1, 1)), "oriented": np.zeros(count, dtype=bool), "anchor": anchor
+        },
+    )  # fmt: skip
+
+
 def _one(
-    campaign: Campaign, session: int, sessions: int, layout: Layout, table: str, base: Mapping[int, Array] | None
+    campaign: Campaign,
+    session: int,
+    sessions: int,
+    layout: Layout,
+    table: str,
+    reference: Array | None,
+    anchors: Mapping[str, Array] | None,
 ) -> Rows:
     robot, n = campaign.robot, campaign.robot.n
-    recorded = campaign.tables[table]
-    both = (campaign.tables[t] for t in ("poses", "verification") if t != table and t in campaign.tables)
-    frame = filled(recorded, both)
+    recorded, own = campaign.tables[table], [t for t in POSES if t in campaign.tables]
+    frame = filled(recorded, (campaign.tables[t] for t in own if t != table))
     count = len(frame)
     q = frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
     direction = frame[[f"dir{i + 1}" for i in range(n)]].to_numpy(float)
-    position = frame[["x_m", "y_m", "z_m"]].to_numpy(float)
     names = frame["target"].astype(str).to_numpy()
     target = np.array([campaign.targets.get(name, np.zeros(3)) for name in names])
-    rotated = all(c in frame.columns for c in ("qw", "qx", "qy", "qz"))
-    measured, rotation = position, np.tile(np.eye(3), (count, 1, 1))
-    instrument = campaign.instrument
-    sigma, axes = _position_noise(instrument, position)
-    used = np.ones((count, 3), dtype=bool)
-    if rotated:
-        quaternion = frame[["qw", "qx", "qy", "qz"]].to_numpy(float)
-        rotation = quaternion_to_rotation(quaternion)
-        measured = np.c_[position, np.zeros((count, 3))]
-        sigma = np.c_[sigma, np.full((count, 3), instrument.orientation_std or DEFAULT_ORIENTATION_STD)]
-        used = np.ones((count, 6), dtype=bool)
-    own = {name: k for k, name in enumerate(layout.targets)}
-    target_is = np.zeros((count, len(layout.targets)))
-    for i, name in enumerate(names):
-        label = _target_label(session, str(name), sessions)
-        if label in own:
-            target_is[i, own[label]] = 1.0
     session_is = np.zeros((count, len(layout.sessions)))
     session_is[:, session] = 1.0
-    chain_q = q @ np.asarray(robot.linkage).T
-    nominal = forward(robot.screws, robot.flange, chain_q)
+    nominal = forward(robot.screws, robot.flange, q @ np.asarray(robot.linkage).T)
     points = np.einsum("nij,nj->ni", nominal[:, :3, :3], target) + nominal[:, :3, 3]
-    reference = base[session] if base is not None else align(points, position)
+    ranged = table == "distances"
+    if ranged:
+        read = _read_distances(campaign, frame, points, reference, anchors)
+    else:
+        read = _read_points(campaign, frame, points, reference)
+    anchor_names = frame["anchor"].astype(str).tolist() if ranged else [""] * count
     rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
     time = frame["time_s"].to_numpy(float)
-    start = min(float(campaign.tables[t]["time_s"].min()) for t in ("poses", "verification") if t in campaign.tables)
+    start = min(float(campaign.tables[t]["time_s"].min()) for t in own)
     _, fold = np.unique(frame["pose"].to_numpy(), return_inverse=True)
     _, unit = np.unique(np.c_[frame["pose"].to_numpy(), frame["visit"].to_numpy()], axis=0, return_inverse=True)
     signals = {
@@ -103,9 +226,10 @@ def _one(
         "motor_motion": direction,
         "rest_direction": REST_FRICTION * rated * direction,
         "elapsed": time - start,
-        "target_is": target_is,
+        "target_is": _is_own(layout.targets, names.tolist(), session, sessions),
+        "anchor_is": _is_own(layout.anchors, anchor_names, session, sessions),
         "session_is": session_is,
-        "position": position,
+        "position": read.position,
         **gravity_signals(campaign, q),
         "sag_torque": np.zeros((count, n)),
         "weight_stiffness": weight_stiffness(campaign.robot, declared_weight(campaign), campaign.gravity, q),
@@ -118,9 +242,9 @@ def _one(
         robot=robot,
         layout=layout,
         signals=signals,
-        measured=measured,
-        sigma=sigma,
-        used=used,
+        measured=read.measured,
+        sigma=read.sigma,
+        used=read.used,
         unit=unit.astype(np.int64),
         fold=fold.astype(np.int64),
         table=np.full(count, table),
@@ -128,14 +252,15 @@ def _one(
         session=np.full(count, session),
         constants={
             "target": target,
-            "rotation": rotation,
-            "base_reference": np.tile(reference, (count, 1, 1)),
+            "ranged": np.full(count, ranged),
+            "base_reference": np.tile(read.reference, (count, 1, 1)),
             "time": time,
             "link_recorded": link_recorded(recorded, n),
             "tool_mass": np.full(count, float(campaign.tool.mass)),
-            **axes,
+            **read.constants,
+            **read.axes,
         },
-        per_row=("target", "rotation", "base_reference", "time", "link_recorded", "tool_mass", *axes),
+        per_row=(*_PER_ROW, *read.axes),
     )
 
 

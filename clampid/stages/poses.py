@@ -21,6 +21,8 @@ from kinematics.screws import log_so3
 
 __all__ = [
     "by_parameter",
+    "by_station",
+    "constants_of",
     "evaluate",
     "flanks",
     "held",
@@ -28,7 +30,6 @@ __all__ = [
     "predict",
     "pressing",
     "residual",
-    "residual_parts",
 ]
 
 _NOTHING = np.zeros(0)
@@ -37,6 +38,20 @@ _NOTHING = np.zeros(0)
 def link_vectors(robot: Any) -> Array:
     """From each joint's point to its link's far end ``(n, 3)``, base axes at the zero pose, m."""
     return np.asarray(link_points(robot) - np.array([joint.point for joint in robot.joints]))
+
+
+def constants_of(robot: Any) -> dict[str, Array]:
+    """What effects may read of the nominal robot.
+
+    ``transmission`` and ``linkage`` ``(n, n)``; ``link_vectors`` ``(n, 3)``, m; ``turning_axes`` ``(n, 3)``: unit
+    vectors, base axes at the zero pose, zero for joints that slide.
+    """
+    return {
+        "transmission": np.asarray(robot.transmission),
+        "linkage": np.asarray(robot.linkage),
+        "link_vectors": link_vectors(robot),
+        "turning_axes": robot.screws[:, :3],
+    }
 
 
 def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
@@ -100,21 +115,43 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
 
 
 def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
-    """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; m = 6 with rotations."""
-    error, sensitivity, deviations = residual_parts(rows, chain, theta)
+    """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; zero where nothing was read.
+
+    m = 3, with rotations 6, with distances 7.
+    """
+    deviations = evaluate(rows, chain, theta)
+    error, sensitivity = by_station(rows, deviations)
     return error, by_parameter(sensitivity, deviations, chain)
 
 
-def residual_parts(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array, Deviations]:
-    """Measured less predicted ``(N, m)``, the prediction's derivative by the stations ``(N, m, S)``, and these."""
-    deviations = evaluate(rows, chain, theta)
+def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
+    """Measured less predicted ``(N, m)``, and what a deviation at each station does to the prediction ``(N, m, S)``.
+
+    Of a distance from the anchor a to the point p: the distance less the length of p - a, and u' dp with u the unit
+    vector from a to p.
+    """
     position, rotation, sensitivity = predict(rows, deviations)
     width = rows.measured.shape[1]
-    error = np.empty((len(rows), width))
+    error = np.zeros((len(rows), width))
     error[:, :3] = rows.measured[:, :3] - position
-    if width == 6:
-        error[:, 3:] = log_so3(rows.constants["rotation"] @ np.swapaxes(rotation, 1, 2))
-    return error, sensitivity[:, :width], deviations
+    if width == 3:
+        return error, sensitivity[:, :3]
+    read = rows.constants["oriented"]
+    error[read, 3:6] = log_so3(rows.constants["rotation"][read] @ np.swapaxes(rotation[read], 1, 2))
+    if width == 6 and read.all():
+        return error, sensitivity
+    seen = np.zeros((len(rows), width, sensitivity.shape[2]))
+    seen[:, :6] = sensitivity
+    seen[~read, 3:6] = 0.0
+    if width > 6:
+        far = rows.ranged
+        way = position[far] - rows.constants["anchor"][far]
+        distance = np.linalg.norm(way, axis=1)
+        along = way / np.maximum(distance, 1e-12)[:, None]
+        error[far, :3], seen[far, :3] = 0.0, 0.0
+        error[far, 6] = rows.measured[far, 6] - distance
+        seen[far, 6] = np.einsum("ni,nis->ns", along, sensitivity[far, :3])
+    return error, seen
 
 
 def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:

@@ -13,11 +13,14 @@ from clampid.effect import Stage
 from clampid.slots import Layout
 from kinematics.description import RobotDescription
 
-__all__ = ["Array", "Bools", "Integers", "Rows"]
+__all__ = ["POSE_CHANNELS", "Array", "Bools", "Integers", "Rows", "lengths"]
 
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+
+POSE_CHANNELS = ((0, 1, 2), (3, 4, 5), (6,))
+"""Columns of what poses measure: position, rotation, distance; the last ones only where any row has them."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,8 @@ class Rows:
     signals
         Name → ``(N, …)``, as :data:`clampid.effect.SIGNALS` describes them; SI.
     measured
-        ``(N, m)``: points and rotations in the instrument's frame, or motor torques.
+        ``(N, m)``: points, rotations, both in the instrument's frame, and distances (:data:`POSE_CHANNELS`), or motor
+        torques.
     sigma
         ``(N, m)``: standard deviation of each measured number, as far as known before any fit; where ``constants`` have
         ``noise_axes`` ``(N, 3, 3)`` (columns: unit vectors), of positions along these, in which errors are independent.
@@ -127,6 +131,26 @@ class Rows:
         table[keys[:, 0], keys[:, 1]] = offsets
         return np.asarray(table[run])
 
+    @property
+    def oriented(self) -> bool:
+        """Whether any row of poses has a rotation."""
+        width = self.measured.shape[1]
+        return width == 6 or (width > 6 and bool(self.constants["oriented"].any()))
+
+    @property
+    def ranged(self) -> Bools:
+        """Which rows of poses ``(N,)`` are distances."""
+        return np.asarray(self.constants["ranged"], dtype=bool)
+
+    @property
+    def points(self) -> Rows:
+        """The rows of poses that are no distances, and no column for these."""
+        if self.measured.shape[1] <= 6:
+            return self
+        width = 6 if self.oriented else 3
+        rows = self.take(~self.ranged)
+        return replace(rows, measured=rows.measured[:, :width], sigma=rows.sigma[:, :width], used=rows.used[:, :width])
+
     def in_noise_axes(self, values: Array) -> Array:
         """The same numbers ``(N, m, …)``, positions turned to the axes that ``sigma`` is along."""
         axes = self.constants.get("noise_axes")
@@ -139,3 +163,8 @@ class Rows:
     def without(self, bad: Bools) -> Rows:
         """The same rows, those marked ``(N,)`` no longer used."""
         return replace(self, used=self.used & ~bad[:, None])
+
+
+def lengths(residual: Array) -> Array:
+    """Errors of poses ``(N,)``, m, of their residual ``(N, m)``: of a point its norm, of a distance its size."""
+    return np.asarray(np.linalg.norm(np.c_[residual[:, :3], residual[:, 6:]], axis=1))

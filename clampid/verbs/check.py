@@ -84,7 +84,7 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for table in ("poses", "verification"):
         if table in campaign.tables:
-            rows = pose_rows([campaign], layout_of([campaign]), table)
+            rows = pose_rows([campaign], layout_of([campaign]), table).points
             error = as_sent(rows, catalogue()).residual
             norms = np.linalg.norm(error[rows.used[:, 0], :3], axis=1)
             found[table] = metrics_of(rows, error) | {"universal": norm_metrics(norms)}
@@ -105,6 +105,7 @@ def _contents(table: Mapping[str, Any]) -> str:
     words.append(f"joints {', '.join(map(str, moved))} move" if moved else "no joint moves")
     for key, word in (
         ("targets", "targets"),
+        ("anchors", "anchors"),
         ("orientation", "orientations"),
         ("directions", "approach directions"),
         ("velocities", "velocities"),

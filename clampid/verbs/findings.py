@@ -41,6 +41,8 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
             motors.append((name, f"motor {k}", *(_number(v) for v in cells), *(_number(v, 5) for v in shares)))
     columns = ("table", "", "rows", "rms", "mean", "max", "noise floor")
     out.table("model against measurement", columns, rows, left=2)
+    if any(table.get("measured") == "distances" for table in data["tables"].values()):
+        out.say("distances: errors are of measured distances, one number each, not of points")
     for name, table in data["tables"].items():
         held = table.get("heldout") or {}
         if wrong := held.get("outliers"):

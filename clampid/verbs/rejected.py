@@ -11,6 +11,7 @@ from clampid.display import error_text
 from clampid.fitting.accuracy import predicted
 from clampid.identification.reopen import reopen
 from clampid.models.model import Model
+from clampid.stages.rows import lengths
 from experiments.campaign import Campaign
 
 __all__ = ["rejected_words"]
@@ -52,7 +53,7 @@ def _visits(model: Model, campaigns: Sequence[Campaign], effects_from: Path | No
     for session, table, row in model.stages["poses"].outliers:
         cells = campaigns[session].tables[table].iloc[row - 1]
         (at,) = np.flatnonzero((rows.session == session) & (rows.table == table) & (rows.row == row))
-        off = float(np.linalg.norm(residual[at, :3]))
+        off = float(lengths(residual)[at])
         visits.setdefault((session, table, int(cells["pose"]), int(cells["visit"])), []).append((cells["target"], off))
     told = []
     for (session, table, pose, visit), points in visits.items():

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.columns import TABLES, lookalike, table_format
+from experiments.columns import POSES, TABLES, lookalike, table_format
 from experiments.errors import fault
 from experiments.foreign.files import DELIMITERS, Reading
 from experiments.foreign.frames import ORIENTATIONS, POSITIONS, Orientation, Position, euler_axes
@@ -168,9 +168,10 @@ def _table(at: Section, files: Sequence[Path]) -> TableMapping:
         at.refuse("files", "files in the mapping or in the call", "both")
     if not named and not files:
         at.refuse("files", "files, here or in the call", "none")
-    points = table in ("poses", "verification")
+    stops, points = table in POSES, table in ("poses", "verification")
     for key in ("position", "orientation", "repeats", "lost", "directions"):
-        if key in at.raw and not points and not (key == "lost" and at.prefix):
+        fits = stops if key in ("lost", "directions") else points
+        if key in at.raw and not fits and not (key == "lost" and at.prefix):
             at.refuse(key, f"no such key for {table}", repr(at.raw[key]))
     at.text("repeats", "median", ("median",))
     at.text("directions", "previous", ("previous",))
@@ -188,7 +189,7 @@ def _table(at: Section, files: Sequence[Path]) -> TableMapping:
         position=_position(at, columns, units) if "position" in at.raw else None,
         orientation=_orientation(at, units) if "orientation" in at.raw else None,
         repeats="repeats" in at.raw,
-        lost=at.texts("lost") if "lost" in at.raw and points else None,
+        lost=at.texts("lost") if "lost" in at.raw and stops else None,
         directions="directions" in at.raw,
         key=at.prefix,
     )

@@ -169,7 +169,9 @@ def _lost(path: Path, part: TableMapping, cells: Cells) -> Bools:
     out = np.zeros(len(cells), dtype=bool)
     if part.lost is None:
         return out
-    asked = [(c, part.columns[a].key) for a in "xyz" if a in part.columns for c in part.columns[a].columns]
+    asked = [
+        (c, part.columns[a].key) for a in (*"xyz", "distance") if a in part.columns for c in part.columns[a].columns
+    ]
     for group in (part.position, part.orientation):
         asked += [(column, group.key) for column in group.columns] if group else []
     for column, key in asked:
@@ -276,7 +278,7 @@ def _completed(
 
 def _short_names(table: str, n: int) -> list[str]:
     joints = [f"{stem}{i + 1}" for i in range(n) for stem in ("q", "qd", "tau", "motor", "dir")]
-    return ["pose", "visit", "run", "sweep", "joint", "time", "target", "x", "y", "z", *joints]
+    return ["pose", "visit", "run", "sweep", "joint", "time", "target", "x", "y", "z", "anchor", "distance", *joints]
 
 
 def _refuse_units(path: Path, part: TableMapping, frame: pd.DataFrame, robot: RobotDescription) -> None:

@@ -30,12 +30,12 @@ ZEROS = {"degC": 0.0, "K": -273.15, "degF": -160 / 9}  # in °C, where the unit 
 _KINDS: tuple[tuple[str, Kind, str], ...] = (
     (r"temp_\w+", "temperature", "C"),
     (r"time", "time", "s"),
-    (r"(fixture_)?[xyz]", "length", "m"),
+    (r"(fixture_)?[xyz]|distance", "length", "m"),
     (r"(q|motor)\d+|fixture_r[xyz]", "angle", "rad"),
     (r"qd\d+", "speed", "rad_s"),
     (r"tau\d+", "torque", "Nm"),
     (r"pose|visit|run|sweep|joint|dir\d+", "count", ""),
-    (r"target", "text", ""),
+    (r"target|anchor", "text", ""),
 )
 
 

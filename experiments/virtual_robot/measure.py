@@ -11,20 +11,30 @@ import pandas as pd
 
 from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.description import Array, RobotDescription
+from experiments.virtual_robot.distance_tables import DISTANCE_SIGMA, draw_anchors, measure_distances
 from experiments.virtual_robot.draw import GRAVITY, TARGETS, TOOL_COM, TOOL_MASS, draw_plant
+from experiments.virtual_robot.heat import History
 from experiments.virtual_robot.heat import session as warmed
 from experiments.virtual_robot.hidden import Hidden, hide
 from experiments.virtual_robot.outliers import spoil
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.pose_tables import measure_poses
-from experiments.virtual_robot.programs import Run, clamp_program, free_air_program, pose_program, wrist_program
+from experiments.virtual_robot.programs import (
+    PoseProgram,
+    Run,
+    clamp_program,
+    free_air_program,
+    pose_program,
+    wrist_program,
+)
 from experiments.virtual_robot.remeasured import FIRST, seeds_of, set_up_anew
 from experiments.virtual_robot.sampling import Site
 from experiments.virtual_robot.torque_tables import Logged, log_runs, log_sweeps, sweep_amplitudes
 
 TORQUE_TABLES = ("free_air", "wrist", "clamped")
 POSE_TABLES = ("poses", "verification")
-TABLES = TORQUE_TABLES + POSE_TABLES
+USUAL = TORQUE_TABLES + POSE_TABLES
+TABLES = (*USUAL, "distances")  # distances only where they are asked for; last, so that the others' streams stay
 VERIFICATION_POSES = 80
 
 
@@ -39,7 +49,8 @@ class Truth:
     baseline
         The same robot without them.
     noise_free
-        For each table, its points, m, (rows, 3), or torques, Nm, (rows, n), without noise, repeatability and outliers.
+        For each table, its points, m, (rows, 3), distances, m, (rows, 1), or torques, Nm, (rows, n), without noise,
+        repeatability and outliers.
     outliers
         For each table, the rows that were spoilt.
     """
@@ -88,9 +99,10 @@ def measure(
         Which session of this individual, from 1: later ones have programs, noise, tool, air and place of the instrument
         of their own.
     poses
-        Number of poses in the table ``poses``.
+        Number of poses in the table ``poses``, and in ``distances``.
     tables
-        Which tables to measure; by default all that the description allows (without links: no torques).
+        Which tables to measure; by default all that the description allows (without links: no torques) but
+        ``distances``.
     outliers
         Share of rows, 0 … 1, that are wrong; the verification table has none.
     alter
@@ -123,17 +135,17 @@ def measure(
         share = 0.0 if name == "verification" else outliers
         frames[name], spoilt[name] = spoil(frames[name], share, streams["outliers"][name])
     truth = Truth(plant, baseline, {name: logged[name].noise_free for name in wanted}, spoilt)
-    return Measured(frames, _header(robot, plant), told, truth)
+    return Measured(frames, _header(robot, plant, "distances" in wanted), told, truth)
 
 
 def _tables(site: Site, tables: Sequence[str] | None) -> tuple[str, ...]:
-    possible = TABLES if site.weighed else POSE_TABLES
+    possible = TABLES if site.weighed else (*POSE_TABLES, "distances")
     for name in tables or ():
         if name not in TABLES:
             raise ValueError(f"table {name!r}: expected some of {', '.join(TABLES)}")
         if name not in possible:
             raise ValueError(f"table {name!r}: the description {site.robot.name!r} has no links, so no torques")
-    return tuple(name for name in possible if tables is None or name in tables)
+    return tuple(name for name in possible if name in (USUAL if tables is None else tables))
 
 
 _Streams = Mapping[str, Mapping[str, np.random.Generator]]
@@ -184,23 +196,38 @@ def _work(runs: Sequence[Run], since: float) -> tuple[Array, Array]:
 
 
 def _poses(site: Site, plant: Plant, wanted: Sequence[str], poses: int, streams: _Streams) -> dict[str, Logged]:
-    """Another day, again from switch-on: poses, then verification."""
-    if not set(wanted) & set(POSE_TABLES):
+    """Another day, again from switch-on: poses, then verification, then distances."""
+    if not set(wanted) & {*POSE_TABLES, "distances"}:
         return {}
     bodies, program = Bodies(plant.geometry, plant.masses), streams["program"]
     first = pose_program(site, poses, 60.0, True, program["poses"])
     second = pose_program(site, VERIFICATION_POSES, first.time[-1] + 120.0, False, program["verification"])
-    travel = np.vstack([first.travel, second.travel])
-    history = warmed(plant.heat, np.concatenate([first.time, second.time]), travel / travel.mean(axis=0))
-    return {
-        name: measure_poses(plant, bodies, visits, history, streams["noise"][name])
-        for name, visits in (("poses", first), ("verification", second))
+    both = [first, second]
+    usual = np.vstack([visits.travel for visits in both]).mean(axis=0)
+
+    def warmth(programs: Sequence[PoseProgram]) -> History:
+        travel = np.vstack([visits.travel for visits in programs])
+        return warmed(plant.heat, np.concatenate([visits.time for visits in programs]), travel / usual)
+
+    history, noise = warmth(both), streams["noise"]
+    out = {
+        name: measure_poses(plant, bodies, visits, history, noise[name])
+        for name, visits in zip(POSE_TABLES, both, strict=True)
         if name in wanted
     }
+    if "distances" in wanted:
+        third = pose_program(site, poses, second.time[-1] + 120.0, True, program["distances"])
+        anchors = draw_anchors(plant.geometry, program["distances"])
+        history = warmth([*both, third])
+        out["distances"] = measure_distances(plant, bodies, third, history, anchors, noise["distances"])
+    return out
 
 
-def _header(robot: RobotDescription, plant: Plant) -> dict[str, Any]:
-    return {"format": "clampid-campaign/1", "robot": robot.name, **declared(plant)}
+def _header(robot: RobotDescription, plant: Plant, distances: bool) -> dict[str, Any]:
+    stated = declared(plant)
+    if distances:
+        stated["instrument"] |= {"distance_std_m": DISTANCE_SIGMA}
+    return {"format": "clampid-campaign/1", "robot": robot.name, **stated}
 
 
 def declared(plant: Plant) -> dict[str, Any]:

@@ -16,7 +16,9 @@ def spoil(table: pd.DataFrame, share: float, rng: np.random.Generator) -> tuple[
         return table, ()
     table = table.copy()
     sign = rng.choice([-1.0, 1.0], len(rows))
-    if "x_m" in table:
+    if "distance_m" in table:
+        table.loc[rows, "distance_m"] += sign * rng.uniform(*POINT_ERROR, len(rows))
+    elif "x_m" in table:
         way = rng.standard_normal((len(rows), 3))
         error = way / np.linalg.norm(way, axis=1, keepdims=True) * rng.uniform(*POINT_ERROR, (len(rows), 1))
         table.loc[rows, ["x_m", "y_m", "z_m"]] += error

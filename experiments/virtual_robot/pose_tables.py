@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -24,12 +26,17 @@ def tracked_points(
 
     ``time`` as in :func:`deformation`.
     """
+    points = base_points(plant, bodies, arm, link_temperature, time)
+    return np.stack([to_instrument(plant.instrument, points[:, k]) for k in range(points.shape[1])], axis=1)
+
+
+def base_points(plant: Plant, bodies: Bodies, arm: Array, link_temperature: Array, time: Array | None = None) -> Array:
+    """Return the same points in the robot's base frame, m, (N, targets, 3)."""
     pose = flange_poses(bodies, arm, deformation(plant, bodies, arm, link_temperature, time))
     points = []
     for target in plant.geometry.targets.values():
         point = pose[:, :3, :3] @ target + pose[:, :3, 3]
-        point = point + outside_shift(plant.outside, pose[:, :3, 3], point)
-        points.append(to_instrument(plant.instrument, point))
+        points.append(point + outside_shift(plant.outside, pose[:, :3, 3], point))
     return np.stack(points, axis=1)
 
 
@@ -46,12 +53,18 @@ def measure_poses(
     read = tracked_points(plant, bodies, there, warm, program.time).reshape(-1, 3)
     read += plant.instrument.sigma * rng.standard_normal(read.shape)
 
-    each = np.repeat(np.arange(visits), len(names))
-    time = program.time[each] + TARGET_TIME * np.tile(np.arange(len(names)), visits)
-    data = {"pose": program.pose[each], "visit": program.visit[each], "time_s": np.round(time, 3)}
-    data |= columns("q", program.q[each], "rad")
-    data |= {f"dir{i + 1}": program.direction[each, i].astype(int) for i in range(n)}
+    time, data = stops(program, len(names))
     table = pd.DataFrame(data | {"target": np.tile(names, visits)})
     table[["x_m", "y_m", "z_m"]] = read
     sensors = read_sensors(history.at(time), plant.instrument.temperature_sigma, rng)
     return Logged(pd.concat([table, pd.DataFrame(sensors)], axis=1), truth)
+
+
+def stops(program: PoseProgram, count: int) -> tuple[Array, dict[str, Any]]:
+    """Return the times of ``count`` measurements at every visit, s, and the columns that say where the robot stood."""
+    visits, n = program.q.shape
+    each = np.repeat(np.arange(visits), count)
+    time = program.time[each] + TARGET_TIME * np.tile(np.arange(count), visits)
+    data: dict[str, Any] = {"pose": program.pose[each], "visit": program.visit[each], "time_s": np.round(time, 3)}
+    data |= columns("q", program.q[each], "rad")
+    return time, data | {f"dir{i + 1}": program.direction[each, i].astype(int) for i in range(n)}

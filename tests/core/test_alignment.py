@@ -121,7 +121,7 @@ def test_the_effect_is_the_curve_of_the_alignment():
     found = align(curves)
     layout = Layout(4)
     slots = slots_of(EFFECT, layout)
-    chain = build_chain("poses", slots, catalogue(), layout, np.eye(4), np.zeros((4, 3)))
+    chain = build_chain("poses", slots, catalogue(), layout, {})
     values = found.values(EFFECT)
     q = rng.uniform(-np.pi, np.pi, (20, 4))
     error = chain.evaluate(np.array([values[s] for s in slots]), {"q": q}).values[:, chain.offsets["joint_angle"]]

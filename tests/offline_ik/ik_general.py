@@ -10,7 +10,7 @@ import numpy.typing as npt
 from clampid.chain.chain import build_chain
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, weight_stiffness
 from clampid.stages.pose_rows import REST_FRICTION
-from clampid.stages.poses import evaluate, link_vectors, predict
+from clampid.stages.poses import constants_of, evaluate, predict
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, Instrument, Tool
 from offline_ik.arm import Conditions, IdentifiedArm
@@ -35,9 +35,7 @@ def general(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array)
     jacobian
         ``(N, 6, P)``: d (position, rotation vector) / d theta.
     """
-    chain = build_chain(
-        "poses", arm.slots, arm.effects, arm.layout, np.asarray(arm.robot.transmission), link_vectors(arm.robot)
-    )
+    chain = build_chain("poses", arm.slots, arm.effects, arm.layout, constants_of(arm.robot))
     rows = _rows(arm, np.atleast_2d(q), conditions, target)
     deviations = evaluate(rows, chain, arm.theta)
     measured = slice(chain.offsets["measurement"].start, None)
@@ -82,6 +80,7 @@ def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -
         "rest_direction": REST_FRICTION * arm._rated * direction,
         "elapsed": np.full(count, conditions.elapsed),
         "target_is": np.zeros((count, len(arm.layout.targets))),
+        "anchor_is": np.zeros((count, len(arm.layout.anchors))),
         "session_is": each(arm._session_is),
         "position": np.zeros((count, 3)),
         "link_temperature": each(conditions.link_temperature),

@@ -1,0 +1,114 @@
+"""Where an anchor is, from its distances to points whose places are known well enough to begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import least_squares
+
+__all__ = ["Located", "locate"]
+
+FloatArray = npt.NDArray[np.float64]
+
+ROUGH_M = 2e-3  # by which points of an arm out of calibration are off: beyond, an error counts by its size alone
+TRIED = 4  # of the starts, those that fit best
+
+
+@dataclass(frozen=True)
+class Located:
+    """An anchor as the distances have it.
+
+    Attributes
+    ----------
+    place
+        ``(3,)`` m, in the frame of the points.
+    error
+        ``(N,)`` m: measured less calculated distances.
+    spread
+        ``(3,)``, ascending: how the directions from the anchor to the points spread, 0 to 1; the first is near zero
+        where all lie in a plane through the anchor, so that where it is across that plane is hardly told.
+    mirrored
+        ``(3,)`` m: another place that fits as well, as of points in a plane; else None.
+    """
+
+    place: FloatArray
+    error: FloatArray
+    spread: FloatArray
+    mirrored: FloatArray | None
+
+    @property
+    def size(self) -> float:
+        """The median error, m."""
+        return float(np.median(np.abs(self.error)))
+
+
+def locate(points: FloatArray, distances: FloatArray) -> Located:
+    """Locate an anchor by lateration.
+
+    The squares of the distances are linear in the place and its own square, which gives a start without any guess; as
+    points in a plane leave two places, either side of the plane that fits the points best is tried, and the likelier
+    one taken. Errors count by their size, not its square, beyond two millimetres, so that wrong rows do not decide.
+
+    Parameters
+    ----------
+    points
+        ``(N, 3)`` m, N >= 1.
+    distances
+        ``(N,)`` m.
+
+    Returns
+    -------
+    Located
+        With fewer than three points, one of the places that the distances leave.
+    """
+    middle = points.mean(axis=0)
+    off = points - middle
+    axes = np.linalg.svd(off, full_matrices=True)[2]
+    starts = sorted(_starts(off, distances, axes, middle), key=lambda at: _misfit(at, points, distances))
+    searched = [_search(points, distances, start) for start in starts[:TRIED]]
+    searched.sort(key=lambda found: found[0])
+    cost, place = searched[0]
+    error = _errors(place, points, distances)
+    unit = (points - place) / np.maximum(np.linalg.norm(points - place, axis=1, keepdims=True), 1e-12)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(unit.T @ unit / len(unit)), 0.0))
+    width = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    alike = [
+        at for value, at in searched[1:] if value < 2.0 * cost + 1e-12 and np.linalg.norm(at - place) > 0.1 * width
+    ]
+    return Located(place, error, spread, alike[0] if alike else None)
+
+
+def _starts(off: FloatArray, distances: FloatArray, axes: FloatArray, middle: FloatArray) -> list[FloatArray]:
+    """The linear solution, and of it and of the mean distance straight off the points' plane either side."""
+    A = np.c_[-2.0 * off, np.ones(len(off))]
+    b = distances**2 - np.sum(off**2, axis=1)
+    scale = np.maximum(np.linalg.norm(A, axis=0), 1e-12)
+    linear = (np.linalg.lstsq(A / scale, b, rcond=1e-6)[0] / scale)[:3]
+    normal = axes[2]
+    flat = linear - (linear @ normal) * normal
+    height = np.sqrt(max(float(np.median(distances)) ** 2 - float(flat @ flat), 0.0))
+    straight = float(np.median(distances)) * axes
+    starts = [linear, flat + height * normal, flat - height * normal, *straight, *-straight]
+    return [middle + start for start in starts]
+
+
+def _search(points: FloatArray, distances: FloatArray, start: FloatArray) -> tuple[float, FloatArray]:
+    def errors(place: FloatArray) -> FloatArray:
+        return _errors(place, points, distances)
+
+    def slopes(place: FloatArray) -> FloatArray:
+        away = points - place
+        return np.asarray(away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12))
+
+    found = least_squares(errors, start, slopes, loss="soft_l1", f_scale=ROUGH_M, max_nfev=200)
+    return float(found.cost), np.asarray(found.x)
+
+
+def _misfit(place: FloatArray, points: FloatArray, distances: FloatArray) -> float:
+    return float(np.median(np.abs(_errors(place, points, distances))))
+
+
+def _errors(place: FloatArray, points: FloatArray, distances: FloatArray) -> FloatArray:
+    return np.asarray(distances - np.linalg.norm(points - place, axis=1))
