@@ -22,8 +22,8 @@ from kinematics.description import RobotDescription
 __all__ = ["ABLE", "CONFUSABLE", "IMPOSSIBLE", "RATE", "Look", "look_at", "rivals_of", "variants_of"]
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
-CONFUSABLE = 0.8
-STANDS_IN = 0.9
+CONFUSABLE = 0.8  # squared canonical correlation above which both are named: apart they are a fifth of what either is
+STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
 WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")

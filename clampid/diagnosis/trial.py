@@ -27,7 +27,7 @@ from clampid.stages.rows import Array, Rows
 __all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "held_out", "pruned"]
 
 HELD_OUT_RATE = 0.05
-STABLE = 0.6
+STABLE = 0.6  # the majority of five parts of the rows
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
 RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"

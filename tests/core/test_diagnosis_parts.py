@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.look import rivals_of
+from clampid.diagnosis.trial import Bench, Tried
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import score, space_of
-from clampid.fitting.accuracy import FOLDS, cross_validated
+from clampid.fitting.accuracy import FOLDS, cross_validated, noise_floor
 from clampid.fitting.solve import solve
+from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.slots import Slot, Term
@@ -151,3 +153,33 @@ def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign
     slots = (Slot("faint", "p", "joint1"),)
     faint = Candidate("faint", "faint", (Term("faint", "joint1"),), slots, {}, Columns(((0, columns),), 1), (), ())
     assert score(space_of(estimate), [faint])[0].state == "absent"
+
+
+def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simulated: Callable[..., Campaign]):
+    """One of noise is not fitted; the true one is, from where a Gauss-Newton step leads."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
+    model = identify(campaign, {"poses": ("geometry", "joint_compliance", "backlash", "gravity")})
+    opened = reopen(model, campaign)
+    rows, fitted = opened.rows("poses"), opened.refit("poses")
+    starts: list[dict[Slot, float]] = []
+
+    def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
+        starts.append(dict(start))
+        return fit_stage(rows, opened.effects, terms, {}, {**last.model.values(), **start}, last=last.estimate)
+
+    floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
+    bench = Bench(opened.effects, refit, None, floor, seed=0, flips=49)
+    held, look = bench.held_out(fitted), bench.look(fitted, 0)
+    able = [s for s in look.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
+    false = [s for s in able if s.candidate.places == ("joint4",)]
+    refused, _ = bench.decided(replace(look, named=false), fitted, held)
+    assert refused is None
+    assert not starts
+    (true,) = (s for s in able if s.candidate.places == ("joint2",))
+    tried, _ = bench.decided(replace(look, named=[true]), fitted, held)
+    assert isinstance(tried, Tried)
+    assert tried.held.rms < held.rms
+    size = tried.fitted.estimate.experiment.sizes()
+    for slot in true.candidate.slots:
+        found = tried.fitted.model.values()[slot]
+        assert abs(starts[0][slot] - found) < 0.3 * abs(found) + 0.01 * size[tried.fitted.model.slots.index(slot)]
