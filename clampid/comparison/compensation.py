@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from clampid.chain.chain import Deviations
@@ -26,9 +27,9 @@ from clampid.fitting.noise import NORMAL
 from clampid.identification.reopen import Reopened
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Bools, Rows
 
-__all__ = ["Compensation", "compensation_of"]
+__all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
 
 SPRINGS = "joint_compliance"
 STEPS = 12
@@ -41,6 +42,7 @@ ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it mus
 KNOWN = 0.25  # standard error of a factor beyond which these poses cannot tell it
 FAR = 6.0  # robust standard deviations: wrong rows
 DEGREES = 180.0 / np.pi
+AMPLIFIED = 5.0  # times the deflections: what is then left of the model's own small errors shows among the noise
 EXPLANATIONS: tuple[tuple[float, float, str], ...] = (
     (1.0, 1.0, ""),
     (0.0, 0.0, "the deflections are compensated in full"),
@@ -91,6 +93,18 @@ class Compensation:
         }
 
 
+def sent_elsewhere(found: Compensation) -> str:
+    """What a diagnosis of the poses that were :func:`put_right` begins with."""
+    said = "With the joint values to which that sent the robot:"
+    times = max(abs(own - 1.0) for own, _, words in EXPLANATIONS if words and words in found.said)
+    if times > AMPLIFIED:
+        said = (
+            f"It multiplies what springs and weights are off by {times:.0f}, which goes by other names below: mend it "
+            f"and measure again. {said}"
+        )
+    return said
+
+
 def compensation_of(opened: Reopened) -> Compensation | None:
     """Look for a compensation, and for mistakes in it, in a campaign's poses.
 
@@ -123,6 +137,32 @@ def compensation_of(opened: Reopened) -> Compensation | None:
             mistake = "the base frame is biased by deflection"
             said = f"The base stands {biased}: {mistake}, as of a model that was fitted without springs."
     return Compensation(factors, spread, base, base_std, "" if mistake is None or mistake in FINE else mistake, said)
+
+
+def put_right(opened: Reopened, found: Compensation) -> Reopened | None:
+    """The campaign with the joint values to which its compensation sent the robot, instead of those asked for.
+
+    With the factors that the explanation has, so that a mistake is taken for what it is called, and springs within what
+    the model knows of them: what a small error of theirs does, a large factor multiplies. None where no compensation
+    explains the poses, or distances stand beside them: nobody knows then where the robot was sent.
+    """
+    explained = next(((own, tool) for own, tool, words in EXPLANATIONS if words and words in found.said), None)
+    if explained is None or "distances" in opened.campaign.tables:
+        return None
+    less = np.array(explained) - 1.0
+    tables, rows = dict(opened.campaign.tables), opened.rows("poses")
+    trial = opened.experiment("poses", rows)
+    bent = _bending(opened, trial)
+    springs = _search(
+        opened, trial, np.einsum("p,pkni->kni", less, bent.parts), np.ones(bent.parts.shape[1]), bent.covariance
+    ).theta[: bent.parts.shape[1]]
+    tables["poses"] = _shifted(tables["poses"], np.einsum("p,k,pkni->ni", less, springs, bent.parts))
+    others = opened.verification()
+    if others is not None:
+        parts = _bending(opened, opened.experiment("poses", others)).parts
+        tables["verification"] = _shifted(tables["verification"], np.einsum("p,k,pkni->ni", less, springs, parts))
+    campaign = replace(opened.campaign, tables=tables)
+    return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]})
 
 
 @dataclass(frozen=True)
@@ -180,24 +220,54 @@ class _Fit:
     columns: Array
 
 
-def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
-    """Gauss-Newton: a compensation sends the robot elsewhere, where it then gives way as the model says."""
-    by_weight = bent.parts.sum(axis=1)
-    n, targets = trial.rows.robot.n, trial.rows.signals["target_is"]
-    theta, sent = np.zeros(8 + 3 * targets.shape[1]), np.zeros_like(by_weight[0])
+@dataclass(frozen=True)
+class _Search:
+    """Where Gauss-Newton has ended, and its last step's equations.
+
+    Attributes
+    ----------
+    theta
+        ``(F + 6 + 3m,)``: factors on F deflections less 1, shifts of the base, (w, v), and of m targets.
+    used
+        ``(N,)``: rows that are not wrong.
+    lever, columns
+        ``(N, 3, n)`` and ``(N, 3, P)``: derivatives of the points by the joints, and by ``theta``.
+    residual, step
+        ``(3 N,)`` of the used rows before the last step, and that ``(P,)``.
+    """
+
+    theta: Array
+    rows: Rows
+    used: Bools
+    lever: Array
+    columns: Array
+    residual: Array
+    step: Array
+
+
+def _search(
+    opened: Reopened, trial: Experiment, parts: Array, mean: Array | None = None, spread: Array | None = None
+) -> _Search:
+    """Gauss-Newton on factors of deflections ``(F, N, n)``; where a compensation sends the robot, it gives way anew.
+
+    ``mean`` and ``spread`` ``(F,)`` and ``(F, F)``: what is known of the factors less 1, and its covariance.
+    """
+    n, count, targets = trial.rows.robot.n, len(parts), trial.rows.signals["target_is"]
+    theta, sent = np.zeros(count + 6 + 3 * targets.shape[1]), np.zeros_like(parts[0])
+    theta[:count] = 0.0 if mean is None else mean
     rows, at = trial.rows, _values(trial, opened)
     for _ in range(STEPS):
-        shift = np.einsum("p,pni->ni", theta[:2], by_weight)
+        shift = np.einsum("p,pni->ni", theta[:count], parts)
         if np.abs(shift - sent).max() > ELSEWHERE:
             moved = trial.with_rows(_sent(opened, trial.rows, shift))
             rows, at, sent = moved.rows, _values(moved, opened), shift
         values = at.copy()
         values[:, :n] += shift - sent
-        values[:, n : n + 6] += theta[2:8]
-        values[:, 7 * n + 6 : 7 * n + 9] += targets @ theta[8:].reshape(-1, 3)
+        values[:, n : n + 6] += theta[count : count + 6]
+        values[:, 7 * n + 6 : 7 * n + 9] += targets @ theta[count + 6 :].reshape(-1, 3)
         position, _, sensitivity = poses.predict(rows, Deviations(values, _NONE, _NO, _NO))
         S = sensitivity[:, :3]
-        factors = [np.einsum("nij,nj->ni", S[:, :, :n], part) for part in by_weight]
+        factors = [np.einsum("nij,nj->ni", S[:, :, :n], part) for part in parts]
         shifts = (S[:, :, None, 7 * n + 6 : 7 * n + 9] * targets[:, None, :, None]).reshape(
             len(rows), 3, 3 * targets.shape[1]
         )
@@ -208,30 +278,50 @@ def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
         J, r = columns[used].reshape(-1, len(theta)), residual[used].ravel()
         scale = np.linalg.norm(J, axis=0)
         scale[scale == 0.0] = 1.0
-        step = np.linalg.lstsq(J / scale, r, rcond=1e-10)[0] / scale
+        A, b = J / scale, r
+        if mean is not None and spread is not None:  # in units of the points' scatter
+            root = np.linalg.pinv(np.linalg.cholesky(spread)) * np.sqrt(np.mean(r**2))
+            known = np.zeros((count, len(theta)))
+            known[:, :count] = root / scale[:count]
+            A, b = np.vstack([A, known]), np.r_[b, root @ (mean - theta[:count])]
+        step = np.linalg.lstsq(A, b, rcond=1e-10)[0] / scale
         theta = theta + step
         if not np.isfinite(theta).all() or np.all(np.abs(step) < SETTLED):
             break
+    return _Search(theta, rows, used, S[:, :, :n], columns, r, step)
+
+
+def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
+    """Factors on what the arm's own weight and the tool bend, and their covariance."""
+    found = _search(opened, trial, bent.parts.sum(axis=1))
+    theta, used, r = found.theta, found.used, found.residual
+    J = found.columns[used].reshape(-1, len(theta))
+    scale = np.linalg.norm(J, axis=0)
+    scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv((J / scale).T @ (J / scale), rcond=1e-12, hermitian=True)
-    _, unit = np.unique(np.repeat(rows.fold[used], 3), return_inverse=True)
+    _, unit = np.unique(np.repeat(found.rows.fold[used], 3), return_inverse=True)
     pulls = np.zeros((int(unit.max()) + 1, len(theta)))
-    np.add.at(pulls, unit, (J / scale) * (r - J @ step)[:, None])
+    np.add.at(pulls, unit, (J / scale) * (r - J @ found.step)[:, None])
     scatter = pulls.T @ pulls * len(pulls) / max(len(pulls) - len(theta), 1)
     # Springs that are a little softer or stiffer than the model's, times how much more of them stands in the points.
     wrong = np.einsum("p,pkni->kni", theta[:2], bent.parts)
-    by_spring = np.einsum("nij,knj->nik", S[:, :, :n], wrong)[used].reshape(len(r), -1)
+    by_spring = np.einsum("nij,knj->nik", found.lever, wrong)[used].reshape(len(r), -1)
     pulled = (J / scale).T @ by_spring
     covariance = inverse @ (scatter + pulled @ bent.covariance @ pulled.T) @ inverse / np.outer(scale, scale)
-    return _Fit(theta, covariance, columns[used])
+    return _Fit(theta, covariance, found.columns[used])
 
 
 def _sent(opened: Reopened, rows: Rows, shift: Array) -> Rows:
     """The rows at joint values shifted by ``(N, n)``, seen from the same base."""
-    table = opened.campaign.tables["poses"].copy()
-    names = [f"q{i + 1}_rad" for i in range(rows.robot.n)]
-    table[names] = table[names].to_numpy(float) + shift
+    table = _shifted(opened.campaign.tables["poses"], shift)
     campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
     return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]}).rows("poses").points
+
+
+def _shifted(table: pd.DataFrame, shift: Array) -> pd.DataFrame:
+    """A table with its joint values shifted by ``(N, n)``."""
+    names = [f"q{i + 1}_rad" for i in range(shift.shape[1])]
+    return table.assign(**dict(zip(names, (table[names].to_numpy(float) + shift).T, strict=True)))
 
 
 def _values(trial: Experiment, opened: Reopened) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from clampid.comparison.compensation import Compensation, compensation_of
+from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.omission import exported_shift, shift_in_words
@@ -91,19 +91,23 @@ def diagnose(
         The model does not fit the campaigns.
     """
     opened = mending = reopen(model, campaigns, user_effects)
+    several = len(opened.campaigns) > 1  # each has a controller's setting of its own
+    alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
+    compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
+    right = None if several or compensation is None else put_right(opened, compensation)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in opened.stages:
         wanted = stages is None or stage in stages
         if wanted and opened.has(TABLES_OF[stage]):
+            if stage == "poses" and right is not None:  # else what a compensation did would go by other names
+                mending = replace(mending, campaigns=right.campaigns, base=right.base)
             found[stage] = part = _one(mending, stage, seed, flips, plan_for)
             if part.added and part.fitted is not None:
                 mending = replace(mending, stages={**mending.stages, stage: part.fitted.model})
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
-    several = len(opened.campaigns) > 1  # each has a controller's setting of its own
-    alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
-    compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
     if compensation is not None and "poses" in found:
-        found["poses"].summary = f"{compensation.said} {found['poses'].summary}".strip()
+        rest = "" if right is None else sent_elsewhere(compensation)
+        found["poses"].summary = " ".join(filter(None, (compensation.said, rest, found["poses"].summary)))
     return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
 
 

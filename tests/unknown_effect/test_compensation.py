@@ -10,7 +10,7 @@ import pytest
 from compensated_arms import compensated
 
 from clampid.comparison.compare import compare
-from clampid.comparison.compensation import compensation_of
+from clampid.comparison.compensation import compensation_of, put_right
 from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
@@ -65,12 +65,36 @@ def test_compare_points_at_the_mistake(mistake: str, model: Model, arm):
         assert "compensated in full" in data["summary"]
 
 
-@pytest.mark.parametrize("mistake", ["degrees", "own weight"])
+@pytest.mark.parametrize("mistake", ["degrees", "own weight", "sign", "right"])
 def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
     found = diagnose(model, arm(mistake)).to_json()
-    words = CASES[mistake][2]
-    assert words in found["compensation"]["mistake"]
-    assert words in found["stages"]["poses"]["summary"]
+    words, poses = CASES[mistake][2], found["stages"]["poses"]
+    assert (found["compensation"]["mistake"] is None) == (words is None)
+    assert (words or "compensated in full") in poses["summary"]
+    assert "With the joint values to which that sent the robot: " in poses["summary"]
+    if mistake == "degrees":  # springs and weights are known to some parts in a thousand, times 57
+        assert "It multiplies what springs and weights are off by 57" in poses["summary"]
+    else:  # what it did to the points is called nothing else
+        assert poses["verdict"] == "adequate"
+        assert poses["heldout_rms_before"] < 1.2 * poses["noise_floor"]
+
+
+@pytest.mark.parametrize(("mistake", "left"), [("sign", 1.1), ("degrees", 4.0)])
+def test_a_campaign_is_put_right(mistake: str, left: float, model: Model, arm):
+    """The robot was sent there, within what its springs and weights are known to."""
+    asked, sent = reopen(model, arm("none")), reopen(model, arm(mistake))
+    found, nothing = compensation_of(sent), compensation_of(asked)
+    assert found is not None
+    assert nothing is not None
+    assert put_right(asked, nothing) is None
+    right = put_right(sent, found)
+    assert right is not None
+    clean, raw, mended = (
+        np.sqrt(np.mean(np.sum(opened.refit("poses").estimate.residual[:, :3] ** 2, axis=1)))
+        for opened in (asked, sent, right)
+    )
+    assert mended < left * clean
+    assert raw > 5 * mended if mistake == "degrees" else raw > mended
 
 
 def test_a_base_biased_by_deflection(model: Model, calibration: Campaign):
