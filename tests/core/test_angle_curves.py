@@ -95,8 +95,9 @@ def test_where_no_pose_was_the_curve_fades_and_its_band_opens(disc: tuple[Campai
     assert np.std(found.error[never, 0]) < 0.5 * np.std(found.error[visited, 0])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(0, marks=pytest.mark.slow), *(pytest.param(s, marks=pytest.mark.study) for s in (1, 2))]
+)
 def test_a_faulty_disc_is_named_at_every_joint(simulated: Simulated, seed: int):
     campaign = simulated(seed=seed, poses=250, tables=("poses", "verification"), hidden=(DISC,), robot="ur10")
     found = diagnose(identify(campaign, STANDARD), campaign).stages["poses"]

@@ -19,6 +19,7 @@ def pairs(seeds: range) -> list:
     return [clamped_coverage.pair(seed) for seed in seeds]
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth():
     first = [p[0] for p in pairs(FEW)]
     off = np.array([t.off[:12] for t in first])
@@ -36,6 +37,7 @@ def test_cross_terms_are_right_in_sign_and_size():
         assert np.all(np.abs(t.off[18:]) < 4)
 
 
+@pytest.mark.slow
 def test_the_naive_reading_of_the_transmission_fails_the_same_test():
     found = [clamped_coverage.trial(seed, naive=True) for seed in range(2)]
     assert clamped_coverage.covered(found)[18:].max() == 0.0

@@ -141,7 +141,7 @@ def slipped_twice(slipped: Campaign) -> Campaign:
     return replace(slipped, tables={**slipped.tables, "clamped": table})
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_two_slips_are_found_to_the_row(slipped: Campaign):
     campaign = slipped_twice(slipped)
     found = diagnose(identify(campaign, {"clamped": STANDARD}), campaign).stages["clamped"]

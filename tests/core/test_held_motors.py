@@ -90,7 +90,7 @@ def test_without_clearances_nothing_is_crossed(trial: Experiment):
     assert other_crossings(bare, initial_noise(bare.rows), bare.start(), precision, mean) is None
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_springs_beside_a_rocking_block_are_known_as_well_as_is_said():
     off = []
     for seed in SEEDS:

@@ -26,7 +26,7 @@ def test_without_a_slip_nothing_is_added():
     np.testing.assert_array_equal(with_kept_friction(estimate).covariance, estimate.covariance)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_slips_are_known_as_well_as_is_said():
     off = []
     for seed in SEEDS:

@@ -18,6 +18,7 @@ from experiments.campaign import Campaign, read_campaign
 SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason=f"no real and blind campaigns at {SHARED}")
 CASES = [f"case_{k:02d}" for k in range(1, 9)]
+MARKS = dict.fromkeys(("case_02", "case_05", "case_06"), pytest.mark.slow)
 VERDICTS = {"adequate", "missing", "ambiguous", "unknown"}
 
 
@@ -47,7 +48,7 @@ def test_series_c_geometry_over_ten_splits():
     assert np.mean(means) <= 0.44e-3, means
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_series_c_geometry_is_not_adequate():
     """The instrument's scatter is thirty times smaller."""
     found = diagnose(geometry_of_series_c(0), campaign_at("real/ur10_series_c")).stages["poses"]
@@ -65,8 +66,7 @@ def test_series_c_applied_to_series_d():
     assert np.mean(means) <= 0.70e-3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [pytest.param(c, marks=MARKS.get(c, pytest.mark.study)) for c in CASES])
 def test_blind_case_gives_verdicts(case: str):
     start = json.loads((SHARED / "blind" / "start_models.json").read_text())[case]
     campaign = campaign_at(f"blind/{case}")

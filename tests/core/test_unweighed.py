@@ -64,6 +64,7 @@ def test_a_described_arm_has_no_such_error(measured: Measured):
     assert stage.std[k] < 0.05 * stage.theta[k]
 
 
+@pytest.mark.slow
 def test_several_tools_weigh_the_arm():
     """Three known tools part springs from masses: gravity is named, and the springs are then known."""
     robot, bare = arm(NAME), load_robot(NAME)

@@ -97,6 +97,7 @@ def test_a_campaign_is_put_right(mistake: str, left: float, model: Model, arm):
     assert raw > 5 * mended if mistake == "degrees" else raw > mended
 
 
+@pytest.mark.slow
 def test_a_base_biased_by_deflection(model: Model, calibration: Campaign):
     """The base of a model without springs, put beside the springs: it stands where the sag put it."""
     rigid = identify(calibration, {"poses": ["geometry"]}).stages["poses"]
