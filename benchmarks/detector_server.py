@@ -83,7 +83,7 @@ async def beside(host: str, port: int, what: bytes, times: int = 5) -> None:
     asking = asyncio.create_task(ask())
     await asyncio.sleep(0.5)
     rounds = []
-    while len(long) < times:
+    while not rounds or len(long) < times:
         rounds.append(1e3 * (await round_trips(host, port, 50))[:, 0])
     took = np.concatenate(rounds)
     asking.cancel()
