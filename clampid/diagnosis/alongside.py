@@ -11,7 +11,7 @@ from clampid.fitting.descent import newton_step
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of
 
-__all__ = ["alongside"]
+__all__ = ["alongside", "downhill"]
 
 
 def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
@@ -48,3 +48,19 @@ def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
         prior_precision=precision,
         prior_mean=mean,
     )
+
+
+def downhill(estimate: Estimate, s: Scored) -> Estimate | None:
+    """The same where the step does as it promises; None where it raises the error of the very rows it was found from.
+
+    A gap that closes, or a time constant, is not linear: then only a search tells.
+    """
+    near = alongside(estimate, s)
+    if near is None:
+        return None
+    trial = near.experiment.with_flanks(near.theta)
+    residual, jacobian = trial.residual(limits_of(trial).clipped(near.theta))
+    if not np.all(np.isfinite(residual)):
+        return None
+    white = near.noise.whiten(trial.rows, residual, jacobian[:, :, :0])
+    return near if float(white.residual @ white.residual) < estimate.point.cost else None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.alongside import alongside
+from clampid.diagnosis.alongside import alongside, downhill
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
@@ -201,7 +201,7 @@ class Bench:
             best, rivals = known, []
         if rivals:
             return Undecided([best, *rivals], look)
-        promised = alongside(fitted.estimate, best)
+        promised = downhill(fitted.estimate, best)
         if promised is not None and best.assumed <= MOSTLY:
             new = held_out(promised, self.verification, self.floor, self.seed, self.block)
             p_held = held.p_above(new, new.noise, self.seed)
@@ -225,7 +225,7 @@ class Bench:
 
     def _fitted_along(self, s: Scored, fitted: FittedStage) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
         """A candidate, the fit with it, the terms that pay, and that fit's errors on rows that it has not seen."""
-        near = alongside(fitted.estimate, s)
+        near = downhill(fitted.estimate, s)
         # From none of it, a search would not know in which direction its shape is to go.
         start = s.candidate.shapes if near is None else near.values()
         trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
@@ -265,7 +265,7 @@ class Bench:
         fitted_too = [c for c in members if c not in granted]
         terms = dict.fromkeys(term for c in fitted_too for term in c.terms)
         shapes = {slot: value for c in reversed(fitted_too) for slot, value in c.shapes.items()}
-        near = alongside(last.estimate, groups[-1].members[0])
+        near = downhill(last.estimate, groups[-1].members[0])
         start = {**shapes, **last.model.values()} if near is None else {**shapes, **near.values()}
         whole = self.refit([*fitted.model.terms, *terms], last, start)
         return whole, self.look(whole, 2 * number - 1, granted)

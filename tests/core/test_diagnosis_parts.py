@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
+from clampid.diagnosis.alongside import alongside, downhill
 from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.trial import Bench, Tried
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
@@ -158,7 +159,7 @@ def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign
 def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simulated: Callable[..., Campaign]):
     """One of noise is not fitted; the true one is, from where a Gauss-Newton step leads."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
-    model = identify(campaign, {"poses": ("geometry", "joint_compliance", "backlash", "gravity")})
+    model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
     opened = reopen(model, campaign)
     rows, fitted = opened.rows("poses"), opened.refit("poses")
     starts: list[dict[Slot, float]] = []
@@ -183,3 +184,24 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
     for slot in true.candidate.slots:
         found = tried.fitted.model.values()[slot]
         assert abs(starts[0][slot] - found) < 0.3 * abs(found) + 0.01 * size[tried.fitted.model.slots.index(slot)]
+
+
+def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campaign]):
+    """A step with columns that promise a hundredth of what the amplitude does."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
+    opened = reopen(identify(campaign, {"poses": ("geometry",)}), campaign)
+    estimate = opened.refit("poses").estimate
+    space = space_of(estimate)
+    (true,) = (
+        s
+        for s in score(space, named_candidates(estimate, catalogue(), set()))
+        if s.candidate.label == "gear_eccentricity@joint2"
+    )
+    near = downhill(estimate, true)
+    assert near is not None
+    assert near.point.cost < estimate.point.cost
+    columns = 0.01 * true.candidate.columns.dense(len(estimate.whitened.residual))
+    shy = replace(true.candidate, columns=Columns(((0, columns),), columns.shape[1]))
+    (wrong,) = score(space, [shy])
+    assert alongside(estimate, wrong) is not None
+    assert downhill(estimate, wrong) is None
