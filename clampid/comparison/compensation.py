@@ -71,6 +71,8 @@ class Compensation:
         What was done wrong, in words; empty where nothing was.
     said
         The finding in a sentence; empty where the deflections stand there in full, as the model says.
+    explained
+        The factors of the explanation that was told; None where none was.
     """
 
     factors: Array
@@ -79,6 +81,7 @@ class Compensation:
     base_std: Array | None
     mistake: str
     said: str
+    explained: tuple[float, float] | None
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -96,7 +99,7 @@ class Compensation:
 def sent_elsewhere(found: Compensation) -> str:
     """What a diagnosis of the poses that were :func:`put_right` begins with."""
     said = "With the joint values to which that sent the robot:"
-    times = max(abs(own - 1.0) for own, _, words in EXPLANATIONS if words and words in found.said)
+    times = max(abs(factor - 1.0) for factor in found.explained or (1.0,))
     if times > AMPLIFIED:
         said = (
             f"It multiplies what springs and weights are off by {times:.0f}, which goes by other names below: mend it "
@@ -129,6 +132,7 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     factors, spread = 1.0 + fitted.theta[:2], fitted.covariance[:2, :2]
     mistake = _explained(factors, spread)
     said = _in_words(factors, spread, mistake)
+    explained = next(((own, tool) for own, tool, words in EXPLANATIONS if said and words == mistake), None)
     base = base_std = None
     if opened.session is not None:
         base, base_std = fitted.theta[2:8], np.sqrt(np.diag(fitted.covariance)[2:8])
@@ -136,7 +140,8 @@ def compensation_of(opened: Reopened) -> Compensation | None:
         if biased:
             mistake = "the base frame is biased by deflection"
             said = f"The base stands {biased}: {mistake}, as of a model that was fitted without springs."
-    return Compensation(factors, spread, base, base_std, "" if mistake is None or mistake in FINE else mistake, said)
+    wrong = "" if mistake is None or mistake in FINE else mistake
+    return Compensation(factors, spread, base, base_std, wrong, said, explained)
 
 
 def put_right(opened: Reopened, found: Compensation) -> Reopened | None:
@@ -146,10 +151,9 @@ def put_right(opened: Reopened, found: Compensation) -> Reopened | None:
     the model knows of them: what a small error of theirs does, a large factor multiplies. None where no compensation
     explains the poses, or distances stand beside them: nobody knows then where the robot was sent.
     """
-    explained = next(((own, tool) for own, tool, words in EXPLANATIONS if words and words in found.said), None)
-    if explained is None or "distances" in opened.campaign.tables:
+    if found.explained is None or "distances" in opened.campaign.tables:
         return None
-    less = np.array(explained) - 1.0
+    less = np.array(found.explained) - 1.0
     tables, rows = dict(opened.campaign.tables), opened.rows("poses")
     trial = opened.experiment("poses", rows)
     bent = _bending(opened, trial)

@@ -94,7 +94,8 @@ def diagnose(
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own
     alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
     compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
-    right = None if several or compensation is None else put_right(opened, compensation)
+    posed = "poses" in opened.stages and (stages is None or "poses" in stages)
+    right = None if several or compensation is None or not posed else put_right(opened, compensation)
     found: dict[Stage, StageDiagnosis] = {}
     for stage in opened.stages:
         wanted = stages is None or stage in stages

@@ -208,7 +208,8 @@ class Bench:
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit but for curvature
                 return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
-        along = [self._fitted_along(s, fitted) for s in (best, *variants_of(look.named, best))]
+        others = [(s, downhill(fitted.estimate, s)) for s in variants_of(look.named, best)]
+        along = [self._fitted_along(s, near, fitted) for s, near in ((best, promised), *others)]
         first_named = best
         best, trial, kept, new = min(along, key=lambda f: f[3].rms)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
@@ -218,14 +219,15 @@ class Bench:
         if falls and again < STABLE:
             alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
             if len(alike) >= STABLE * len(first):
-                others = {s.candidate.label: s for s in alike if not same_effect(s, best)}
-                return Undecided([best, *others.values()], look)
+                rest = {s.candidate.label: s for s in alike if not same_effect(s, best)}
+                return Undecided([best, *rest.values()], look)
             reason = "without a fifth of the rows it is not first"
         return Tried(first_named if reason else best, look, trial, kept, new, p_held, again, reason)
 
-    def _fitted_along(self, s: Scored, fitted: FittedStage) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
-        """A candidate, the fit with it, the terms that pay, and that fit's errors on rows that it has not seen."""
-        near = downhill(fitted.estimate, s)
+    def _fitted_along(
+        self, s: Scored, near: Estimate | None, fitted: FittedStage
+    ) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
+        """A candidate, its fit from ``near``, the terms that pay, and the fit's errors on rows that it has not seen."""
         # From none of it, a search would not know in which direction its shape is to go.
         start = s.candidate.shapes if near is None else near.values()
         trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
