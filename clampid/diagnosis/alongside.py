@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from clampid.diagnosis.next_measurement import SAME
 from clampid.evidence.score import Scored
 from clampid.fitting.descent import newton_step
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of
 
-__all__ = ["alongside", "downhill"]
+__all__ = ["Step", "alongside", "step_towards"]
 
 
 def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
@@ -50,8 +51,35 @@ def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
     )
 
 
-def downhill(estimate: Estimate, s: Scored) -> Estimate | None:
-    """The same where the step does as it promises; None where it raises the error of the very rows it was found from.
+@dataclass(frozen=True)
+class Step:
+    """One Gauss-Newton step towards a candidate.
+
+    Attributes
+    ----------
+    near
+        The estimate there, as it would be if everything were linear.
+    promised, kept
+        By how much the whitened squares of the fitted rows fall if everything is linear, and by how much they do.
+    """
+
+    near: Estimate
+    promised: float
+    kept: float
+
+    @property
+    def falls(self) -> bool:
+        """Whether the step lowers the error of the very rows it was found from."""
+        return self.kept > 0.0
+
+    @property
+    def linear(self) -> bool:
+        """Whether the score, which is that of a linear model, says what the candidate explains."""
+        return abs(self.kept - self.promised) <= SAME
+
+
+def step_towards(estimate: Estimate, s: Scored) -> Step | None:
+    """A step towards a candidate and what it keeps of its promise; None of what is no amplitude of rows.
 
     A gap that closes, or a time constant, is not linear: then only a search tells.
     """
@@ -61,6 +89,7 @@ def downhill(estimate: Estimate, s: Scored) -> Estimate | None:
     trial = near.experiment.with_flanks(near.theta)
     residual, jacobian = trial.residual(limits_of(trial).clipped(near.theta))
     if not np.all(np.isfinite(residual)):
-        return None
+        return Step(near, 0.0, -np.inf)
     white = near.noise.whiten(trial.rows, residual, jacobian[:, :, :0])
-    return near if float(white.residual @ white.residual) < estimate.point.cost else None
+    before, linear = estimate.point.cost, float(near.whitened.residual @ near.whitened.residual)
+    return Step(near, before - linear, before - float(white.residual @ white.residual))

@@ -62,9 +62,12 @@ def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, 
     return first
 
 
-def stability(first: Sequence[Scored], chosen: Scored) -> float:
-    """Share of the parts without which the candidate, or one of its own effect, is :func:`first_without_parts`."""
-    return float(np.mean([same_effect(s, chosen) for s in first])) if first else 0.0
+def stability(first: Sequence[Scored], chosen: Sequence[Scored]) -> float:
+    """Share of the parts without which a candidate, or one of its own effect, is :func:`first_without_parts`.
+
+    Of several candidates: that any of them is.
+    """
+    return float(np.mean([any(same_effect(s, c) for c in chosen) for s in first])) if first else 0.0
 
 
 def same_effect(a: Scored, b: Scored) -> bool:

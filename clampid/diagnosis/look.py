@@ -19,7 +19,17 @@ from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers, Rows
 from kinematics.description import RobotDescription
 
-__all__ = ["ABLE", "CONFUSABLE", "IMPOSSIBLE", "RATE", "Look", "look_at", "rivals_of", "variants_of"]
+__all__ = [
+    "ABLE",
+    "CONFUSABLE",
+    "IMPOSSIBLE",
+    "RATE",
+    "Look",
+    "look_at",
+    "of_other_families",
+    "rivals_of",
+    "variants_of",
+]
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
 CONFUSABLE = 0.8  # squared canonical correlation above which both are named: apart they are a fifth of what either is
@@ -169,4 +179,16 @@ def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
         same = theirs.family == mine.family and theirs.places == mine.places and theirs.name != mine.name
         if same and other.state in ABLE and other.bic > 0 and canonical(best, other) > CONFUSABLE:
             found.setdefault(theirs.name, other)
+    return list(found.values())
+
+
+def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
+    """What looks much like the best candidate and is of another family: the best of each, whatever its score."""
+    found: dict[str, Scored] = {}
+    for other in sorted(named, key=lambda s: -s.bic):
+        theirs = other.candidate
+        if theirs.family == best.candidate.family or other.state not in ABLE or theirs.label in rejected:
+            continue
+        if other.bic > 0 and canonical(best, other) > CONFUSABLE:
+            found.setdefault(theirs.family, other)
     return list(found.values())

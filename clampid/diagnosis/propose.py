@@ -47,7 +47,10 @@ class Weak:
 def propose_parting(
     pool_of: PoolOf, estimate: Estimate, rivals: Sequence[Scored], scale: float, states: Sequence[str]
 ) -> NextPlan | None:
-    """Choose measurements that part candidates; None where fewer than two of them have a size.
+    """Choose measurements that part candidates; None where nothing can be chosen.
+
+    That is where fewer than two of them have a size, or where these rows part them if they are linear: then what their
+    fits have in common is beyond what is looked at here.
 
     Parameters
     ----------
@@ -77,6 +80,8 @@ def propose_parting(
             most=pool.most,
             cost=pool.cost,
         )
+        if not found.chosen and found.before >= ENOUGH:
+            return None
         helps = found.after >= ENOUGH
         wished: dict[str, float | int | str] = {
             "parts": "; ".join(c.label for c in candidates),

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.alongside import alongside, downhill
+from clampid.diagnosis.alongside import Step, alongside, step_towards
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
-from clampid.diagnosis.look import CONFUSABLE, Look, look_at, rivals_of, variants_of
+from clampid.diagnosis.look import CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
@@ -201,35 +201,51 @@ class Bench:
             best, rivals = known, []
         if rivals:
             return Undecided([best, *rivals], look)
-        promised = downhill(fitted.estimate, best)
-        if promised is not None and best.assumed <= MOSTLY:
-            new = held_out(promised, self.verification, self.floor, self.seed, self.block)
+        step = step_towards(fitted.estimate, best)
+        if step is not None and step.falls and best.assumed <= MOSTLY:
+            new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
             p_held = held.p_above(new, new.noise, self.seed)
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit but for curvature
                 return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
-        others = [(s, downhill(fitted.estimate, s)) for s in variants_of(look.named, best)]
-        along = [self._fitted_along(s, near, fitted) for s, near in ((best, promised), *others)]
+        others: list[tuple[Scored, Step | None]] = [
+            (s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)
+        ]
+        others += self._not_linear(look, fitted, best, step, refused)
+        along = [self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)]
         first_named = best
         best, trial, kept, new = min(along, key=lambda f: f[3].rms)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
+        alike = [f for f in along if f[0].candidate.family != best.candidate.family]
+        level = [s for s, _, _, other in alike if other.p_above(new, new.noise, self.seed) > HELD_OUT_RATE]
+        if falls and level:
+            return Undecided([best, *level], look)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
-        again = stability(first, best)
+        again = stability(first, [best, *(s for s, *_ in alike)])  # of these, the fits have told which it is
         reason = "" if falls else NO_FALL
         if falls and again < STABLE:
-            alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
-            if len(alike) >= STABLE * len(first):
-                rest = {s.candidate.label: s for s in alike if not same_effect(s, best)}
+            alike_first = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
+            if len(alike_first) >= STABLE * len(first):
+                rest = {s.candidate.label: s for s in alike_first if not same_effect(s, best)}
                 return Undecided([best, *rest.values()], look)
             reason = "without a fifth of the rows it is not first"
         return Tried(first_named if reason else best, look, trial, kept, new, p_held, again, reason)
 
+    def _not_linear(
+        self, look: Look, fitted: FittedStage, best: Scored, step: Step | None, refused: Sequence[Tried]
+    ) -> list[tuple[Scored, Step]]:
+        """Look-alikes of other families, where theirs or the best's score is not what they explain: fits tell then."""
+        others = of_other_families(look.named, best, {t.best.candidate.label for t in refused})
+        steps = [(s, step_towards(fitted.estimate, s)) for s in others]
+        straight = step is None or step.linear
+        return [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
+
     def _fitted_along(
-        self, s: Scored, near: Estimate | None, fitted: FittedStage
+        self, s: Scored, step: Step | None, fitted: FittedStage
     ) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
-        """A candidate, its fit from ``near``, the terms that pay, and the fit's errors on rows that it has not seen."""
+        """A candidate, its fit from the step towards it, the terms that pay, and its errors on rows not fitted."""
         # From none of it, a search would not know in which direction its shape is to go.
-        start = s.candidate.shapes if near is None else near.values()
+        start = step.near.values() if step is not None and step.falls else s.candidate.shapes
         trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return s, trial, kept, self.held_out(trial)
@@ -267,8 +283,9 @@ class Bench:
         fitted_too = [c for c in members if c not in granted]
         terms = dict.fromkeys(term for c in fitted_too for term in c.terms)
         shapes = {slot: value for c in reversed(fitted_too) for slot, value in c.shapes.items()}
-        near = downhill(last.estimate, groups[-1].members[0])
-        start = {**shapes, **last.model.values()} if near is None else {**shapes, **near.values()}
+        step = step_towards(last.estimate, groups[-1].members[0])
+        near = step.near.values() if step is not None and step.falls else last.model.values()
+        start = {**shapes, **near}
         whole = self.refit([*fitted.model.terms, *terms], last, start)
         return whole, self.look(whole, 2 * number - 1, granted)
 

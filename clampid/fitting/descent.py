@@ -15,6 +15,7 @@ __all__ = ["ITERATIONS", "NEGLIGIBLE", "Limits", "Point", "covariance_of", "desc
 
 ITERATIONS = 30
 DAMPING_START, DAMPING_END = 1e-3, 1e8
+RAISED, LOWERED = 2.0, 1 / 3
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
 
@@ -82,7 +83,7 @@ def descend(
 
     best = at(theta)
     cost, (A, g) = whole(best), normal(best)
-    damping, idle, iteration = 0.0, 0, 0
+    damping, raise_by, idle, iteration = 0.0, RAISED, 0, 0
     while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
         iteration += 1
         # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
@@ -94,13 +95,15 @@ def descend(
         trial = at(limits.clipped(moved))
         reached = whole(trial)
         if reached > cost:
-            damping = max(10 * damping, DAMPING_START)
+            damping, raise_by = max(raise_by * damping, DAMPING_START), RAISED * raise_by
             continue
+        kept = (cost - reached) / float(step @ (2.0 * g - A @ step))  # of what the quadratic model promised
         # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
         idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
         best, cost = trial, reached
         A, g = normal(best)
-        damping = 0.0 if damping < DAMPING_START else damping / 10
+        damping, raise_by = damping * max(LOWERED, 1.0 - (2.0 * kept - 1.0) ** 3), RAISED
+        damping = damping if damping >= DAMPING_START else 0.0
     return best, iteration
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.alongside import alongside, downhill
+from clampid.diagnosis.alongside import step_towards
 from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.trial import Bench, Tried
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
@@ -197,11 +197,15 @@ def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campai
         for s in score(space, named_candidates(estimate, catalogue(), set()))
         if s.candidate.label == "gear_eccentricity@joint2"
     )
-    near = downhill(estimate, true)
-    assert near is not None
-    assert near.point.cost < estimate.point.cost
+    step = step_towards(estimate, true)
+    assert step is not None
+    assert step.falls
+    assert step.linear
+    assert step.near.point.cost < estimate.point.cost
     columns = 0.01 * true.candidate.columns.dense(len(estimate.whitened.residual))
     shy = replace(true.candidate, columns=Columns(((0, columns),), columns.shape[1]))
     (wrong,) = score(space, [shy])
-    assert alongside(estimate, wrong) is not None
-    assert downhill(estimate, wrong) is None
+    uphill = step_towards(estimate, wrong)
+    assert uphill is not None
+    assert not uphill.falls
+    assert not uphill.linear

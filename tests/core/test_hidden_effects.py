@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 
@@ -18,8 +19,9 @@ from clampid.effect import EffectError, Stage
 from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.models.model import Model
-from experiments.campaign import Campaign
-from experiments.simulate import hidden_file
+from experiments.campaign import Campaign, read_campaign
+from experiments.simulate import hidden_file, simulate
+from experiments.virtual_robot import Plant
 
 Simulated = Callable[..., Campaign]
 
@@ -182,6 +184,22 @@ def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Si
 @pytest.mark.parametrize("effect", ["gear_eccentricity", "base_settling", "torque_offset", "time_lag"])
 def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
     check(CASES[effect], 4, simulated, table)
+
+
+@pytest.mark.slow
+def test_clearances_are_told_from_a_stiffness_that_softens_by_their_fits(tmp_path: Path):
+    """Looked at from where there is none, a clearance is not linear, and its score is less than the other's."""
+
+    def loose(plant: Plant) -> Plant:
+        return replace(plant, drive=replace(plant.drive, gap=5.0 * plant.drive.gap))
+
+    simulate(tmp_path / "arm", seed=2, tables=("clamped",), alter=loose)
+    campaign = read_campaign(tmp_path / "arm")
+    model = identify(campaign, {"clamped": ("joint_compliance", "coulomb_friction")})
+    found = diagnose(model, campaign).stages["clamped"]
+    assert found.verdict == "missing"
+    assert [c["effect"] for c in found.candidates] == ["backlash"]
+    assert "nonlinear_stiffness" in {c["effect"] for c in found.candidates[0]["confusable_with"]}
 
 
 OUTSIDE = {
