@@ -109,6 +109,7 @@ SIGNALS: Mapping[str, Signal] = {
     "sweep_progress": Signal((), "", "sweeps before this one, and the share of its rows that came before: s to s + 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
     "anchor_is": Signal(("a",), "", "1 for the anchor that the row's distance was measured from, else 0"),
+    "anchor_way": Signal((3,), "", "unit vector from that anchor to the target, instrument's frame; of points zero"),
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
     "position": Signal((3,), "m", "the measured point in the instrument's frame"),
 }

@@ -13,6 +13,7 @@ __all__ = ["Located", "locate"]
 FloatArray = npt.NDArray[np.float64]
 
 ROUGH_M = 2e-3  # by which points of an arm out of calibration are off: beyond, an error counts by its size alone
+ENOUGH = 8  # points: twice as many as numbers of a place and a constant
 TRIED = 4  # of the starts, those that fit best
 
 
@@ -25,18 +26,21 @@ class Located:
     place
         ``(3,)`` m, in the frame of the points.
     error
-        ``(N,)`` m: measured less calculated distances.
+        ``(N,)`` m: measured less calculated distances, the constant apart.
     spread
         ``(3,)``, ascending: how the directions from the anchor to the points spread, 0 to 1; the first is near zero
         where all lie in a plane through the anchor, so that where it is across that plane is hardly told.
     mirrored
         ``(3,)`` m: another place that fits as well, as of points in a plane; else None.
+    constant
+        m: by what all distances are too long, where they say so; else 0. It is rough, as the points are.
     """
 
     place: FloatArray
     error: FloatArray
     spread: FloatArray
     mirrored: FloatArray | None
+    constant: float = 0.0
 
     @property
     def size(self) -> float:
@@ -70,14 +74,15 @@ def locate(points: FloatArray, distances: FloatArray) -> Located:
     searched = [_search(points, distances, start) for start in starts[:TRIED]]
     searched.sort(key=lambda found: found[0])
     cost, place = searched[0]
-    error = _errors(place, points, distances)
+    constant, place = _with_constant(points, distances, cost, place)
+    error = _errors(place, points, distances) - constant
     unit = (points - place) / np.maximum(np.linalg.norm(points - place, axis=1, keepdims=True), 1e-12)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(unit.T @ unit / len(unit)), 0.0))
     width = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     alike = [
         at for value, at in searched[1:] if value < 2.0 * cost + 1e-12 and np.linalg.norm(at - place) > 0.1 * width
     ]
-    return Located(place, error, spread, alike[0] if alike else None)
+    return Located(place, error, spread, alike[0] if alike else None, constant)
 
 
 def _starts(off: FloatArray, distances: FloatArray, axes: FloatArray, middle: FloatArray) -> list[FloatArray]:
@@ -95,15 +100,30 @@ def _starts(off: FloatArray, distances: FloatArray, axes: FloatArray, middle: Fl
 
 
 def _search(points: FloatArray, distances: FloatArray, start: FloatArray) -> tuple[float, FloatArray]:
-    def errors(place: FloatArray) -> FloatArray:
-        return _errors(place, points, distances)
+    """The place, or place and constant if the start ``(3,)`` or ``(4,)`` has one, that fits best; and the cost, m^2."""
 
-    def slopes(place: FloatArray) -> FloatArray:
-        away = points - place
-        return np.asarray(away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12))
+    def errors(at: FloatArray) -> FloatArray:
+        return np.asarray(_errors(at[:3], points, distances) - at[3:].sum())
+
+    def slopes(at: FloatArray) -> FloatArray:
+        away = points - at[:3]
+        unit = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        return np.asarray(np.c_[unit, -np.ones((len(unit), len(at) - 3))])
 
     found = least_squares(errors, start, slopes, loss="soft_l1", f_scale=ROUGH_M, max_nfev=200)
     return float(found.cost), np.asarray(found.x)
+
+
+def _with_constant(
+    points: FloatArray, distances: FloatArray, cost: float, place: FloatArray
+) -> tuple[float, FloatArray]:
+    """Constant and place with a constant, where it pays for itself (BIC); else 0 and the place without."""
+    if len(points) < ENOUGH:
+        return 0.0, place
+    with_it, found = _search(points, distances, np.r_[place, 0.0])
+    if 2.0 * (cost - with_it) / ROUGH_M**2 <= np.log(len(points)):
+        return 0.0, place
+    return float(found[3]), found[:3]
 
 
 def _misfit(place: FloatArray, points: FloatArray, distances: FloatArray) -> float:

@@ -129,6 +129,7 @@ class _Read:
     used: Bools
     reference: Array
     position: Array
+    anchor_way: Array
     constants: Mapping[str, Array]
     axes: Mapping[str, Array] = field(default_factory=dict)
 
@@ -150,6 +151,7 @@ def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, referen
         used=np.ones(measured.shape, dtype=bool),
         reference=align(points, position) if reference is None else reference,
         position=position,
+        anchor_way=np.zeros((count, 3)),
         constants={"rotation": rotation, "oriented": np.full(count, rotated), "anchor": np.zeros((count, 3))},
         axes=axes,
     )
@@ -171,6 +173,7 @@ def _read_distances(
     for name in dict.fromkeys(names):
         mine = names == name
         anchor[mine] = locate(points[mine], distance[mine]).place if anchors is None else anchors[name]
+    way = points - anchor
     sigma = np.full(count, instrument.distance_std or DEFAULT_POSITION_STD)
     if instrument.distance_std is None and instrument.tracker is not None:
         sigma = instrument.tracker.range_std + instrument.tracker.range_rate * distance
@@ -180,6 +183,7 @@ def _read_distances(
         used=np.tile(np.arange(7) == 6, (count, 1)),
         reference=reference,
         position=np.zeros((count, 3)),  # the scale of an instrument that sees points is not that of distances
+        anchor_way=way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12),
         constants={
             "rotation": np.tile(np.eye(3), (count, 1, 1)), "oriented": np.zeros(count, dtype=bool), "anchor": anchor
         },
@@ -229,6 +233,7 @@ def _one(
         "target_is": _is_own(layout.targets, names.tolist(), session, sessions),
         "anchor_is": _is_own(layout.anchors, anchor_names, session, sessions),
         "session_is": session_is,
+        "anchor_way": read.anchor_way,
         "position": read.position,
         **gravity_signals(campaign, q),
         "sag_torque": np.zeros((count, n)),

@@ -139,6 +139,16 @@ def test_an_anchor_moved_or_misnamed_is_said(campaign: Campaign) -> None:
     assert found.row == 31
 
 
+@pytest.mark.parametrize(("constant", "which"), [(0.06, "long"), (-0.03, "short")])
+def test_a_zero_elsewhere_is_said(campaign: Campaign, constant: float, which: str) -> None:
+    table = campaign.tables["distances"]
+    wire = np.where(table["anchor"] == "A2", constant, 0.0)
+    (found,) = told(campaign, table.assign(distance_m=table["distance_m"] + wire))
+    assert found.severity == "warning"
+    assert f"distances to anchor A2 are all too {which}, by about" in found.message
+    assert "additive_constant" in found.message
+
+
 def test_measured_twice_within_a_visit_is_said(campaign: Campaign) -> None:
     table = campaign.tables["distances"]
     again = table.iloc[[6]].assign(distance_m=table["distance_m"].iloc[6] + 1e-5)
@@ -161,6 +171,16 @@ def test_an_anchor_is_located_wherever_it_is(place: tuple, middle: tuple, seed: 
     distances[[3, 17, 20]] += [0.2, -0.1, 0.5]  # wrong rows
     found = locate(points, distances)
     assert np.allclose(found.place, place, atol=1e-3 / found.spread[0])  # less sharp from afar
+
+
+@pytest.mark.parametrize("constant", [0.3, -0.05, 0.0])
+def test_an_anchor_is_located_whatever_its_distances_are_too_long_by(constant: float) -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-0.8, 0.8, (40, 3))
+    found = locate(points, np.linalg.norm(points - [1.2, -0.9, 0.7], axis=1) + constant + 1e-4 * rng.normal(size=40))
+    assert np.allclose(found.place, [1.2, -0.9, 0.7], atol=2e-3)
+    assert found.constant == pytest.approx(constant, abs=2e-3)
+    assert found.size < 2e-4
 
 
 def test_a_mirror_image_is_told() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -46,8 +47,10 @@ def tiny(simulated: Simulated) -> Campaign:
 
 
 @pytest.fixture(scope="session")
-def few_rows(tiny: Campaign) -> dict[Stage, Rows]:
-    """A few rows of every stage: every tenth second of a log, three sweeps, all poses."""
+def few_rows(simulated: Simulated, tiny: Campaign) -> dict[Stage, Rows]:
+    """A few rows of every stage: every tenth second of a log, three sweeps, all poses, and distances."""
+    ranged = simulated(seed=5, poses=12, tables=("distances",)).tables["distances"]
+    tiny = replace(tiny, tables={**tiny.tables, "distances": ranged})
     layout = layout_of([tiny])
     free_air, clamped = stage_rows([tiny], layout, "free_air", resting=True), stage_rows([tiny], layout, "clamped")
     sweeps = np.unique(clamped.fold)[[0, len(np.unique(clamped.fold)) // 2, -1]]

@@ -290,3 +290,26 @@ def test_a_hidden_effect_is_found_from_distances(simulated: Simulated):
     names = {(c["effect"], tuple(c["where"])) for c in found["candidates"]}
     assert ("gear_eccentricity", ("joint1",)) in names
     assert found["heldout_rms_after"] < 0.6 * found["heldout_rms_before"]
+
+
+@pytest.mark.parametrize("points", [False, True])
+def test_the_zero_of_a_draw_wire_is_found_and_does_not_move_the_arm(points: bool):
+    campaign, zeros = measured(2, 90, individual=True, points=points), {"A1": 0.03, "A2": -0.012, "A3": 0.004}
+    table = campaign.tables["distances"]
+    longer = table.assign(distance_m=table["distance_m"] + table["anchor"].map(zeros))
+    campaign = replace(campaign, tables={**campaign.tables, "distances": longer})
+    model = identify(campaign, ["geometry"])
+    found = diagnose(model, campaign).stages["poses"]
+    assert found.verdict == "missing"
+    assert [c["name"] for c in found.candidates] == ["additive_constant"]
+    assert found.after < 1.1 * found.noise_floor < 0.1 * found.before
+    stage = identify(campaign, ["geometry", "additive_constant"]).stages["poses"]
+    at = [stage.slots.index(Slot("additive_constant", "c", name)) for name in zeros]
+    assert all(stage.identified[k] for k in at)
+    assert np.all(np.abs(stage.theta[at] - list(zeros.values())) < 3.5 * stage.std[at])
+
+
+def test_points_do_not_tell_the_zero_of_distances():
+    campaign = measured(1, 40, points=True, distances=False)
+    found = diagnose(identify(campaign, ["geometry"]), campaign).stages["poses"]
+    assert "additive_constant" not in {str(t["name"]) for t in found.testability if t["state"] != "absent"}

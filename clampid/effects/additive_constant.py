@@ -1,0 +1,31 @@
+"""An instrument of distances whose zero is not at its anchor: a draw-wire's reel, a ballbar's ends, a ranger's own way.
+
+Anchors may belong to one instrument or to several, so that each has its own. Points do not tell it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import dot
+from clampid.effect import Effect, Parameter
+
+
+def error(p: Any, x: Any) -> Any:
+    """Dd = c of the row's anchor, along the way to the target."""
+    return dot(p.c, x.anchor_is) * x.anchor_way
+
+
+EFFECT = Effect(
+    name="additive_constant",
+    family="instrument_scale",
+    acts={"measurement": error},
+    parameters=(Parameter("c", "m", 1e-3, "anchor", meaning="what distances from the anchor are too long by"),),
+    needs=("anchor_is", "anchor_way"),
+    stages=("poses",),
+    equation="dd = c",
+    source=("ISO17123",),
+    at="instrument",
+    tried="together",
+)
+"""Part 4 of the source calls it the zero-point correction of a distance meter."""
