@@ -20,7 +20,6 @@ FloatArray = npt.NDArray[np.float64]
 
 # A place takes three distances; with one more they say something of the robot for the first time.
 FEWEST_POSES = 4
-CLEAR_CONSTANT = 5.0  # median errors of an arm out of calibration, which a constant may stand for
 TABLE = "distances"
 
 
@@ -120,7 +119,7 @@ def _anchor(
             f"(worst {abs(found.error[worst]) * 1e3:.0f} mm, row {rows[worst] + 1}): probably mismeasured or misnamed"
         )
         yield Finding("warning", TABLE, "distance_m", int(rows[worst]) + 1, message)
-    elif abs(found.constant) > CLEAR_CONSTANT * found.size:
+    elif found.constant:
         message = (
             f"distances to anchor {name} are all too {'long' if found.constant > 0 else 'short'}, by about "
             f"{abs(found.constant) * 1e3:.0f} mm, wherever it is: is their zero elsewhere, as of a draw-wire? "

@@ -74,7 +74,7 @@ def locate(points: FloatArray, distances: FloatArray) -> Located:
     searched = [_search(points, distances, start) for start in starts[:TRIED]]
     searched.sort(key=lambda found: found[0])
     cost, place = searched[0]
-    constant, place = _with_constant(points, distances, cost, place)
+    constant, place = _with_constant(points, distances, place)
     error = _errors(place, points, distances) - constant
     unit = (points - place) / np.maximum(np.linalg.norm(points - place, axis=1, keepdims=True), 1e-12)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(unit.T @ unit / len(unit)), 0.0))
@@ -114,16 +114,17 @@ def _search(points: FloatArray, distances: FloatArray, start: FloatArray) -> tup
     return float(found.cost), np.asarray(found.x)
 
 
-def _with_constant(
-    points: FloatArray, distances: FloatArray, cost: float, place: FloatArray
-) -> tuple[float, FloatArray]:
-    """Constant and place with a constant, where it pays for itself (BIC); else 0 and the place without."""
+def _with_constant(points: FloatArray, distances: FloatArray, place: FloatArray) -> tuple[float, FloatArray]:
+    """Constant and place with it, where no errors as large as those that are left could make it; else 0."""
     if len(points) < ENOUGH:
         return 0.0, place
-    with_it, found = _search(points, distances, np.r_[place, 0.0])
-    if 2.0 * (cost - with_it) / ROUGH_M**2 <= np.log(len(points)):
-        return 0.0, place
-    return float(found[3]), found[:3]
+    _, found = _search(points, distances, np.r_[place, 0.0])
+    away, constant = points - found[:3], float(found[3])
+    length = np.linalg.norm(away, axis=1)
+    slopes = np.c_[-away / np.maximum(length, 1e-12)[:, None], np.ones(len(points))]
+    left = float(np.quantile(np.abs(distances - length - constant), 0.95))
+    most = max(left, ROUGH_M) * float(np.abs(np.linalg.pinv(slopes)[3]).sum())  # an arm's errors are systematic
+    return (constant, found[:3]) if abs(constant) > most else (0.0, place)
 
 
 def _misfit(place: FloatArray, points: FloatArray, distances: FloatArray) -> float:

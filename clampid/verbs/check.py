@@ -12,6 +12,7 @@ from clampid.verbs.options import Json, OneCampaign, Quiet
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
+    from clampid.effect import Effect
     from experiments.campaign import Campaign
 
 __all__ = ["check"]
@@ -41,6 +42,7 @@ def check(
             "tables": [t for t in TABLES_OF[stage] if t in read.tables],
             "standard": [term.label for term in terms],
             "known": sorted(name for name, effect in catalogue().items() if stage in effect.stages),
+            "only_asked": sorted(n for n, e in catalogue().items() if stage in e.stages and _only_asked(e, read)),
         }
         for stage, terms in standard.items()
     }
@@ -49,8 +51,11 @@ def check(
     out.table("", ("table", "rows", "what it holds"), rows, left=3)
     for stage, part in stages.items():
         out.say(f"{stage}: standard set {', '.join(part['standard'])}")
-        rest = [name for name in part["known"] if name not in part["standard"]]
+        asked = [name for name in part["only_asked"] if name not in part["standard"]]
+        rest = [name for name in part["known"] if name not in (*part["standard"], *asked)]
         out.say(f"{' ' * len(stage)}  and to be tested {', '.join(rest) or 'nothing'}")
+        if asked:
+            out.say(f"{' ' * len(stage)}  and only where asked for by name {', '.join(asked)}")
     if not stages:
         out.say("there is no table that a model can be fitted to")
     for finding in findings:
@@ -116,3 +121,10 @@ def _contents(table: Mapping[str, Any]) -> str:
         if value:
             words.append(f"{len(value)} {word}" if isinstance(value, list) else word)
     return "; ".join(words)
+
+
+def _only_asked(effect: Effect, campaign: Campaign) -> bool:
+    """Whether diagnosis does not look for it on this robot, and in these tables."""
+    kinds = {joint.kind for joint in campaign.robot.joints}
+    ranged = "distances" in campaign.tables or "anchor_way" not in effect.needs
+    return effect.asked or effect.tried_on not in (None, *kinds) or not ranged
