@@ -15,12 +15,13 @@ import pandas as pd
 
 from experiments.columns import temperature_columns
 
-__all__ = ["END_S", "GAP_S", "filled", "readings"]
+__all__ = ["END_S", "GAP_S", "REFERENCE_TEMPERATURE", "filled", "readings"]
 
 FloatArray = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 GAP_S, END_S = 300.0, 60.0
+REFERENCE_TEMPERATURE = 20.0  # °C: links have the length of the geometry, and signals of temperature count from here
 
 
 def readings(frame: pd.DataFrame, name: str) -> tuple[FloatArray, Bools]:

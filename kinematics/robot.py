@@ -14,6 +14,8 @@ __all__ = ["DescriptionError", "Joint", "JointKind", "Link", "RobotDescription"]
 
 JointKind = Literal["revolute", "prismatic", "helical"]
 
+USUAL_TORQUE = 100.0  # Nm, of a middling joint
+
 
 class DescriptionError(ValueError):
     """A robot description is missing, unreadable or contradicts itself."""
@@ -164,6 +166,11 @@ class RobotDescription:
     def upper(self) -> Array:
         """Upper limits (n,) [rad, or m]."""
         return frozen_array([joint.upper for joint in self.joints])
+
+    @cached_property
+    def rated_torques(self) -> Array:
+        """What each joint is built for (n), Nm, or N where it slides; 100 where the description says nothing."""
+        return frozen_array([joint.rated_torque or USUAL_TORQUE for joint in self.joints])
 
     @property
     def has_masses(self) -> bool:

@@ -36,8 +36,6 @@ __all__ = ["Conditions", "IdentifiedArm", "arm_of", "nominal_arm"]
 
 Array = npt.NDArray[np.float64]
 
-REFERENCE_TEMPERATURE = 20.0  # °C, from which the models count
-DEFAULT_RATED = 100.0  # Nm, as the pose rows have it where a description says nothing
 UNPRESSED = 1e-9  # of the rated torque: rounding of what is zero, on a joint across which no weight acts
 _AXES = ("rx", "ry", "rz", "x", "y", "z")
 
@@ -205,7 +203,7 @@ class IdentifiedArm:
         for i in np.flatnonzero(lean.any(axis=1)).tolist():
             turned = Loads(self.robot, np.cross(lean[i], self.gravity), self.tool, q)
             pressing[i] += turned.signal("gravity_torque")[i]
-        return pressing * (ca.fabs(pressing) > ca.DM(UNPRESSED * self._rated))
+        return pressing * (ca.fabs(pressing) > ca.DM(UNPRESSED * self.robot.rated_torques))
 
     def _signal(self, name: str, q: Any, conditions: Any, loads: Loads) -> Any:  # noqa: PLR0911 (a table)
         n = self.n
@@ -218,7 +216,7 @@ class IdentifiedArm:
             case "direction" | "joint_motion" | "motor_motion":
                 return direction
             case "rest_direction":
-                return ca.DM(REST_FRICTION * self._rated) * direction
+                return ca.DM(REST_FRICTION * self.robot.rated_torques) * direction
             case "link_temperature":
                 return conditions[n : 2 * n]
             case "motor_temperature":
@@ -229,7 +227,7 @@ class IdentifiedArm:
                 return ca.DM(self._session_is)
             case "target_is" | "anchor_is":
                 return ca.DM.zeros(len(self.layout.targets if name == "target_is" else self.layout.anchors))
-            case "position":
+            case "position" | "anchor_way":
                 return ca.DM.zeros(3)
             case _:
                 try:
@@ -238,10 +236,6 @@ class IdentifiedArm:
                     raise ModelError(
                         f"the model reads the signal {name!r} in its poses, which a command cannot know"
                     ) from None
-
-    @property
-    def _rated(self) -> Array:
-        return np.array([j.rated_torque or DEFAULT_RATED for j in self.robot.joints])
 
     @property
     def _session_is(self) -> Array:

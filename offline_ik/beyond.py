@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.models.ranges import QUANTITIES, Beyond, Ranges, doubt, empirical, place_of, reads_temperature
-from offline_ik.arm import REFERENCE_TEMPERATURE, IdentifiedArm
+from experiments.temperatures import REFERENCE_TEMPERATURE
+from offline_ik.arm import IdentifiedArm
 from offline_ik.kernel import Kernel
 from offline_ik.loads_sx import Loads
 

@@ -18,10 +18,11 @@ import numpy.typing as npt
 from clampid.models.described import robot_of
 from clampid.models.model import Model, load_model
 from clampid.models.ranges import Beyond
+from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 from offline_ik.answer import Answer, Solution
-from offline_ik.arm import REFERENCE_TEMPERATURE, Conditions, IdentifiedArm, arm_of
+from offline_ik.arm import Conditions, IdentifiedArm, arm_of
 from offline_ik.assumed import notes_of
 from offline_ik.branches import Choice, parse_choice, status_and_turn
 from offline_ik.cell import LONGEST, Cell, default_cell, read_cell

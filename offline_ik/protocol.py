@@ -19,6 +19,7 @@ import orjson
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
+from experiments.temperatures import REFERENCE_TEMPERATURE
 from offline_ik.answer import Answer
 from offline_ik.approach import approach_through
 from offline_ik.assumed import time_effects
@@ -293,8 +294,8 @@ class Speaker:
     def _temperatures(self) -> dict[str, Any]:
         still = self.detector.still
         return {
-            "link_C": (still.link_temperature + 20.0).tolist(),
-            "motor_C": (still.motor_temperature + 20.0).tolist(),
+            "link_C": (still.link_temperature + REFERENCE_TEMPERATURE).tolist(),
+            "motor_C": (still.motor_temperature + REFERENCE_TEMPERATURE).tolist(),
             "running_s": still.elapsed,
             "notes": list(self.detector.notes),
         }

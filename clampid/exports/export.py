@@ -19,12 +19,13 @@ import numpy as np
 
 from clampid.catalogue import with_user_effects
 from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
-from clampid.models.calibrated import REFERENCE, CalibratedChain, calibrated_chain, sensitivity
+from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
 from clampid.models.curves import angle_errors
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, write_text
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
+from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
@@ -124,7 +125,7 @@ def dh_export(
     *,
     session: int = 0,
     robot: RobotDescription | None = None,
-    temperature: float = REFERENCE,
+    temperature: float = REFERENCE_TEMPERATURE,
     campaign: Campaign | None = None,
     user_effects: Path | None = None,
 ) -> ExportedTable:
@@ -201,7 +202,7 @@ def static_table(
     *,
     session: int = 0,
     robot: RobotDescription | None = None,
-    temperature: float = REFERENCE,
+    temperature: float = REFERENCE_TEMPERATURE,
 ) -> pd.DataFrame:
     """The compensated table as :func:`dh_export` has it, without what it leaves of the whole model.
 
@@ -367,7 +368,7 @@ def urdf_export(
     *,
     session: int = 0,
     robot: RobotDescription | None = None,
-    temperature: float = REFERENCE,
+    temperature: float = REFERENCE_TEMPERATURE,
     campaign: Campaign | None = None,
     user_effects: Path | None = None,
 ) -> Exported:

@@ -25,6 +25,7 @@ from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign, Instrument, Tool, target_points
 from experiments.metrics import norm_metrics
+from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import log_so3
@@ -156,7 +157,7 @@ def left_out(
     robot: RobotDescription,
     *,
     session: int = 0,
-    temperature: float = 20.0,
+    temperature: float = REFERENCE_TEMPERATURE,
     campaign: Campaign | None = None,
     user_effects: Path | None = None,
 ) -> LeftOut:

@@ -21,6 +21,7 @@ from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
+from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.kuka import MachineData, forward, frame_numbers, nominal_machine_data
 from kinematics.kuka_text import machine_data_text, read_machine_data
 from kinematics.robot import RobotDescription
@@ -70,7 +71,7 @@ def kuka_machine_data(
     *,
     session: int = 0,
     robot: RobotDescription | None = None,
-    temperature: float = 20.0,
+    temperature: float = REFERENCE_TEMPERATURE,
     lever: float = LEVER,
     campaign: Campaign | None = None,
     user_effects: Path | None = None,

@@ -22,13 +22,13 @@ from clampid.slots import Slot
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
+from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import adjoint, cayley, transform
 
-__all__ = ["REFERENCE", "CalibratedChain", "calibrated_chain", "sensitivity"]
+__all__ = ["CalibratedChain", "calibrated_chain", "sensitivity"]
 
-REFERENCE = 20.0  # °C, at which links have the length of the geometry
 EXPANSION = "thermal_expansion"
 STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
 _AXES = ("rx", "ry", "rz", "x", "y", "z")
@@ -67,7 +67,7 @@ def calibrated_chain(
     session: int = 0,
     robot: RobotDescription | None = None,
     theta: Array | None = None,
-    temperature: float = REFERENCE,
+    temperature: float = REFERENCE_TEMPERATURE,
 ) -> CalibratedChain:
     """The static geometry of a model at one temperature of all links.
 
@@ -95,10 +95,10 @@ def calibrated_chain(
     reference = model.sessions[session].base_reference
     if reference is None:
         raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
-    if temperature != REFERENCE and not any(slot.effect == EXPANSION for slot in stage.slots):
+    if temperature != REFERENCE_TEMPERATURE and not any(slot.effect == EXPANSION for slot in stage.slots):
         raise ModelError(
             f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "
-            f"is that of the temperatures of its poses, exported as {REFERENCE:g} degC"
+            f"is that of the temperatures of its poses, exported as {REFERENCE_TEMPERATURE:g} degC"
         )
     nominal = robot_of(model, robot)
     values = dict(zip(stage.slots, stage.theta if theta is None else theta, strict=True))
@@ -114,7 +114,7 @@ def calibrated_chain(
         screws[i] = adjoint(moved) @ nominal.screws[i]
         far_end = twist("", f"link{i + 1}")
         alpha = values.get(Slot(EXPANSION, "alpha", f"link{i + 1}"), 0.0)
-        far_end[3:] += alpha * (temperature - REFERENCE) * vectors[i]
+        far_end[3:] += alpha * (temperature - REFERENCE_TEMPERATURE) * vectors[i]
         if i + 1 == nominal.n:
             far_end = far_end + twist("flange_", here)
         moved = moved @ _motion(far_end, pivot)
@@ -133,7 +133,7 @@ def sensitivity(
     *,
     session: int = 0,
     robot: RobotDescription | None = None,
-    temperature: float = REFERENCE,
+    temperature: float = REFERENCE_TEMPERATURE,
     difference: Callable[[Array, Array], Array] = np.subtract,
 ) -> tuple[Array, Array]:
     """How numbers of the calibrated chain follow the parameters of the geometry, by central differences.
@@ -154,7 +154,7 @@ def sensitivity(
         expansion), and these parameters' covariance ``(P, P)``.
     """
     stage = model.stages["poses"]
-    warm = (EXPANSION,) if temperature != REFERENCE else ()
+    warm = (EXPANSION,) if temperature != REFERENCE_TEMPERATURE else ()
     free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
     columns = []
     for k in free:

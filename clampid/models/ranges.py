@@ -29,6 +29,7 @@ import numpy as np
 from clampid.effect import Effect
 from clampid.slots import Slot
 from clampid.stages.rows import Array, Bools, Integers, Rows
+from experiments.temperatures import REFERENCE_TEMPERATURE
 
 __all__ = [
     "MARGIN",
@@ -54,7 +55,6 @@ UNITS = ("rad", "Nm", "degC")
 KEYS = ("q_rad", "gravity_torque_Nm", "link_temperature_C")
 LEAST_WIDTH = (0.1, 1.0, 5.0)  # rad, Nm, K: by which a range counts as wide at least, such as of a joint that stood
 LEAST_MASS = 1.0  # kg
-CELSIUS = 20.0  # degC, from which the signals count
 
 
 class Beyond(NamedTuple):
@@ -193,7 +193,7 @@ def ranges_of(rows: Rows, outliers: Bools) -> Ranges:
 
 def _recorded(rows: Rows) -> Array:
     """Angles, gravity torques and temperatures ``(N, 3, n)`` of pose rows; not a number where none was recorded."""
-    warmth = np.where(rows.constants["link_recorded"], rows.signals["link_temperature"] + CELSIUS, np.nan)
+    warmth = np.where(rows.constants["link_recorded"], rows.signals["link_temperature"] + REFERENCE_TEMPERATURE, np.nan)
     return np.stack([rows.signals["q"], rows.signals["gravity_torque"], warmth], axis=1)
 
 
@@ -217,7 +217,7 @@ def beyond_rows(
     """
     values = _recorded(rows)
     if reads_temperature(slots, effects):
-        values[:, 2] = rows.signals["link_temperature"] + CELSIUS
+        values[:, 2] = rows.signals["link_temperature"] + REFERENCE_TEMPERATURE
     values[:, 0] = ranges.turned(values[:, 0])
     distance = ranges.distance(values)
     far: Bools = np.asarray((distance > 0).any(axis=(1, 2)))

@@ -199,7 +199,6 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
     q = motor @ T
     count, sweeps = len(joined), int(sweep.max()) + 1
     reference = np.array([q[sweep == s].mean(axis=0) for s in range(sweeps)])
-    rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
     motion = np.zeros((count, n))
     used, fraction, progress = np.ones((count, n), dtype=bool), np.zeros(count), np.zeros(count)
     typical = _typical_steps(motor, driven, sweep)
@@ -271,7 +270,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             "reference": reference,
             "inverse_jacobian": inverse[sweep],
             "start_torque": measured @ np.linalg.inv(T).T,
-            "rated": rated,
+            "rated": robot.rated_torques,
         },
         per_row=("run", "time", "driven", "wound", "inverse_jacobian", "start_torque"),
     )

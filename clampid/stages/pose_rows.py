@@ -217,7 +217,6 @@ def _one(
     else:
         read = _read_points(campaign, frame, points, reference)
     anchor_names = frame["anchor"].astype(str).tolist() if ranged else [""] * count
-    rated = np.array([j.rated_torque or 100.0 for j in robot.joints])
     time = frame["time_s"].to_numpy(float)
     start = min(float(campaign.tables[t]["time_s"].min()) for t in own)
     _, fold = np.unique(frame["pose"].to_numpy(), return_inverse=True)
@@ -228,7 +227,7 @@ def _one(
         "direction": direction,
         "joint_motion": direction,
         "motor_motion": direction,
-        "rest_direction": REST_FRICTION * rated * direction,
+        "rest_direction": REST_FRICTION * robot.rated_torques * direction,
         "elapsed": time - start,
         "target_is": _is_own(layout.targets, names.tolist(), session, sessions),
         "anchor_is": _is_own(layout.anchors, anchor_names, session, sessions),

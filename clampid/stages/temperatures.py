@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from clampid.stages.rows import Array, Bools
-from experiments.temperatures import readings
+from experiments.temperatures import REFERENCE_TEMPERATURE, readings
 
 __all__ = ["link_recorded", "temperatures"]
 
@@ -22,7 +22,7 @@ def temperatures(table: object, n: int) -> dict[str, Array]:
         for i in range(n):
             column = f"temp_{kind}{i + 1}_C"
             if column in table.columns:  # type: ignore[attr-defined]
-                values[:, i] = np.nan_to_num(table[column].to_numpy(float) - 20.0)  # type: ignore[index]
+                values[:, i] = np.nan_to_num(table[column].to_numpy(float) - REFERENCE_TEMPERATURE)  # type: ignore[index]
         out[f"{kind}_temperature"] = values
     return out
 
