@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -143,6 +143,15 @@ class Undecided:
     look: Look
 
 
+class _Along(NamedTuple):
+    """A candidate, its fit from the step towards it, the terms that pay, and its errors on rows not fitted."""
+
+    scored: Scored
+    fitted: FittedStage
+    kept: list[Term]
+    held: HeldOut
+
+
 @dataclass(frozen=True)
 class Bench:
     """What every trial of a stage needs."""
@@ -211,25 +220,28 @@ class Bench:
         others: list[tuple[Scored, Step | None]] = [
             (s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)
         ]
-        others += self._not_linear(look, fitted, best, step, refused)
-        along = [self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)]
-        first_named = best
-        best, trial, kept, new = min(along, key=lambda f: f[3].rms)
+        if known is None:
+            others += self._not_linear(look, fitted, best, step, refused)
+        return self._judged([self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)], look, held)
+
+    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
+        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
+        best, trial, kept, new = min(fits, key=lambda fit: fit.held.rms)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
-        alike = [f for f in along if f[0].candidate.family != best.candidate.family]
-        level = [s for s, _, _, other in alike if other.p_above(new, new.noise, self.seed) > HELD_OUT_RATE]
+        others = [fit for fit in fits if fit.scored.candidate.family != best.candidate.family]
+        level = [f.scored for f in others if f.held.p_above(new, new.noise, self.seed) > HELD_OUT_RATE]
         if falls and level:
             return Undecided([best, *level], look)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
-        again = stability(first, [best, *(s for s, *_ in alike)])  # of these, the fits have told which it is
+        again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
         reason = "" if falls else NO_FALL
         if falls and again < STABLE:
-            alike_first = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
-            if len(alike_first) >= STABLE * len(first):
-                rest = {s.candidate.label: s for s in alike_first if not same_effect(s, best)}
+            alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
+            if len(alike) >= STABLE * len(first):
+                rest = {s.candidate.label: s for s in alike if not same_effect(s, best)}
                 return Undecided([best, *rest.values()], look)
             reason = "without a fifth of the rows it is not first"
-        return Tried(first_named if reason else best, look, trial, kept, new, p_held, again, reason)
+        return Tried(fits[0].scored if reason else best, look, trial, kept, new, p_held, again, reason)
 
     def _not_linear(
         self, look: Look, fitted: FittedStage, best: Scored, step: Step | None, refused: Sequence[Tried]
@@ -240,15 +252,12 @@ class Bench:
         straight = step is None or step.linear
         return [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
 
-    def _fitted_along(
-        self, s: Scored, step: Step | None, fitted: FittedStage
-    ) -> tuple[Scored, FittedStage, list[Term], HeldOut]:
-        """A candidate, its fit from the step towards it, the terms that pay, and its errors on rows not fitted."""
+    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage) -> _Along:
         # From none of it, a search would not know in which direction its shape is to go.
         start = step.near.values() if step is not None and step.falls else s.candidate.shapes
         trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
-        return s, trial, kept, self.held_out(trial)
+        return _Along(s, trial, kept, self.held_out(trial))
 
     def beside(self, undecided: Undecided, fitted: FittedStage, number: int) -> Tried | list[Undecided]:
         """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.
