@@ -12,7 +12,7 @@ from experiments.columns import temperature_columns
 from experiments.finding import Finding
 from experiments.temperatures import END_S, GAP_S, readings
 
-__all__ = ["temperature_findings"]
+__all__ = ["COLDEST_C", "HOTTEST_C", "temperature_findings"]
 
 # Class F windings end at 155 °C and drives switch off before; no sensor in a robot that runs is outside this.
 HOTTEST_C, COLDEST_C = 120.0, -40.0

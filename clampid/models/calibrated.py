@@ -22,11 +22,12 @@ from clampid.slots import Slot
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
+from experiments.check_temperatures import COLDEST_C, HOTTEST_C
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import adjoint, cayley, transform
 
-__all__ = ["REFERENCE", "CalibratedChain", "calibrated_chain", "sensitivity"]
+__all__ = ["EXPANSION", "REFERENCE", "CalibratedChain", "calibrated_chain", "sensitivity"]
 
 REFERENCE = 20.0  # °C, at which links have the length of the geometry
 EXPANSION = "thermal_expansion"
@@ -85,7 +86,8 @@ def calibrated_chain(
     Raises
     ------
     ModelError
-        The model has no geometry from a table of poses, no such session, or no expansion for another temperature.
+        The model has no geometry from a table of poses, no such session, or no expansion for another temperature; or
+        the temperature is none of a robot.
     """
     stage = model.stages.get("poses")
     if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
@@ -95,6 +97,11 @@ def calibrated_chain(
     reference = model.sessions[session].base_reference
     if reference is None:
         raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
+    if not COLDEST_C <= temperature <= HOTTEST_C:
+        raise ModelError(
+            f"temperature {temperature:g} degC: expected one of a robot, {COLDEST_C:g} to {HOTTEST_C:g} degC; is it in "
+            "kelvin?"
+        )
     if temperature != REFERENCE and not any(slot.effect == EXPANSION for slot in stage.slots):
         raise ModelError(
             f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "
