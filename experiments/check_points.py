@@ -33,6 +33,10 @@ UNITS = {1e6: "micrometres", 1e3: "millimetres", 100.0: "centimetres", 1 / 0.025
 UNIT_TOLERANCE = 0.25
 # Below this the nominal points hardly move, and their spread says nothing about units.
 SMALLEST_SPREAD_M = 1e-3
+# An arm does not reach this many times farther than where half of its points are. So few of them are rows that are
+# wrong, to be said one by one, and no unit.
+FAR_OFF = 20.0
+FEW_ROWS = 0.05
 # No instrument for robots measures from farther away; 1 m in millimetres is ten times that.
 FARTHEST_M = 100.0
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
@@ -146,8 +150,16 @@ def _nominal_poses(campaign: Campaign, table: str) -> FloatArray:
     return poses
 
 
+def _near(measured: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which points (rows, 3) count for what all of them say: all but a few that are far off the rest."""
+    off = np.linalg.norm(measured - np.median(measured, axis=0), axis=1)
+    near = np.asarray(off <= FAR_OFF * np.median(off))
+    return near if np.mean(near) >= 1.0 - FEW_ROWS else np.ones(len(near), dtype=bool)
+
+
 def _wrong_unit(table: str, nominal: FloatArray, measured: FloatArray) -> Finding | None:
-    expected, found = _spread(nominal), _spread(measured)
+    near = _near(measured)
+    expected, found = _spread(nominal[near]), _spread(measured[near])
     distance = float(np.median(np.linalg.norm(measured, axis=1)))
     if expected > SMALLEST_SPREAD_M:
         ratio = found / expected
@@ -159,7 +171,9 @@ def _wrong_unit(table: str, nominal: FloatArray, measured: FloatArray) -> Findin
                 return Finding(
                     "error", table, "x_m", None, f"positions look like {unit}, metres are expected: {reason}"
                 )
-        return Finding("error", table, "x_m", None, f"positions cannot be of this robot in metres: {reason}")
+        farthest = int(np.argmax(np.linalg.norm(measured - np.median(measured, axis=0), axis=1))) + 1
+        message = f"positions cannot be of this robot in metres: {reason}; farthest off is row {farthest}"
+        return Finding("error", table, "x_m", farthest, message)
     if distance > FARTHEST_M:
         reason = f"half of them are more than {distance:.4g} from the instrument's origin"
         return Finding("error", table, "x_m", None, f"positions look like millimetres, metres are expected: {reason}")
@@ -322,9 +336,10 @@ def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> _Fit:
     """
     turn = poses[:, :3, :3]
     nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", turn, points)
-    a, b = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
-    base = nearest_rotation(a, b)
-    shift, offset = measured.mean(axis=0) - base @ nominal.mean(axis=0), np.zeros(3)
+    near = _near(measured)
+    here, there = nominal[near].mean(axis=0), measured[near].mean(axis=0)
+    base = nearest_rotation(nominal[near] - here, measured[near] - there)
+    shift, offset = there - base @ here, np.zeros(3)
     keep = np.ones(len(nominal), dtype=bool)
     for _ in range(_ITERATIONS):
         turned = (nominal + turn @ offset) @ base.T  # (rows, 3)

@@ -10,12 +10,10 @@ import pandas as pd
 from experiments.campaign import Campaign
 from experiments.columns import temperature_columns
 from experiments.finding import Finding
-from experiments.temperatures import END_S, GAP_S, readings
+from experiments.temperatures import COLDEST_C, END_S, GAP_S, HOTTEST_C, readings
 
 __all__ = ["temperature_findings"]
 
-# Class F windings end at 155 °C and drives switch off before; no sensor in a robot that runs is outside this.
-HOTTEST_C, COLDEST_C = 120.0, -40.0
 # Robots are allowed surroundings of up to 45 or 55 °C; those of a cool workshop, 15 °C, are 59 °F.
 WARMEST_SURROUNDINGS_C = 55.0
 

@@ -15,12 +15,14 @@ import pandas as pd
 
 from experiments.columns import temperature_columns
 
-__all__ = ["END_S", "GAP_S", "REFERENCE_TEMPERATURE", "filled", "readings"]
+__all__ = ["COLDEST_C", "END_S", "GAP_S", "HOTTEST_C", "REFERENCE_TEMPERATURE", "filled", "readings"]
 
 FloatArray = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 GAP_S, END_S = 300.0, 60.0
+# Class F windings end at 155 °C and drives switch off before; no sensor in a robot that runs is outside this.
+HOTTEST_C, COLDEST_C = 120.0, -40.0
 REFERENCE_TEMPERATURE = 20.0  # °C: links have the length of the geometry, and signals of temperature count from here
 
 

@@ -22,12 +22,12 @@ from clampid.slots import Slot
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
-from experiments.temperatures import REFERENCE_TEMPERATURE
+from experiments.temperatures import COLDEST_C, HOTTEST_C, REFERENCE_TEMPERATURE
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import adjoint, cayley, transform
 
-__all__ = ["CalibratedChain", "calibrated_chain", "sensitivity"]
+__all__ = ["EXPANSION", "CalibratedChain", "calibrated_chain", "sensitivity"]
 
 EXPANSION = "thermal_expansion"
 STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
@@ -85,7 +85,8 @@ def calibrated_chain(
     Raises
     ------
     ModelError
-        The model has no geometry from a table of poses, no such session, or no expansion for another temperature.
+        The model has no geometry from a table of poses, no such session, or no expansion for another temperature; or
+        the temperature is none of a robot.
     """
     stage = model.stages.get("poses")
     if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
@@ -95,6 +96,11 @@ def calibrated_chain(
     reference = model.sessions[session].base_reference
     if reference is None:
         raise ModelError(f"session {session + 1} has no table of poses; its base is not known")
+    if not COLDEST_C <= temperature <= HOTTEST_C:
+        raise ModelError(
+            f"temperature {temperature:g} degC: expected one of a robot, {COLDEST_C:g} to {HOTTEST_C:g} degC; is it in "
+            "kelvin?"
+        )
     if temperature != REFERENCE_TEMPERATURE and not any(slot.effect == EXPANSION for slot in stage.slots):
         raise ModelError(
             f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "

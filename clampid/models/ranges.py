@@ -142,6 +142,12 @@ class Ranges:
             self._beyond(k, i, float(values[k, i])) for k, i in np.argwhere(self.distance(values) > 0).tolist()
         )
 
+    def beyond_temperature(self, temperature: float) -> tuple[Beyond, ...]:
+        """The links for which one temperature of all of them, degC, is beyond."""
+        values = np.full(self.lower.shape, np.nan)
+        values[QUANTITIES.index("link temperature")] = temperature
+        return self.beyond(values)
+
     def beyond_mass(self, mass: float) -> tuple[Beyond, ...]:
         """The tool's mass, kg, if it is beyond."""
         low, high = self.tool_mass

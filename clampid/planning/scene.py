@@ -228,7 +228,11 @@ class Scene:
     @cached_property
     def _pairs(self) -> tuple[tuple[int, int], ...]:
         """Parts of the arm that could hit each other: not neighbours, and not always close together."""
-        turn, centre = self.placed(np.random.default_rng(0).uniform(-np.pi, np.pi, (200, self.cell.robot.n)))
+        robot = self.cell.robot
+        slides = np.array([joint.kind == "prismatic" for joint in robot.joints])
+        slides &= np.isfinite(robot.lower) & np.isfinite(robot.upper)  # rad would be metres, and nothing near
+        low, high = np.where(slides, robot.lower, -np.pi), np.where(slides, robot.upper, np.pi)
+        turn, centre = self.placed(np.random.default_rng(0).uniform(low, high, (200, robot.n)))
         poses = [[coal.Transform3s(R, c) for R, c in zip(*row, strict=True)] for row in zip(turn, centre, strict=True)]
         shapes, pairs = self._shapes, []
         for a, b in combinations(np.flatnonzero(self._lengths > TINY), 2):

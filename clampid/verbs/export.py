@@ -15,6 +15,7 @@ from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
     from clampid.exports.export import Exported
+    from clampid.models.model import Model
     from experiments.campaign import Campaign
     from kinematics.robot import RobotDescription
 
@@ -80,6 +81,7 @@ def dh(
     if output is not None or json != "-":
         _written(found.text if layout == "csv" else thesis_layout(found, nominal), output)
     _tell("table", found, output, out)
+    _extrapolating(loaded, temperature, out)
 
 
 @export.command()
@@ -124,8 +126,9 @@ def urdf(
     from clampid.exports.export import urdf_export
     from clampid.models.model import load_model
 
+    loaded = load_model(model)
     found = urdf_export(
-        load_model(model),
+        loaded,
         session=session - 1,
         robot=_robot(robot),
         temperature=temperature,
@@ -134,6 +137,7 @@ def urdf(
     )
     _written(found.text, output)
     _tell("URDF", found, output, out)
+    _extrapolating(loaded, temperature, out)
 
 
 @export.command()
@@ -159,8 +163,9 @@ def kuka(
     from clampid.exports.kuka_export import kuka_machine_data
     from clampid.models.model import load_model
 
+    loaded = load_model(model)
     found = kuka_machine_data(
-        load_model(model),
+        loaded,
         session=session - 1,
         robot=_robot(robot),
         temperature=temperature,
@@ -168,6 +173,7 @@ def kuka(
         campaign=_read(campaign),
         user_effects=effects_from,
     )
+    _extrapolating(loaded, temperature, out)
     if not _written(found.text, output):
         return
     out.say(f"machine data: {output}; static geometry at {temperature:g} degC")
@@ -238,6 +244,19 @@ def _tell(kind: str, found: Exported, output: Path | None, out: Output) -> None:
         else:
             out.say(line)
     out.result({"file": None if output is None else str(output), **found.to_json()})
+
+
+def _extrapolating(model: Model, temperature: float, out: Output) -> None:
+    """Say of which links the file's temperature is beyond those that their expansion was identified on."""
+    from clampid.models.calibrated import EXPANSION
+    from clampid.verbs.findings import extrapolating_text
+
+    stage = model.stages["poses"]
+    if stage.ranges is None or not any(slot.effect == EXPANSION for slot in stage.slots):
+        return
+    beyond = stage.ranges.beyond_temperature(temperature)
+    if beyond:
+        out.warn(f"warning: extrapolating: {extrapolating_text([found.to_json() for found in beyond])}")
 
 
 def _told(found: Mapping[str, Any]) -> list[str]:

@@ -145,7 +145,7 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
 
 def _candidate(candidate: Mapping[str, Any], unit: str) -> tuple[str, ...]:
     return (
-        ("or " if candidate.get("alternative") else "") + candidate["effect"],
+        ("or " if candidate.get("alternative") else "") + candidate.get("name", candidate["effect"]),
         where_text(candidate["where"]),
         _number(candidate.get("p_value"), 2),
         _number(candidate.get("p_familywise"), 2),
@@ -164,7 +164,8 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
         rows = []
         for added in part["added"]:
             values = _values(added["parameters"])
-            rows += [(added["effect"], where_text(added["where"]), *named) for named in values]
+            name = added.get("name", added["effect"])
+            rows += [(name, where_text(added["where"]), *named) for named in values]
         out.table("", ("added", "at", "parameter", "value"), rows, left=3)
         _show_caveats(part["added"], out)
         if part.get("exported_shift"):

@@ -32,7 +32,8 @@ def next_steps(
     either: dict[tuple[str, int], list[str]] = {}
     for stage, part in diagnosis["stages"].items():
         for candidate in part["candidates"]:
-            term = ",".join(f"{stage}={candidate['effect']}@{place}" for place in candidate["where"])
+            name = candidate.get("name", candidate["effect"])  # ``effect`` is the family, of which it may be a variant
+            term = ",".join(f"{stage}={name}@{place}" for place in candidate["where"])
             if candidate["alternative"]:
                 either.setdefault((stage, candidate["group"]), []).append(term)
             else:

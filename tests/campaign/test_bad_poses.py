@@ -58,6 +58,19 @@ def test_a_point_that_is_just_wrong_is_not_called_swapped(campaign: Campaign) ->
     assert any("1 of" in f.message and f.row == 11 for f in findings)
 
 
+def test_a_row_in_millimetres_is_a_wrong_row_and_many_are_an_error_that_says_where(campaign: Campaign) -> None:
+    table = campaign.tables["poses"].copy()
+    table.loc[10, "x_m"] *= 1000.0
+    findings = told(campaign, table)
+    assert {f.severity for f in findings} == {"warning"}
+    assert any("1 of" in f.message and f.row == 11 for f in findings), findings
+    table.loc[20:39, "x_m"] *= 1000.0
+    (error,) = [f for f in told(campaign, table) if f.severity == "error"]
+    assert "cannot be of this robot in metres" in error.message
+    assert error.row is not None
+    assert error.row == 11 or 21 <= error.row <= 40
+
+
 @pytest.mark.parametrize("joint", range(1, 7))
 def test_a_joint_of_the_wrong_sign_is_named(campaign: Campaign, joint: int) -> None:
     table = campaign.tables["poses"]

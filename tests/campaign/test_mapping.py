@@ -11,7 +11,9 @@ from import_call import call
 
 from clampid.verbs.errors import is_wrong_input
 from experiments.campaign import Campaign, read_campaign, write_campaign
+from experiments.foreign.medians import medians
 from experiments.simulate import simulate
+from experiments.tables import TableFile
 
 MAPPING = """format = "clampid-mapping/1"
 table = "poses"
@@ -87,6 +89,19 @@ def test_a_trackers_table_becomes_the_campaign_that_it_is(original: Campaign, tm
     assert 4e-6 < np.median(table["scatter_x_m"]) < 2e-5
     np.testing.assert_allclose(table["temp_ambient_C"], 21.0, atol=1e-9)
     np.testing.assert_allclose(table["time_s"], source["time_s"], atol=1e-9)
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 5, 8, 9, 10, 25])
+def test_the_scatter_of_a_sample_does_not_depend_on_how_many_there_are(tmp_path: Path, samples: int) -> None:
+    rng, points = np.random.default_rng(samples), 500
+    rows = np.repeat(np.arange(points), samples)
+    frame = pd.DataFrame({"pose": rows, "visit": 1, "target": "T1", "time_s": 0.0})
+    frame[[f"q{i + 1}_rad" for i in range(6)]] = 0.0
+    frame[["x_m", "y_m", "z_m"]] = 2e-5 * rng.standard_normal((len(rows), 3))
+    source = TableFile(tmp_path / "points.txt", 0)
+    table, scatter, _ = medians(frame, source, 6)
+    np.testing.assert_allclose(scatter, 2e-5, rtol=0.12)
+    np.testing.assert_allclose(table[["scatter_x_m", "scatter_y_m", "scatter_z_m"]].median(), scatter)
 
 
 @pytest.mark.parametrize(

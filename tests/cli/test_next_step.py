@@ -34,6 +34,12 @@ def test_what_is_confirmed_is_added_and_looked_at_again(tmp_path: Path) -> None:
     assert again == f"and to look again: clampid diagnose {tmp_path}/mended2.json arm"
 
 
+def test_a_variant_is_added_by_its_own_name_and_not_its_familys() -> None:
+    found = told({**candidate("gear_eccentricity", "joint2"), "name": "motor_eccentricity"})
+    add, _ = next_steps(found, Path("m.json"), [Path("arm")])
+    assert add == "to add it: clampid add poses=motor_eccentricity@joint2 m.json arm -o mended.json"
+
+
 def test_of_what_cannot_be_told_apart_any_one() -> None:
     found = told(
         *(candidate(name, "joint2", alternative=True) for name in ("gear_eccentricity", "gravity_compensator"))

@@ -10,10 +10,12 @@ import pytest
 from clampid.chain.chain import Deviations
 from clampid.exports.export import COLUMNS, angle_table, calibrated_chain, dh_table, read_dh, table_text, urdf_text
 from clampid.exports.export import _numbers as numbers
-from clampid.models.model import Model, ModelError
+from clampid.models.model import Model, ModelError, save_model
+from clampid.models.ranges import Ranges
 from clampid.slots import Slot, Term
 from clampid.stages.poses import predict
 from clampid.stages.rows import Array, Rows
+from clampid.verbs.export import dh, kuka, urdf
 from kinematics.description import load_robot, robot_names
 from kinematics.dh import Convention
 from kinematics.dh import forward as dh_forward
@@ -176,6 +178,29 @@ def test_at_a_temperature_links_have_grown_along_their_length(make_model: Make) 
     assert "at 45 degC" in urdf_text(model, temperature=45.0)
     with pytest.raises(ModelError, match="temperature 45 degC: expected a model with thermal_expansion"):
         calibrated_chain(bare, temperature=45.0)
+    for kelvin in (293.15, np.nan):
+        with pytest.raises(ModelError, match="expected one of a robot, -40 to 120 degC; is it in kelvin"):
+            calibrated_chain(model, temperature=kelvin)
+
+
+def test_links_of_another_temperature_than_their_expansion_was_identified_on_are_named(
+    make_model: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    slots = {Slot("thermal_expansion", "alpha", f"link{i + 1}"): 2e-5 for i in range(6)}
+    model = with_slots(make_model("kuka_kr20_r1810", size=0.0), slots)
+    lower = np.full((3, 6), np.nan)
+    lower[2] = 20.0
+    upper = lower + 10.0
+    upper[2, 1] = 50.0
+    ranges = Ranges(lower, upper, ("revolute",) * 6, (12.0, 12.0))
+    file = tmp_path / "model.json"
+    save_model(model.with_stage(replace(model.stages["poses"], ranges=ranges)), file)
+    for verb, name in ((dh, "dh.csv"), (urdf, "robot.urdf"), (kuka, "machine.dat")):
+        verb(file, output=tmp_path / name, temperature=45.0, quiet=True)
+        said = capsys.readouterr().err
+        assert "extrapolating: link 1 (link temperature to 45.0 degC, identified to 30.0 degC), link 3" in said
+        verb(file, output=tmp_path / name, temperature=25.0, quiet=True)
+        assert "extrapolating" not in capsys.readouterr().err
 
 
 def test_files_say_by_how_much_they_differ_when_read_back(make_model: Make) -> None:

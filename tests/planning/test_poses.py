@@ -27,7 +27,7 @@ from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.plan import plan as plan_verb
 from experiments.campaign import read_campaign
 from experiments.check import check_campaign
-from experiments.plans import Cell, Limits, Plan, PlanError, Visit, read_plan, write_plan
+from experiments.plans import Cell, Limits, Plan, PlanError, Visit, cell_of, read_plan, write_plan
 from experiments.plans.limits import course_of
 from experiments.plans.validate import visit_course
 from experiments.plans.virtual import run_virtually
@@ -73,6 +73,16 @@ def test_visits_are_what_was_asked_for(poses: Plan, cell: Cell) -> None:
             assert scene.way_clear(a, b)
         assert scene.clear(course.knots).all()
         before = visit.q
+
+
+def test_a_hand_that_slides_at_the_end_of_the_forearm_does_not_hit_it() -> None:
+    """Radians in the place of its metres would take the two for parts that are seldom close together."""
+    scara = cell_of(str(Path(__file__).parents[2] / "benchmarks" / "scara.toml"))[0]
+    rng, robot = np.random.default_rng(0), scara.robot
+    clear = Scene(scara, floor=None).clear(rng.uniform(robot.lower, robot.upper, (50, robot.n)))
+    assert clear.mean() > 0.5
+    wall = Obstacle("wall", "box", np.array([0.1, 4.0, 4.0]), np.array([0.6, 0.0, 0.0]), np.eye(3))
+    assert Scene(scara, (wall,), floor=None).clear(np.zeros((1, robot.n))).tolist() == [False]
 
 
 def test_every_joint_is_approached_from_both_sides_whatever_the_posture(poses: Plan) -> None:
