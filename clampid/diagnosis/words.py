@@ -58,7 +58,7 @@ def summary_of(result: StageDiagnosis) -> str:
         return error_text(x, result.unit) + ("" if result.unit == "m" else " of the motors' noise")
 
     def words(c: Mapping[str, Any]) -> str:
-        said = str(c["effect"]).replace("_", " ") + (f" at {', '.join(c['where'])}" if c["where"] else "")
+        said = _named(c) + (f" at {', '.join(c['where'])}" if c["where"] else "")
         when = c.get("when")
         return f"{said}, once, just before row {when['row']} of {when['table']}" if when else said
 
@@ -98,6 +98,12 @@ def summary_of(result: StageDiagnosis) -> str:
                 f"{start}Structure is left that no known effect explains; it depends on "
                 f"{', '.join(result.depends_on)}{error}.{next_step}"
             )
+
+
+def _named(c: Mapping[str, Any]) -> str:
+    """A candidate's name, and where it is a variant, what of."""
+    name, family = str(c.get("name", c["effect"])).replace("_", " "), str(c["effect"]).replace("_", " ")
+    return name if name == family else f"{name} ({family})"
 
 
 def _above(above: Mapping[str, Any], error: str, floor: str) -> str:

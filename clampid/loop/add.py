@@ -216,7 +216,8 @@ def _stage_with(
             continue
         old, worse = fitted.model, errors
         every = (*old.terms, *new_terms)
-        fitted = fit_stage(fitted.rows, effects, every, before, {**shapes, **old.values()}, held, told)
+        start, last = {**shapes, **old.values()}, fitted.estimate
+        fitted = fit_stage(fitted.rows, effects, every, before, start, held, told, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out))

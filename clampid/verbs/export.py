@@ -81,6 +81,7 @@ def dh(
     if output is not None or json != "-":
         _written(found.text if layout == "csv" else thesis_layout(found, nominal), output)
     _tell("table", found, output, out)
+    _by_convention(loaded, out)
     _extrapolating(loaded, temperature, out)
 
 
@@ -244,6 +245,16 @@ def _tell(kind: str, found: Exported, output: Path | None, out: Output) -> None:
         else:
             out.say(line)
     out.result({"file": None if output is None else str(output), **found.to_json()})
+
+
+def _by_convention(model: Model, out: Output) -> None:
+    """Say of which numbers the standard errors are none, because nothing but a convention says where the flange is."""
+    slots = [slot for slot in model.stages["poses"].slots if slot.effect == "geometry"]
+    if not any(slot.parameter.startswith("flange_") for slot in slots):
+        out.step(
+            "the flange stands where it is described, by convention: points tell where their targets are, which carry "
+            "what it is off by, so that the last row and the tool have no standard errors of their own"
+        )
 
 
 def _extrapolating(model: Model, temperature: float, out: Output) -> None:

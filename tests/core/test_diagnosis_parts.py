@@ -16,7 +16,7 @@ from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.trial import Bench, Tried
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import Scored, score, space_of
 from clampid.fitting.accuracy import FOLDS, cross_validated, noise_floor
 from clampid.fitting.solve import solve
 from clampid.identification.fitted_stage import FittedStage, fit_stage
@@ -115,6 +115,13 @@ def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Cal
     assert alone.explained > 50.0
     assert little.explained >= alone.explained - 1e-6
     assert [s.candidate.name for s in rivals_of(space, [alone, little, much], alone, set())] == ["little"]
+
+    def behind(s: Scored) -> Scored:
+        return replace(s, explained=alone.explained - 5.0, bic=alone.bic - 12.0)
+
+    assert not rivals_of(space, [alone, behind(little)], alone, set())  # odds of e^6 against its further number
+    same = behind(score(space, [candidate("same", 1)])[0])
+    assert [s.candidate.name for s in rivals_of(space, [alone, same], alone, set())] == ["same"]
 
 
 def test_one_wrong_number_does_not_stand_before_several_right_ones(simulated: Callable[..., Campaign]):
