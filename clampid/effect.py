@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Literal
 
 __all__ = [
+    "AT_A_SLIDE",
     "FAMILIES",
     "PRESLIDING_LENGTHS",
     "RELAXATION_TIMES",
@@ -49,9 +51,15 @@ UNITS: frozenset[str] = frozenset(
     {
         "", "m", "rad", "kg", "kg m", "kg m^2", "s", "K", "1/K", "Nm", "Nm s/rad", "Nm s^2/rad^2", "Nm/rad", "Nm/K",
         "rad/Nm", "rad/Nm^3", "rad/s", "m/Nm", "m/N", "m/s", "N/m", "rad/m", "1/(N m^2)", "rad/K",
-        "m/rad",
+        "m/rad", "N", "m/N^3", "N s/m", "N s^2/m^2", "N/K", "m/K",
     }
 )  # fmt: skip
+
+AT_A_SLIDE: Mapping[str, str] = MappingProxyType({
+    "rad": "m", "rad/s": "m/s", "rad/K": "m/K", "rad/Nm": "m/N", "rad/Nm^3": "m/N^3", "Nm": "N", "Nm/rad": "N/m",
+    "Nm/K": "N/K", "Nm s/rad": "N s/m", "Nm s^2/rad^2": "N s^2/m^2", "kg m^2": "kg",
+})  # fmt: skip
+"""Of a joint's parameter → what it is where the joint does not turn but slides."""
 
 PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""

@@ -8,9 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from clampid.effect import Effect, EffectError, Parameter, Stage
+from clampid.effect import AT_A_SLIDE, Effect, EffectError, Parameter, Stage
+from kinematics.robot import RobotDescription
 
-__all__ = ["Layout", "Prior", "Slot", "Term", "find_parameter", "on_bound", "parse_term", "slots_of", "slots_of_terms"]
+__all__ = [
+    "Layout",
+    "Prior",
+    "Slot",
+    "Term",
+    "find_parameter",
+    "on_bound",
+    "parse_term",
+    "slots_of",
+    "slots_of_terms",
+    "unit_of",
+]
 
 
 @dataclass(frozen=True, order=True)
@@ -133,6 +145,15 @@ def find_parameter(slot: Slot, catalogue: Mapping[str, Effect]) -> Parameter:
     if found is None:
         raise EffectError(f"effect {slot.effect} has no parameter {slot.parameter!r}")
     return found
+
+
+def unit_of(slot: Slot, catalogue: Mapping[str, Effect], robot: RobotDescription) -> str:
+    """The unit of a slot's value on this robot: where a joint slides, angles are lengths and torques forces."""
+    unit = find_parameter(slot, catalogue).unit
+    number = slot.place.removeprefix("joint")
+    if number == slot.place or robot.joints[int(number) - 1].kind != "prismatic":
+        return unit
+    return AT_A_SLIDE.get(unit, unit)
 
 
 def on_bound(slot: Slot, value: float, catalogue: Mapping[str, Effect]) -> bool:

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.look import CONFUSABLE, RATE, Look
+from clampid.diagnosis.look import ALIASED, CONFUSABLE, RATE, Look
 from clampid.effect import Effect
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term, find_parameter
+from clampid.slots import Slot, Term, find_parameter, unit_of
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
 
-ALIASED = 0.999
 LISTED = 12
 
 
@@ -93,7 +92,7 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
             "name": slot.label,
             "value": float(estimate.theta[k]),
             "std": float(std[k]),
-            "unit": find_parameter(slot, effects).unit,
+            "unit": unit_of(slot, effects, estimate.experiment.rows.robot),
         }
         for k, slot in enumerate(estimate.slots)
         if slot.place in wanted.get(slot.effect, set())

@@ -33,6 +33,7 @@ __all__ = [
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
 CONFUSABLE = 0.8  # squared canonical correlation above which both are named: apart they are a fifth of what either is
+ALIASED = 0.999  # above which they are one
 STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
 VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further number (Kass and Raftery, 1995)
@@ -161,7 +162,8 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             continue  # variants of one effect at one place are one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
-        if other.bic < best.bic - (SAME if other.freedom <= best.freedom else VERY_STRONG):
+        fair = other.freedom <= best.freedom or canonical(best, other) > ALIASED  # of what is one the rows tell nothing
+        if other.bic < best.bic - (SAME if fair else VERY_STRONG):
             continue  # what needs more numbers explains what the simpler one does, and is no rival for it
         if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
             found.setdefault((other.candidate.family, other.candidate.places), other)

@@ -10,7 +10,7 @@ import numpy as np
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.display import error_text
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, find_parameter
+from clampid.slots import Slot, unit_of
 from clampid.stages.rows import Array, Bools, Rows, lengths
 
 __all__ = ["listed_outliers", "omission_of", "outliers_of", "summary_of"]
@@ -45,7 +45,7 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
                     "name": slot.label,
                     "shift": shift,
                     "std": spread,
-                    "unit": find_parameter(slot, dict(before.experiment.effects)).unit,
+                    "unit": unit_of(slot, before.experiment.effects, before.experiment.rows.robot),
                 }
             )
     return sorted(out, key=lambda o: -abs(float(o["shift"])) / float(o["std"]))[:10]

@@ -27,7 +27,7 @@ from clampid.identification.identify import (
 )
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model, Round, StageModel
-from clampid.slots import Layout, Term, find_parameter, parse_term
+from clampid.slots import Layout, Term, parse_term, unit_of
 from clampid.stages.rows import Array, Rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
@@ -317,7 +317,7 @@ def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Ef
                 "name": slot.label,
                 "value": float(model.theta[k]),
                 "std": float(std[k]),
-                "unit": find_parameter(slot, effects).unit,
+                "unit": unit_of(slot, effects, fitted.rows.robot),
                 "identified": model.identified[k],
             }
             for k, slot in enumerate(model.slots)

@@ -10,7 +10,7 @@ import numpy as np
 
 from clampid.chain.chain import Chain, build_chain
 from clampid.effect import WEAK, Effect, Parameter, Stage
-from clampid.slots import Slot, find_parameter
+from clampid.slots import Slot, find_parameter, unit_of
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
 from kinematics.description import RobotDescription
@@ -201,8 +201,8 @@ class Experiment:
 
 
 def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescription) -> Parameter:
-    """The parameter that a slot is a value of, with size and bounds for this robot's gear at that joint."""
-    parameter = find_parameter(slot, effects)
+    """The parameter that a slot is a value of, with unit, size and bounds for this robot's gear at that joint."""
+    parameter = replace(find_parameter(slot, effects), unit=unit_of(slot, effects, robot))
     if not parameter.gearing:
         return parameter
     joint = int(slot.place.removeprefix("joint")) - 1

@@ -41,14 +41,14 @@ def stage_unit(stage: str) -> str:
 
 def parameter_rows(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription) -> list[tuple[str, ...]]:
     """One row per parameter: name, place, value, standard error, unit (and on which side of a gear), remark."""
-    from clampid.slots import find_parameter, on_bound
+    from clampid.slots import find_parameter, on_bound, unit_of
 
     rows: list[tuple[str, ...]] = []
     for slot, value, std, known in zip(
         stage.slots, stage.theta.tolist(), stage.std.tolist(), stage.identified, strict=True
     ):
         parameter = find_parameter(slot, effects)
-        number, error, symbol = quantity(value, std, parameter.unit)
+        number, error, symbol = quantity(value, std, unit_of(slot, effects, robot))
         name = f"{slot.effect}.{slot.parameter}"
         remark = (ON_BOUND if on_bound(slot, value, effects) else "") if known else NOT_KNOWN
         rows.append((name, slot.place, number, error, symbol + _side(parameter, robot), remark))

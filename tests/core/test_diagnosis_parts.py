@@ -16,7 +16,7 @@ from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.trial import Bench, Tried
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import Scored, score, space_of
+from clampid.evidence.score import Scored, canonical, score, space_of
 from clampid.fitting.accuracy import FOLDS, cross_validated, noise_floor
 from clampid.fitting.solve import solve
 from clampid.identification.fitted_stage import FittedStage, fit_stage
@@ -106,9 +106,9 @@ def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Cal
     residual[:rows] += 0.5 * shown[:, 0]
     space = replace(fitted, residual=residual - fitted.basis @ (fitted.basis.T @ residual))
 
-    def candidate(name: str, width: int) -> Candidate:
+    def candidate(name: str, width: int, blurred: float = 0.0) -> Candidate:
         slots = tuple(Slot(name, f"p{k}", "joint1") for k in range(width))
-        columns = Columns(((0, noise[:, :width]),), width)
+        columns = Columns(((0, noise[:, :width] + blurred * noise[:, -1:]),), width)
         return Candidate(name, name, (Term(name, "joint1"),), slots, {}, columns, (), ("joint1",))
 
     alone, little, much = score(space, [candidate("alone", 1), candidate("little", 2), candidate("much", 8)])
@@ -119,7 +119,12 @@ def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Cal
     def behind(s: Scored) -> Scored:
         return replace(s, explained=alone.explained - 5.0, bic=alone.bic - 12.0)
 
-    assert not rivals_of(space, [alone, behind(little)], alone, set())  # odds of e^6 against its further number
+    assert [s.candidate.name for s in rivals_of(space, [alone, behind(little)], alone, set())] == [
+        "little"
+    ]  # it is one
+    near = behind(score(space, [candidate("near", 2, 0.2)])[0])
+    assert 0.85 < canonical(alone, near) < 0.99
+    assert not rivals_of(space, [alone, near], alone, set())  # odds of e^6 against its further number
     same = behind(score(space, [candidate("same", 1)])[0])
     assert [s.candidate.name for s in rivals_of(space, [alone, same], alone, set())] == ["same"]
 

@@ -12,12 +12,13 @@ from virtual_arms import arm
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
+from clampid.effect import AT_A_SLIDE, UNITS
 from clampid.evidence.candidates import named_candidates
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
-from clampid.slots import Layout, Slot
+from clampid.slots import Layout, Slot, unit_of
 from clampid.stages import poses
-from clampid.stages.experiment import experiment
+from clampid.stages.experiment import experiment, parameter_of
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign, Instrument, Tool
@@ -112,3 +113,16 @@ def test_a_joint_that_slides_has_none():
     campaign = measured_campaign(measure(robot, seed=0, poses=30, tables=("poses",)), robot)
     stage = identify(campaign, (*STANDARD, "pitch_error")).stages["poses"]
     assert any("pitch_error.h at joint3: these rows do not depend on it" in line for line in stage.null_directions)
+
+
+def test_where_a_joint_slides_angles_are_lengths_and_torques_forces():
+    robot, effects = arm("scara"), catalogue()
+    assert [joint.kind for joint in robot.joints][2:] == ["prismatic", "revolute"]
+    for effect, name, slides, turns in (
+        ("backlash", "gap", "m", "rad"), ("joint_compliance", "c", "m/N", "rad/Nm"), ("dress_pack", "t", "N", "Nm"),
+    ):  # fmt: skip
+        units = [unit_of(Slot(effect, name, f"joint{j}"), effects, robot) for j in (3, 4)]
+        assert units == [slides, turns]
+        assert parameter_of(Slot(effect, name, "joint3"), effects, robot).unit == slides
+    assert unit_of(Slot("geometry", "rx", "link3"), effects, robot) == "rad"
+    assert set(AT_A_SLIDE) | set(AT_A_SLIDE.values()) <= UNITS
