@@ -76,7 +76,7 @@ def locate(points: FloatArray, distances: FloatArray) -> Located:
     cost, place = searched[0]
     constant, place = _with_constant(points, distances, place)
     error = _errors(place, points, distances) - constant
-    unit = (points - place) / np.maximum(np.linalg.norm(points - place, axis=1, keepdims=True), 1e-12)
+    unit = _towards(place, points)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(unit.T @ unit / len(unit)), 0.0))
     width = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
     alike = [
@@ -105,12 +105,7 @@ def _search(points: FloatArray, distances: FloatArray, start: FloatArray) -> tup
     def errors(at: FloatArray) -> FloatArray:
         return np.asarray(_errors(at[:3], points, distances) - at[3:].sum())
 
-    def slopes(at: FloatArray) -> FloatArray:
-        away = points - at[:3]
-        unit = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-        return np.asarray(np.c_[unit, -np.ones((len(unit), len(at) - 3))])
-
-    found = least_squares(errors, start, slopes, loss="soft_l1", f_scale=ROUGH_M, max_nfev=200)
+    found = least_squares(errors, start, lambda at: _slopes(at, points), loss="soft_l1", f_scale=ROUGH_M, max_nfev=200)
     return float(found.cost), np.asarray(found.x)
 
 
@@ -119,12 +114,22 @@ def _with_constant(points: FloatArray, distances: FloatArray, place: FloatArray)
     if len(points) < ENOUGH:
         return 0.0, place
     _, found = _search(points, distances, np.r_[place, 0.0])
-    away, constant = points - found[:3], float(found[3])
-    length = np.linalg.norm(away, axis=1)
-    slopes = np.c_[-away / np.maximum(length, 1e-12)[:, None], np.ones(len(points))]
-    left = float(np.quantile(np.abs(distances - length - constant), 0.95))
-    most = max(left, ROUGH_M) * float(np.abs(np.linalg.pinv(slopes)[3]).sum())  # an arm's errors are systematic
+    constant = float(found[3])
+    left = float(np.quantile(np.abs(_errors(found[:3], points, distances) - constant), 0.95))
+    lever = np.linalg.pinv(_slopes(found, points))[3]
+    most = max(left, ROUGH_M) * float(np.abs(lever).sum())  # an arm's errors are systematic
     return (constant, found[:3]) if abs(constant) > most else (0.0, place)
+
+
+def _slopes(at: FloatArray, points: FloatArray) -> FloatArray:
+    """Derivatives ``(N, 3)`` of the errors by the place; ``(N, 4)`` by place and constant if ``at`` has one."""
+    return np.asarray(np.c_[_towards(at[:3], points), -np.ones((len(points), len(at) - 3))])
+
+
+def _towards(place: FloatArray, points: FloatArray) -> FloatArray:
+    """Unit vectors ``(N, 3)`` from a place to the points."""
+    away = points - place
+    return np.asarray(away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12))
 
 
 def _misfit(place: FloatArray, points: FloatArray, distances: FloatArray) -> float:

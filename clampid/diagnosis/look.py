@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from kinematics.description import RobotDescription
 
 __all__ = [
     "ABLE",
+    "ALIASED",
     "CONFUSABLE",
     "IMPOSSIBLE",
     "RATE",
@@ -162,10 +163,12 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             continue  # variants of one effect at one place are one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
-        fair = other.freedom <= best.freedom or canonical(best, other) > ALIASED  # of what is one the rows tell nothing
-        if other.bic < best.bic - (SAME if fair else VERY_STRONG):
+        if other.bic < best.bic - SAME:
             continue  # what needs more numbers explains what the simpler one does, and is no rival for it
-        if explained_together(space, best, other) - other.explained < SAME and canonical(best, other) > CONFUSABLE:
+        shared = canonical(best, other)
+        if other.freedom > best.freedom and shared <= ALIASED and other.bic < best.bic - VERY_STRONG:
+            continue  # so is one by less, but for what is the same by the rows: they say nothing against its numbers
+        if shared > CONFUSABLE and explained_together(space, best, other) - other.explained < SAME:
             found.setdefault((other.candidate.family, other.candidate.places), other)
     kept = [
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
@@ -176,22 +179,20 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
 def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
     """Other variants of the best candidate's family, at the same places, that explain much of the same."""
     mine = best.candidate
-    found: dict[str, Scored] = {}
-    for other in sorted(named, key=lambda s: -s.bic):
-        theirs = other.candidate
-        same = theirs.family == mine.family and theirs.places == mine.places and theirs.name != mine.name
-        if same and other.state in ABLE and other.bic > 0 and canonical(best, other) > CONFUSABLE:
-            found.setdefault(theirs.name, other)
-    return list(found.values())
+    own = [s for s in named if s.candidate.family == mine.family and s.candidate.places == mine.places]
+    return _alike([s for s in own if s.candidate.name != mine.name], best, lambda c: c.name)
 
 
 def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
     """What looks much like the best candidate and is of another family: the best of each, whatever its score."""
+    others = [s for s in named if s.candidate.family != best.candidate.family and s.candidate.label not in rejected]
+    return _alike(others, best, lambda c: c.family)
+
+
+def _alike(scored: Sequence[Scored], best: Scored, kind: Callable[[Candidate], str]) -> list[Scored]:
+    """Of those that explain much of the same as the best one and pay for their numbers, the first of each kind."""
     found: dict[str, Scored] = {}
-    for other in sorted(named, key=lambda s: -s.bic):
-        theirs = other.candidate
-        if theirs.family == best.candidate.family or other.state not in ABLE or theirs.label in rejected:
-            continue
-        if other.bic > 0 and canonical(best, other) > CONFUSABLE:
-            found.setdefault(theirs.family, other)
+    for other in sorted(scored, key=lambda s: -s.bic):
+        if other.state in ABLE and other.bic > 0 and canonical(best, other) > CONFUSABLE:
+            found.setdefault(kind(other.candidate), other)
     return list(found.values())

@@ -15,6 +15,8 @@ __all__ = ["ITERATIONS", "NEGLIGIBLE", "Limits", "Point", "covariance_of", "desc
 
 ITERATIONS = 30
 DAMPING_START, DAMPING_END = 1e-3, 1e8
+# Nielsen's rule, by the share of its promise that a step keeps: Madsen, Nielsen, Tingleff, Methods for non-linear least
+# squares problems, 2004, sect. 3.2. Tens up and down instead made every second step fail along a bent valley.
 RAISED, LOWERED = 2.0, 1 / 3
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
