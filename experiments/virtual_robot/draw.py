@@ -166,6 +166,7 @@ def _draw_drive(robot: RobotDescription, rng: np.random.Generator) -> Drive:
         soft_torque=np.ones(n),
         rated=rated,
         gap=arcsec * ARCSEC,
+        reversal=np.zeros(n),
         slip=np.zeros((n, 3)),
         slip_torque=np.ones((n, 3)),
         eccentricity=np.zeros((n, 4)),

@@ -98,6 +98,14 @@ def flank(drive: Drive, tau: Array, direction: Array) -> Array:
     return np.where(np.abs(tau) < seals(drive), direction, np.sign(tau))
 
 
+def off_by_approach(plant: Plant, q: Array, direction: Array) -> Array:
+    """Return by how much the joints stop beside what their gears give, rad, (N, n), whatever their load.
+
+    A clamped arm does not move, and stays on the side on which it was clamped.
+    """
+    return outside_angle(plant.outside, q, direction) - 0.5 * plant.drive.reversal * direction
+
+
 def arm_at_rest(plant: Plant, bodies: Bodies, q: Array, direction: Array) -> tuple[Array, Array]:
     """Return where the arm stands after it stopped, and the torque that its drives transmit.
 
@@ -117,7 +125,7 @@ def arm_at_rest(plant: Plant, bodies: Bodies, q: Array, direction: Array) -> tup
     """
     drive = plant.drive
     ideal = gear_output(drive, motor_angles(drive, q), plant.geometry.zero)
-    ideal = ideal + outside_angle(plant.outside, q, direction)
+    ideal = ideal + off_by_approach(plant, q, direction)
     C = compliance_matrix(drive)
     arm, tau = ideal, np.zeros_like(ideal)
     for _ in range(4):  # each pass gains about three digits

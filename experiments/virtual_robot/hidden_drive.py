@@ -35,6 +35,16 @@ def hide_backlash(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
     return wider(plant, gap), {"gap_rad": gap}
 
 
+def hide_reversal(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
+    """Let a joint stop short of where it should on the side that it comes from, whatever its load."""
+
+    def short(p: Plant, width: float) -> Plant:
+        return replace(p, drive=replace(p.drive, reversal=plus(p.drive.reversal, i, width)))
+
+    width = m * SMALL * s.factor(lambda p: short(p, SMALL), *BY_DIRECTION)
+    return short(plant, width), {"width_rad": width}
+
+
 def hide_compliance(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Generator) -> tuple[Plant, Numbers]:
     """Make a joint softer; at least by a sixth, so that clamped sweeps show it where weight does not load the joint."""
 

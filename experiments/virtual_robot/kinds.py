@@ -25,6 +25,7 @@ from experiments.virtual_robot.hidden_drive import (
     hide_hysteresis,
     hide_ratio,
     hide_resolver,
+    hide_reversal,
     hide_soft,
 )
 from experiments.virtual_robot.hidden_elsewhere import (
@@ -160,6 +161,7 @@ _FRICTION: dict[str, tuple[str, str, Callable[[Plant, int], float], tuple[str, .
 
 KINDS: dict[str, Kind] = {
     "backlash": Kind(hide_backlash, "joint", ("clamped", *POSES), _inner),
+    "lost_motion": Kind(hide_reversal, "joint", POSES, _loaded),
     "joint_compliance": Kind(hide_compliance, "joint", ("clamped", *POSES), _loaded),
     "gear_eccentricity": Kind(hide_eccentricity, "joint", POSES),
     "motor_eccentricity": Kind(hide_resolver, "joint", ("clamped", *POSES), _inner),

@@ -63,6 +63,7 @@ class Drive:
     soft_torque: Array  # (n,) Nm, that torque
     rated: Array  # (n,) Nm at the joint
     gap: Array  # (n,) rad at the joint
+    reversal: Array  # (n,) rad at the joint, between where it stops from either side, whatever its load
     slip: Array  # (n, k) rad/Nm, compliance of the elements that slip (hysteresis)
     slip_torque: Array  # (n, k) Nm, where they slip
     eccentricity: Array  # (n, 4) rad: sin q, cos q, sin 2q, cos 2q

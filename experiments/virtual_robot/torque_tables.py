@@ -17,12 +17,13 @@ from experiments.virtual_robot.drive import (
     compliance_matrix,
     gear_output,
     motor_angles,
+    off_by_approach,
     static_load,
 )
 from experiments.virtual_robot.friction import Motion, motor_torque
 from experiments.virtual_robot.heat import History, read_sensors
 from experiments.virtual_robot.instrument import torque_noise
-from experiments.virtual_robot.outside import outside_angle, outside_torque
+from experiments.virtual_robot.outside import outside_torque
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.play import creeping_friction, dry_friction
 from experiments.virtual_robot.programs import RATE, ClampProgram, Run
@@ -140,7 +141,7 @@ def log_sweeps(
     q = sweep_angles(plant, program, amplitude)
     motor = motor_angles(plant.drive, q)
     output = gear_output(plant.drive, motor, plant.geometry.zero)
-    output = output + outside_angle(plant.outside, q, program.direction[program.event])
+    output = output + off_by_approach(plant, q, program.direction[program.event])
     tau, moved = np.empty_like(q), np.empty((len(q), 6))
     states, gears = np.empty_like(q), np.empty_like(q)
     for e, posture in enumerate(program.posture):
