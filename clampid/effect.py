@@ -288,6 +288,8 @@ class Effect:
         Whether it is fitted where somebody asks for it only: diagnosis does not look for it.
     tried_on
         The kind of joint at which alone diagnosis looks for it; None: any.
+    describes
+        Effects whose outcome it states without a cause: where one of these leaves no larger error, it is that one.
     """
 
     name: str
@@ -313,6 +315,7 @@ class Effect:
     known_within: Within | None = None
     asked: bool = False
     tried_on: JointKind | None = None
+    describes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):

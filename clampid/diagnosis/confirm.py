@@ -74,8 +74,7 @@ def same_effect(a: Scored, b: Scored) -> bool:
     """Whether two candidates are one effect, variants of one at the same places, or probes of a common variable."""
     a_what, b_what = a.candidate, b.candidate
     if a_what.terms or b_what.terms:
-        variants = a_what.family == b_what.family and a_what.places == b_what.places
-        return a_what.name == b_what.name or variants
+        return a_what.name == b_what.name or a_what.is_variant_of(b_what)
     return bool(set(a.candidate.depends_on) & set(b.candidate.depends_on))
 
 

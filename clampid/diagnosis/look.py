@@ -159,7 +159,7 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             continue
         if other.candidate.name == best.candidate.name and (theirs & mine):
             continue
-        if other.candidate.family == best.candidate.family and other.candidate.places == best.candidate.places:
+        if other.candidate.is_variant_of(best.candidate):
             continue  # variants of one effect at one place are one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
@@ -177,16 +177,17 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
 
 
 def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
-    """Other variants of the best candidate's family, at the same places, that explain much of the same."""
+    """Other variants of the best candidate, at the same places, that explain much of the same."""
     mine = best.candidate
-    own = [s for s in named if s.candidate.family == mine.family and s.candidate.places == mine.places]
-    return _alike([s for s in own if s.candidate.name != mine.name], best, lambda c: c.name)
+    own = [s for s in named if s.candidate.name != mine.name and s.candidate.is_variant_of(mine)]
+    return _alike(own, best, lambda c: c.name)
 
 
 def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
     """What looks much like the best candidate and is of another family: the best of each, whatever its score."""
-    others = [s for s in named if s.candidate.family != best.candidate.family and s.candidate.label not in rejected]
-    return _alike(others, best, lambda c: c.family)
+    mine = best.candidate
+    others = [s for s in named if s.candidate.family != mine.family and not s.candidate.is_variant_of(mine)]
+    return _alike([s for s in others if s.candidate.label not in rejected], best, lambda c: c.family)
 
 
 def _alike(scored: Sequence[Scored], best: Scored, kind: Callable[[Candidate], str]) -> list[Scored]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -201,53 +201,35 @@ class Bench:
     ) -> Tried | Undecided:
         """Fit a candidate along, and see whether it does on other rows what it promised on these.
 
-        Undecided, and not fitted, where others explain as much and scores say what all of them explain; undecided, too,
-        where look-alikes are first instead of it without some of the rows, and that is all that speaks against it.
+        Undecided, and not fitted, where others explain as much; undecided, too, where look-alikes are first instead of
+        it without some of the rows, and that is all that speaks against it.
         """
-        not_these = {t.best.candidate.label for t in refused}
-        rivals = rivals_of(look.space, look.named, best, not_these)
+        rivals = rivals_of(look.space, look.named, best, {t.best.candidate.label for t in refused})
         known = next((s for s in (best, *rivals) if self.called_for.issuperset(s.candidate.terms)), None)
         if known is not None:
             best, rivals = known, []
-        step = step_towards(fitted.estimate, best)
-        level, instead = self._parted(rivals, fitted, step is None or step.linear)
-        if rivals and not instead:
+        if rivals:
             return Undecided([best, *rivals], look)
+        step = step_towards(fitted.estimate, best)
         if step is not None and step.falls and best.assumed <= MOSTLY:
             new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
             p_held = held.p_above(new, new.noise, self.seed)
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit but for curvature
                 return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
-        instead += [(s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)]
+        others: list[tuple[Scored, Step | None]] = [
+            (s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)
+        ]
         if known is None:
-            instead += self._not_linear(look, fitted, best, step, {*not_these, *(s.candidate.label for s in rivals)})
-        fits = [self._fitted_along(s, near, fitted) for s, near in ((best, step), *instead)]
-        return self._judged(fits, level, look, held)
+            others += self._not_linear(look, fitted, best, step, refused)
+        return self._judged([self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)], look, held)
 
-    def _parted(
-        self, rivals: Sequence[Scored], fitted: FittedStage, straight: bool
-    ) -> tuple[list[Scored], list[tuple[Scored, Step | None]]]:
-        """Of what explains as much as a candidate, whether scores say so, or only fits can tell.
-
-        ``straight``: whether the candidate's own score says what it explains.
-        """
-        steps = [(s, step_towards(fitted.estimate, s)) for s in rivals]
-        bent = [(s, near) for s, near in steps if not straight or (near is not None and not near.linear)]
-        return [s for s in rivals if all(s is not other for other, _ in bent)], bent
-
-    def _judged(self, fits: Sequence[_Along], same: Sequence[Scored], look: Look, held: HeldOut) -> Tried | Undecided:
-        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
-
-        ``same``: others that explain what the first one does, and are not fitted.
-        """
-        best, trial, kept, new = min(fits, key=lambda fit: fit.held.rms)
+    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
+        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
+        best, trial, kept, new = self._cause_first(fits)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
-        mine = (best.candidate.family, best.candidate.places)
-        others = [fit for fit in fits if (fit.scored.candidate.family, fit.scored.candidate.places) != mine]
+        others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
         level = [f.scored for f in others if f.held.p_above(new, new.noise, self.seed) > HELD_OUT_RATE]
-        if any(fits[0].scored is s for s in (best, *level)):
-            level += same
         if falls and level:
             return Undecided([best, *level], look)
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
@@ -261,11 +243,18 @@ class Bench:
             reason = "without a fifth of the rows it is not first"
         return Tried(fits[0].scored if reason else best, look, trial, kept, new, p_held, again, reason)
 
+    def _cause_first(self, fits: Sequence[_Along]) -> _Along:
+        """The fit with the least error on rows not fitted; of what only states an outcome, its cause if that is as good."""
+        least = min(fits, key=lambda fit: fit.held.rms)
+        causes = [fit for fit in fits if fit.scored.candidate.name in least.scored.candidate.describes]
+        level = [c for c in causes if c.held.p_above(least.held, least.held.noise, self.seed) > HELD_OUT_RATE]
+        return min(level, key=lambda fit: fit.held.rms, default=least)
+
     def _not_linear(
-        self, look: Look, fitted: FittedStage, best: Scored, step: Step | None, but: Collection[str]
-    ) -> list[tuple[Scored, Step | None]]:
+        self, look: Look, fitted: FittedStage, best: Scored, step: Step | None, refused: Sequence[Tried]
+    ) -> list[tuple[Scored, Step]]:
         """Look-alikes of other families, where theirs or the best's score is not what they explain: fits tell then."""
-        others = of_other_families(look.named, best, but)
+        others = of_other_families(look.named, best, {t.best.candidate.label for t in refused})
         steps = [(s, step_towards(fitted.estimate, s)) for s in others]
         straight = step is None or step.linear
         return [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]

@@ -30,4 +30,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = -h/2 * dir, dir the direction of the last motion",
     source=("UniversalModel", "XCTDrift"),
+    describes=("wrist_coupling_friction",),
 )

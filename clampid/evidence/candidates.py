@@ -52,6 +52,8 @@ class Candidate:
         Of a named effect, the shape that is this size.
     reasonable
         Reasonable sizes ``(k,)`` of the amplitudes, as their declarations have them; None of a probe, which has none.
+    describes
+        Effects whose outcome it states without a cause.
     """
 
     name: str
@@ -66,6 +68,12 @@ class Candidate:
     sizes: tuple[float, ...] = (1.0,)
     sized_by: Slot | None = None
     reasonable: Array | None = None
+    describes: tuple[str, ...] = ()
+
+    def is_variant_of(self, other: Candidate) -> bool:
+        """Whether both are one verdict at the same places, and fits tell which: of one family, or cause and outcome."""
+        kin = self.family == other.family or self.name in other.describes or other.name in self.describes
+        return kin and self.places == other.places
 
     def of_size(self, size: float) -> Candidate:
         """The same with a prior of that size; the columns stay as they are."""
@@ -205,6 +213,7 @@ def _candidate(
     return Candidate(
         name=effect.name,
         family=effect.family,
+        describes=effect.describes,
         terms=tuple(group),
         slots=amplitudes,
         shapes=shapes,
