@@ -244,7 +244,7 @@ class Bench:
         return Tried(fits[0].scored if reason else best, look, trial, kept, new, p_held, again, reason)
 
     def _cause_first(self, fits: Sequence[_Along]) -> _Along:
-        """The fit with the least error on rows not fitted; of what only states an outcome, its cause if that is as good."""
+        """The fit with the least error on rows not fitted; of what only states an outcome, its cause where as good."""
         least = min(fits, key=lambda fit: fit.held.rms)
         causes = [fit for fit in fits if fit.scored.candidate.name in least.scored.candidate.describes]
         level = [c for c in causes if c.held.p_above(least.held, least.held.noise, self.seed) > HELD_OUT_RATE]
@@ -335,24 +335,63 @@ def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int
 def pruned(
     trial: FittedStage, new: Sequence[Term], before: Sequence[Term], refit: Refit
 ) -> tuple[FittedStage, list[Term]]:
-    """Drop the places of a new effect that do not pay for their parameters (Wald's statistic against BIC)."""
+    """Drop the places of a new effect that do not pay for their parameters (Wald's statistic against BIC).
+
+    That statistic is a linear model's. A friction that decides on flanks may hardly be known and yet be needed: where
+    the fit without all that does not pay loses more than they cost, they are dropped one by one, while it does not.
+    """
     if len(new) < 2:
         return trial, list(new)
     estimate = trial.estimate
+    cost, lacks = _costs(estimate, new), {}
+    for term, of_term in cost.items():
+        index = _of(estimate, term)
+        theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
+        lacks[term] = of_term - float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
+    gone = sorted((t for t in lacks if lacks[t] >= 0), key=lambda t: -lacks[t])
+    absent = [t for t in new if t not in cost]
+    if len(gone) + len(absent) in (0, len(new)):
+        return trial, list(new)
+
+    def without(dropped: Sequence[Term]) -> tuple[FittedStage, list[Term]] | None:
+        kept = [t for t in new if t not in dropped and t not in absent]
+        fitted = refit([*before, *kept], trial, {})
+        return (fitted, kept) if _loss(fitted.estimate, estimate) <= sum(cost[t] for t in dropped) else None
+
+    found = without(gone)
+    if found is not None:
+        return found
+    least: tuple[FittedStage, list[Term]] = (trial, list(new))
+    dropped: list[Term] = []
+    for term in gone:
+        found = without([*dropped, term])
+        if found is not None:
+            least, dropped = found, [*dropped, term]
+    return least
+
+
+def _of(estimate: Estimate, term: Term) -> list[int]:
+    return [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
+
+
+def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
+    """What the parameters of each term that a fit has must bring, in units of twice the log-likelihood."""
     rows = max(len(estimate.whitened.residual), 2)
     assumed = estimate.experiment.prior_std() <= estimate.experiment.sizes()
-    kept = []
-    for term in new:
-        index = [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
+    out = {}
+    for term in terms:
+        index = _of(estimate, term)
         if not index:
             continue
-        theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
-        cost = len(index) * float(np.log(rows))
+        out[term] = len(index) * float(np.log(rows))
         if assumed[index].all():  # what the rows narrowed the prior by
-            prior = estimate.experiment.prior_std()[index]
-            cost = -float(np.linalg.slogdet(covariance / np.outer(prior, prior))[1])
-        if float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta) > cost:
-            kept.append(term)
-    if not kept or len(kept) == len(new):
-        return trial, list(new)
-    return refit([*before, *kept], trial, {}), kept
+            prior, covariance = estimate.experiment.prior_std()[index], estimate.covariance[np.ix_(index, index)]
+            out[term] = -float(np.linalg.slogdet(covariance / np.outer(prior, prior))[1])
+    return out
+
+
+def _loss(fewer: Estimate, full: Estimate) -> float:
+    """By how much the squares of a fit with fewer parameters are larger, in units of the full one's noise."""
+    rows = full.experiment.rows
+    white = full.noise.whiten(rows, fewer.residual, np.zeros((*fewer.residual.shape, 0))).residual
+    return float(white @ white) - full.point.cost

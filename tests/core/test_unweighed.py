@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -12,12 +13,15 @@ from virtual_arms import arm
 from clampid.comparison.compare import compare
 from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify, standard_effects
+from clampid.loop.add import add
 from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Measured, Plant, measure
 from kinematics.description import load_robot
+
+Simulated = Callable[..., Campaign]
 
 NAME = "abb_irb1200_5_09"
 
@@ -62,6 +66,43 @@ def test_a_described_arm_has_no_such_error(measured: Measured):
     stage = identify([measured_campaign(measured, arm(NAME))]).stages["poses"]
     k = stage.slots.index(Slot("joint_compliance", "c", "joint2"))
     assert stage.std[k] < 0.05 * stage.theta[k]
+
+
+@pytest.mark.parametrize("gap", [1e-4, 2e-4])
+def test_clearances_that_follow_the_approach_alone_are_named(gap: float):
+    """Loads that nobody said decide on no flank: the fit takes those of a usual arm, and both sides stand apart."""
+    robot = load_robot("kuka_kr16_2")
+    measured = measure(
+        robot, seed=1, poses=60, tables=("poses", "verification"), alter=partial(_with_gaps, gap)
+    )  # its weight is not known to the virtual robot either: friction holds every joint on the side that it came from
+    campaign = measured_campaign(measured, robot)
+    model = identify(campaign)
+    verdict = diagnose(model, campaign).stages["poses"]
+    (found,) = verdict.candidates
+    assert (verdict.verdict, found["effect"], found["name"]) == ("missing", "backlash", "lost_motion")
+    assert {"joint2", "joint3"} <= set(found["where"])
+    mended, _ = add(model, campaign, [f"poses=lost_motion@{place}" for place in found["where"]])
+    stage, drive = mended.stages["poses"], measured.truth.plant.drive
+    friction = measured.truth.plant.friction.arm  # winds up the springs, and is part of what both sides stand apart
+    for j in (2, 3):
+        k = stage.slots.index(Slot("lost_motion", "width", f"joint{j}"))
+        assert abs(stage.theta[k] - gap - 2.0 * friction[j - 1] / drive.spring[j - 1]) < 3.0 * stage.std[k]
+        assert stage.std[k] < 0.2 * gap
+    assert heldout(mended, campaign) < 0.7 * heldout(model, campaign)
+    assert diagnose(mended, campaign).stages["poses"].verdict == "adequate"
+
+
+def test_friction_that_winds_up_springs_is_named_as_the_cause(simulated: Simulated):
+    """Where loads are known, what both sides stand apart is told as well by arm-side friction, which says why."""
+    campaign = simulated(seed=3, poses=120, tables=("poses", "verification"))
+    model = identify(campaign, {"poses": ("geometry", "joint_compliance", "backlash", "gravity")})
+    (found,) = diagnose(model, campaign).stages["poses"].candidates
+    assert found["effect"] == "wrist_coupling_friction"
+    assert "backlash" in [c["effect"] for c in found["confusable_with"]]
+
+
+def _with_gaps(gap: float, plant: Plant) -> Plant:
+    return replace(plant, drive=replace(plant.drive, gap=np.full(plant.n, gap)))
 
 
 @pytest.mark.slow
