@@ -98,6 +98,7 @@ def test_friction_that_winds_up_springs_is_named_as_the_cause(simulated: Simulat
     model = identify(campaign, {"poses": ("geometry", "joint_compliance", "backlash", "gravity")})
     (found,) = diagnose(model, campaign).stages["poses"].candidates
     assert found["effect"] == "wrist_coupling_friction"
+    assert sorted(found["where"]) == ["joint4", "joint5", "joint6"]  # joint 6's is hardly known, and decides on flanks
     assert "backlash" in [c["effect"] for c in found["confusable_with"]]
 
 
