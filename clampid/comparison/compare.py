@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.ranges import beyond_rows
-from clampid.slots import Prior, Slot
+from clampid.slots import Prior, Slot, unit_of
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.threads import single_threaded
@@ -44,6 +44,8 @@ class Comparison:
         together; empty and None where the model or the campaign does not have both.
     compensation
         How much of the model's deflections stands in the poses, and what mistake in a compensation that is.
+    units
+        Of the parameters in ``drives``, on this robot.
     """
 
     model: str
@@ -52,12 +54,14 @@ class Comparison:
     drives: tuple[Agreement, ...] = ()
     drives_p: float | None = None
     compensation: Compensation | None = None
+    units: Mapping[Slot, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         data: dict[str, Any] = {"model": self.model, "campaign": self.campaign, "tables": self.tables}
         if self.drives:
-            data["drives"] = {"p_value": self.drives_p, "parameters": [a.to_json() for a in self.drives]}
+            each = [{**a.to_json(), "unit": self.units[a.slot]} for a in self.drives]
+            data["drives"] = {"p_value": self.drives_p, "parameters": each}
         if self.compensation is not None:
             data["compensation"] = self.compensation.to_json()
         return data
@@ -118,7 +122,8 @@ def compare(
     own = None if refit else _independent_drives(opened)
     if own is not None:
         drives, drives_p = agreement_of(*own)
-    return Comparison(model.robot, campaign.name, tables, drives, drives_p, compensation_of(opened))
+    units = {a.slot: unit_of(a.slot, opened.effects, campaign.robot) for a in drives}
+    return Comparison(model.robot, campaign.name, tables, drives, drives_p, compensation_of(opened), units)
 
 
 def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | None:

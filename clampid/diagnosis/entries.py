@@ -11,7 +11,7 @@ from clampid.diagnosis.look import ALIASED, CONFUSABLE, RATE, Look
 from clampid.effect import Effect
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term, find_parameter, unit_of
+from clampid.slots import Slot, Term, unit_of
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
 
@@ -80,8 +80,8 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
     if estimate is None:  # the score's own estimate: one step from zero
         value, spread = s.value, s.spread
         return [
-            {"name": slot.label, "value": float(v), "std": float(sd), "unit": find_parameter(slot, effects).unit}
-            for slot, v, sd in zip(s.candidate.slots, value, spread, strict=False)
+            {"name": slot.label, "value": float(v), "std": float(sd), "unit": unit}
+            for slot, unit, v, sd in zip(s.candidate.slots, s.candidate.units, value, spread, strict=False)
         ]
     wanted: dict[str, set[str]] = {}
     for slot in (*s.candidate.slots, *s.candidate.shapes):

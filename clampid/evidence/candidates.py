@@ -52,6 +52,8 @@ class Candidate:
         Of a named effect, the shape that is this size.
     reasonable
         Reasonable sizes ``(k,)`` of the amplitudes, as their declarations have them; None of a probe, which has none.
+    units
+        Of the amplitudes, on this robot.
     describes
         Effects whose outcome it states without a cause.
     """
@@ -68,6 +70,7 @@ class Candidate:
     sizes: tuple[float, ...] = (1.0,)
     sized_by: Slot | None = None
     reasonable: Array | None = None
+    units: tuple[str, ...] = ()
     describes: tuple[str, ...] = ()
 
     def is_variant_of(self, other: Candidate) -> bool:
@@ -224,4 +227,5 @@ def _candidate(
         sizes=(1.0,) if sized_by is None else SIZES,
         sized_by=sized_by,
         reasonable=np.array([parameters[s].size for s in amplitudes]),
+        units=tuple(parameters[s].unit for s in amplitudes),
     )

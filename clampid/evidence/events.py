@@ -221,5 +221,6 @@ def _candidate(estimate: Estimate, effect: Effect, steps: Array, time: float) ->
         columns=Columns(pieces, len(slots)),
         depends_on=(),
         places=(effect.at,),
-        reasonable=np.array([p.size for s in slots for p in effect.parameters if p.name == s.parameter]),
+        reasonable=np.array([effect.by_name[s.parameter].size for s in slots]),
+        units=tuple(effect.by_name[s.parameter].unit for s in slots),
     )

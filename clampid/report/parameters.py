@@ -11,7 +11,8 @@ from clampid.models.correlations import SHOWN, STRONG, correlations
 from clampid.models.model import Model, StageModel
 from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
-from clampid.slots import find_parameter, on_bound
+from clampid.slots import find_parameter, on_bound, unit_of
+from kinematics.robot import RobotDescription
 
 __all__ = ["OPEN", "parameters_section"]
 
@@ -23,7 +24,7 @@ _MANY = 40  # parameters of an effect at a place, which nobody reads one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
 
 
-def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
+def parameters_section(model: Model, effects: Mapping[str, Effect], robot: RobotDescription) -> Section:
     """Section "The model with standard errors"."""
     blocks: list[str | Table | Figure] = []
     notes: list[str] = []
@@ -37,7 +38,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect]) -> Section:
         if stage_model.base:
             blocks.append(_base(stage_model))
         notes += [f"{stage_title(stage)}: {name} is drawn as curves, not listed number by number." for name in many]
-        blocks += [_pivot(stage_model, effects, indices) for indices in _groups(stage_model, effects)]
+        groups = _groups(stage_model, effects, robot)
+        blocks += [_pivot(stage_model, effects, robot, indices) for indices in groups]
         active = [effects[name] for name in dict.fromkeys(s.effect for s in stage_model.slots)]
         notes += [f"{stage_title(stage)}: {e.name}: {e.caveat}." for e in active if e.caveat]
         if stage_model.observability:
@@ -99,8 +101,11 @@ def _base(stage: StageModel) -> Table:
     return as_table(("Base parameter", "Identified#", "Described#", "Unit"), rows, caption)
 
 
-def _groups(stage: StageModel, effects: Mapping[str, Effect]) -> list[list[int]]:
-    """Slots that share a table: small effects at the same kind of place; others, and parts of the geometry, alone."""
+def _groups(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription) -> list[list[int]]:
+    """Slots that share a table: small effects at the same kind of place; others, and parts of the geometry, alone.
+
+    Joints that slide have tables of their own: their angles are lengths.
+    """
     groups: dict[tuple[str, ...], list[int]] = {}
     for k, slot in enumerate(stage.slots):
         effect = effects[slot.effect]
@@ -109,12 +114,13 @@ def _groups(stage: StageModel, effects: Mapping[str, Effect]) -> list[list[int]]
         kind = slot.place.rstrip("0123456789")
         alone = slot.effect == "geometry" or len(effect.parameters) > _WIDE
         part = next((p for p in _PREFIXES if slot.effect == "geometry" and slot.parameter.startswith(p)), "")
-        key = (slot.effect, part) if alone else ("", kind)
+        slides = "" if unit_of(slot, effects, robot) == find_parameter(slot, effects).unit else "slides"
+        key = (slot.effect, part, slides) if alone else ("", kind, slides)
         groups.setdefault(key, []).append(k)
     return list(groups.values())
 
 
-def _pivot(stage: StageModel, effects: Mapping[str, Effect], indices: Sequence[int]) -> Table:
+def _pivot(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, indices: Sequence[int]) -> Table:
     """Places by parameters."""
     at = {(stage.slots[k].place, stage.slots[k].effect, stage.slots[k].parameter): k for k in indices}
     columns = list(dict.fromkeys((stage.slots[k].effect, stage.slots[k].parameter) for k in indices))
@@ -126,7 +132,7 @@ def _pivot(stage: StageModel, effects: Mapping[str, Effect], indices: Sequence[i
     places = list(dict.fromkeys(stage.slots[k].place for k in indices))
     single = len({effect for effect, _ in columns}) == 1
     scales = {
-        c: _scale(stage, effects, [k for k in indices if (stage.slots[k].effect, stage.slots[k].parameter) == c])
+        c: _scale(stage, effects, robot, [k for k in indices if (stage.slots[k].effect, stage.slots[k].parameter) == c])
         for c in columns
     }
     heads = []
@@ -148,10 +154,10 @@ def _natural(place: str) -> tuple[str, int]:
     return head, int(place[len(head) :] or 0)
 
 
-def _scale(stage: StageModel, effects: Mapping[str, Effect], own: Sequence[int]) -> Scale:
+def _scale(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, own: Sequence[int]) -> Scale:
     known = [k for k in own if stage.identified[k]] or list(own)
     values = [float(v) for k in known for v in (stage.theta[k], stage.std[k])]
-    return scale_for(find_parameter(stage.slots[own[0]], effects).unit, values)
+    return scale_for(unit_of(stage.slots[own[0]], effects, robot), values)
 
 
 def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale: Scale) -> str:

@@ -12,7 +12,8 @@ from clampid.effect import Effect
 from clampid.models.model import Model
 from clampid.report.style import Section, as_table
 from clampid.report.verdict import truth_section
-from clampid.slots import Slot, find_parameter
+from clampid.slots import Slot, find_parameter, unit_of
+from kinematics.robot import RobotDescription
 
 __all__ = ["truth_and_found"]
 
@@ -28,20 +29,22 @@ _CAPTION = (
 )
 
 
-def truth_and_found(truth: Sequence[Json] | None, model: Model, effects: Mapping[str, Effect]) -> Section | None:
+def truth_and_found(
+    truth: Sequence[Json] | None, model: Model, effects: Mapping[str, Effect], robot: RobotDescription
+) -> Section | None:
     """Section "What had been hidden", each effect beside the model's; None where nothing is known of it."""
     section = truth_section(truth)
     if section is None or not truth:
         return section
-    rows = [row for hidden in truth for row in _rows(hidden, model, effects)]
+    rows = [row for hidden in truth for row in _rows(hidden, model, effects, robot)]
     return replace(section, blocks=(as_table(("Effect", "At", "Hidden#", "", "Found", "#"), rows, _CAPTION),))
 
 
-def _rows(hidden: Json, model: Model, effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:
+def _rows(hidden: Json, model: Model, effects: Mapping[str, Effect], robot: RobotDescription) -> list[tuple[str, ...]]:
     """One effect's numbers, hidden and found side by side."""
     effect, place = str(hidden.get("effect", "")), str(hidden.get("where", ""))
     left = [_hidden(name, value) for name, value in (hidden.get("parameters") or {}).items()]
-    right = _found(effect, place, model, effects) or [("not in the model", "")]
+    right = _found(effect, place, model, effects, robot) or [("not in the model", "")]
     pairs = zip_longest(left, right, fillvalue=("", ""))
     return [
         (effect if k == 0 else "", place if k == 0 else "", told[1], told[0], *own)
@@ -56,16 +59,20 @@ def _hidden(name: str, value: Any) -> tuple[str, str]:
     return words, readable(float(value), _UNITS.get(end, "")) if isinstance(value, (int, float)) else str(value)
 
 
-def _found(effect: str, place: str, model: Model, effects: Mapping[str, Effect]) -> list[tuple[str, str]]:
+def _found(
+    effect: str, place: str, model: Model, effects: Mapping[str, Effect], robot: RobotDescription
+) -> list[tuple[str, str]]:
     """What the first stage that has the effect there makes of it."""
     for stage in model.stages.values():
         own = [k for k, s in enumerate(stage.slots) if s.effect == effect and place in (s.place, "", "robot")]
         if own:
-            return [_number(effects, stage.slots[k], stage.theta[k], stage.std[k]) for k in own]
+            return [_number(effects, robot, stage.slots[k], stage.theta[k], stage.std[k]) for k in own]
     return []
 
 
-def _number(effects: Mapping[str, Effect], slot: Slot, value: float, std: float) -> tuple[str, str]:
+def _number(
+    effects: Mapping[str, Effect], robot: RobotDescription, slot: Slot, value: float, std: float
+) -> tuple[str, str]:
     parameter = find_parameter(slot, effects)
     meaning = f", {parameter.meaning}" if parameter.meaning else ""
-    return f"{parameter.name}{meaning}", with_error(float(value), float(std), parameter.unit)
+    return f"{parameter.name}{meaning}", with_error(float(value), float(std), unit_of(slot, effects, robot))

@@ -103,13 +103,9 @@ def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
 
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
     """Springs and clearances as the clamped sweeps have them and as the poses want them."""
-    units = {"joint_compliance.c": "rad/Nm", "backlash.gap": "rad"}
-    units |= {"nonlinear_stiffness.h": "rad/Nm^3", "cross_coupled_stiffness.x": "rad/Nm"}
-    units |= {"soft_near_zero.a": "rad/Nm", "soft_near_zero.s": "Nm"}
     rows = []
     for p in data["parameters"]:
-        unit = units[p["parameter"]]
-        both = (with_error(p[stage], _nan(p[f"{stage}_std"]), unit) for stage in ("clamped", "poses"))
+        both = (with_error(p[stage], _nan(p[f"{stage}_std"]), p["unit"]) for stage in ("clamped", "poses"))
         rows.append((p["parameter"], p["where"], *both, _number(p["z"], 2), _number(p["p_value"], 2), p["verdict"]))
     out.table("clamped sweeps against poses", ("", "at", "clamped", "poses", "z", "p", ""), rows, left=2)
     if data["p_value"] is not None:

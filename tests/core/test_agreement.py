@@ -74,6 +74,7 @@ def test_compare_shows_it_on_the_virtual_robot(simulated: Simulated, capsys: pyt
     first = data["drives"]["parameters"][0]
     assert first["where"] == "joint1"
     assert first["clamped_std"] > 0
+    assert first["unit"] == "rad/Nm"
     show_comparison({**data, "model": "m", "campaign": "c"}, Output(False, None))
     assert "clamped sweeps against poses" in capsys.readouterr().out
     # Joint 1 turns about the vertical: gravity never loads its spring in the poses.

@@ -70,7 +70,7 @@ def test_programs_get_all_and_people_the_strongest(monkeypatch: pytest.MonkeyPat
     show_model(model, catalogue(), load_robot("ur10"), {}, out)
     assert "poses: correlations of identified parameters beyond ±0.9, the strongest 20 of 28:" in text.getvalue()
     assert text.getvalue().count("+0.9500") == SHOWN
-    tables = [b for b in parameters_section(model, catalogue()).blocks if isinstance(b, Table)]
+    tables = [b for b in parameters_section(model, catalogue(), load_robot(model.robot)).blocks if isinstance(b, Table)]
     assert len(tables[-1].rows) == SHOWN
     assert "the strongest 20 of 28" in tables[-1].caption
 

@@ -7,13 +7,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from virtual_arms import arm
 
 from clampid.catalogue import catalogue
 from clampid.report.dh_section import _cell as dh_cell
-from clampid.report.parameters import _cell, _scale
+from clampid.report.parameters import _cell, _groups, _pivot, _scale
 from clampid.report.style import Table, Weak
 from clampid.report.truth import truth_and_found
 from clampid.slots import Slot
+from kinematics.description import load_robot
+
+ROBOT = load_robot("kuka_kr20_r1810")
 
 
 def stage(*found: tuple[Slot, float, float]) -> Any:
@@ -39,9 +43,19 @@ def test_what_is_not_told_from_zero_is_weak_and_a_friction_below_zero_is_named()
     F = [Slot("wrist_coupling_friction", "F", f"joint{j}") for j in (4, 5, 6)]
     c = Slot("joint_compliance", "c", "joint4")
     found = stage((F[0], -0.8, 2.6), (F[1], 7.03, 0.04), (F[2], 1.1, 1.3), (c, 0.4, 0.001))
-    cells = [_cell(found, effects, k, _scale(found, effects, [k])) for k in range(4)]
+    cells = [_cell(found, effects, k, _scale(found, effects, ROBOT, [k])) for k in range(4)]
     assert cells == ["-0.8 ± 2.6 (below zero)", "7.030 ± 0.040", "1.1 ± 1.3", "400.0 ± 1.0"]  # the last beyond a bound
     assert [isinstance(cell, Weak) for cell in cells] == [True, False, True, False]
+
+
+def test_joints_that_slide_have_tables_of_their_own():
+    robot = arm("scara")
+    slots = [Slot("joint_compliance", "c", f"joint{j}") for j in (2, 3, 4)]
+    found = stage((slots[0], 4e-6, 1e-7), (slots[1], 2e-6, 1e-7), (slots[2], 6e-6, 1e-7))
+    turns, slides = _groups(found, catalogue(), robot)
+    assert (turns, slides) == ([0, 2], [1])
+    heads = [_pivot(found, catalogue(), robot, group).columns for group in (turns, slides)]
+    assert [head[1] for head in heads] == ["c, µrad/Nm#", "c, µm/N#"]
 
 
 def test_what_was_hidden_stands_beside_what_was_found_in_one_unit():
@@ -52,7 +66,7 @@ def test_what_was_hidden_stands_beside_what_was_found_in_one_unit():
         "where": "joint1",
         "parameters": {"sin_q_rad": 1.639e-4, "cos_q_rad": 2.294e-4},
     }
-    section = truth_and_found([hidden], model, catalogue())
+    section = truth_and_found([hidden], model, catalogue(), ROBOT)
     assert section is not None
     (table,) = section.blocks
     assert isinstance(table, Table)
@@ -61,11 +75,11 @@ def test_what_was_hidden_stands_beside_what_was_found_in_one_unit():
         ("229 µrad", "cos q", "230.2 ± 2.7 µrad"),
     ]
     assert table.rows[0][4].startswith("a1, sine part")
-    missed = truth_and_found([{**hidden, "where": "joint2"}], model, catalogue())
+    missed = truth_and_found([{**hidden, "where": "joint2"}], model, catalogue(), ROBOT)
     assert missed is not None
     assert isinstance(missed.blocks[0], Table)
     assert missed.blocks[0].rows[0][4] == "not in the model"
-    nothing = truth_and_found([], model, catalogue())
+    nothing = truth_and_found([], model, catalogue(), ROBOT)
     assert nothing is not None
     assert "Nothing." in nothing.paragraphs
-    assert truth_and_found(None, model, catalogue()) is None
+    assert truth_and_found(None, model, catalogue(), ROBOT) is None
