@@ -9,10 +9,12 @@ import numpy.typing as npt
 
 from experiments.campaign import Campaign, target_points
 from experiments.check_angles import joint_angles
-from experiments.check_points import CLEARLY_WRONG_M, FLAT, UNITS
+from experiments.check_points import CLEARLY_WRONG_M, FLAT, SIGN_WRONG_M, UNITS
 from experiments.finding import Finding
 from experiments.lateration import Located, locate
+from experiments.mistakes import joint_mistakes, renaming_words, target_mistakes
 from kinematics.poe import forward
+from kinematics.robot import RobotDescription
 
 __all__ = ["distance_findings"]
 
@@ -21,6 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 # A place takes three distances; with one more they say something of the robot for the first time.
 FEWEST_POSES = 4
 TABLE = "distances"
+CLEARLY = 0.2  # of an error: what explains it leaves less
 
 
 def distance_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
@@ -50,12 +53,11 @@ def distance_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Itera
         return
     names = frame["anchor"].astype(str).to_numpy()
     if TABLE not in angles_wrong:
-        q = joint_angles(campaign, TABLE)
-        pose = forward(robot.screws, robot.flange, q @ robot.linkage.T)
-        points = pose[:, :3, 3] + np.einsum("rij,rj->ri", pose[:, :3, :3], target_points(campaign, TABLE))
-        unit = _wrong_unit(names, points, distances)
-        if unit:
-            yield unit
+        q, targets = joint_angles(campaign, TABLE), target_points(campaign, TABLE)
+        points = _places(robot, q, targets)
+        wrong = _wrong_unit(names, points, distances) or _mistaken(campaign, names, q, targets, distances)
+        if wrong:
+            yield wrong
             return
         for name in dict.fromkeys(names):
             mine = np.flatnonzero(names == name)
@@ -71,23 +73,58 @@ def distance_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Itera
 
 def _wrong_unit(names: npt.NDArray[np.object_], points: FloatArray, distances: FloatArray) -> Finding | None:
     """Distances that fit in another unit, and in metres by no means."""
-
-    def misfit(factor: float) -> float:
-        parts = [locate(points[names == name], distances[names == name] / factor).error for name in set(names)]
-        return float(np.median(np.abs(np.concatenate(parts))))
-
-    here = misfit(1.0)
+    here = _misfit(names, points, distances)
     if here <= CLEARLY_WRONG_M:
         return None
-    fits = {words: misfit(factor) for factor, words in UNITS.items()}
+    fits = {words: _misfit(names, points, distances / factor) for factor, words in UNITS.items()}
     best = min(fits, key=lambda words: fits[words])
-    if fits[best] > 0.2 * min(here, 5.0 * CLEARLY_WRONG_M):
+    if fits[best] > CLEARLY * min(here, 5.0 * CLEARLY_WRONG_M):
         return None
     message = (
         f"distances look like {best}, metres are expected: in metres they stay {here:.3g} m (median) from the nominal "
         "robot's wherever the anchors are"
     )
     return Finding("error", TABLE, "distance_m", None, message)
+
+
+def _mistaken(
+    campaign: Campaign, names: npt.NDArray[np.object_], q: FloatArray, targets: FloatArray, distances: FloatArray
+) -> Finding | None:
+    """Which joint's sign, which two joints or which targets' names must be others to make the distances fit.
+
+    Anchors may be anywhere, so that more than one mistake may nearly fit: one is named only if it fits far better.
+    """
+    robot, here = campaign.robot, _misfit(names, _places(campaign.robot, q, targets), distances)
+    if here <= SIGN_WRONG_M:
+        return None
+    found: list[tuple[float, str, str]] = []
+    for first, words, angles in joint_mistakes(q):
+        found.append((_misfit(names, _places(robot, angles, targets), distances), f"q{first}_rad", words))
+    labels = [str(name) for name in campaign.tables[TABLE]["target"]]
+    known = {"flange": np.zeros(3), **campaign.targets}
+    for swap in target_mistakes(sorted(set(labels))):
+        renamed = np.stack([known[swap.get(name, name)] for name in labels])
+        found.append((_misfit(names, _places(robot, q, renamed), distances), "target", renaming_words(swap)))
+    (best, column, words), (second, _, _) = sorted(found)[:2]
+    if best > CLEARLY * min(here, second):
+        return None
+    message = (
+        f"distances stay {here * 1e3:.0f} mm (median) from the nominal robot's wherever the anchors are; they fit with "
+        f"{words}"
+    )
+    return Finding("error", TABLE, column, None, message)
+
+
+def _places(robot: RobotDescription, q: FloatArray, targets: FloatArray) -> FloatArray:
+    """Nominal points ``(N, 3)``, m, base frame, of angles ``(N, n)``, rad, and targets ``(N, 3)``, m, on the flange."""
+    pose = forward(robot.screws, robot.flange, q @ robot.linkage.T)
+    return np.asarray(pose[:, :3, 3] + np.einsum("rij,rj->ri", pose[:, :3, :3], targets))
+
+
+def _misfit(names: npt.NDArray[np.object_], points: FloatArray, distances: FloatArray) -> float:
+    """By how much distances are off, m, at the median, each anchor where it fits best."""
+    parts = [locate(points[names == name], distances[names == name]).error for name in set(names)]
+    return float(np.median(np.abs(np.concatenate(parts))))
 
 
 def _anchor(

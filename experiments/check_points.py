@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations, permutations
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from experiments.campaign import Campaign, target_points
 from experiments.check_angles import joint_angles
 from experiments.columns import POSITION, QUATERNION
 from experiments.finding import Finding
+from experiments.mistakes import joint_mistakes, renaming_words, target_mistakes
 from kinematics.poe import forward
 from kinematics.screws import nearest_rotation
 
@@ -48,8 +49,6 @@ SIGN_WRONG_M = 0.005
 ORIENTATION_WRONG_RAD = 0.05
 # Gauss–Newton converges in three or four steps from the closed-form frame; dropping bad rows takes a few more.
 _ITERATIONS = 8
-# Names of more targets than these are only looked at for two that are swapped: their orders are too many.
-_ALL_ORDERS = 4
 # A target nearer to the last joint's axis than the wrist's own errors is not moved by that joint.
 ON_AXIS_M = 0.005
 # Off a plane by as much as the points reach within it, an error seen in their thickness alone is twenty times larger.
@@ -259,15 +258,8 @@ def _mistaken_joints(
 
     Of points of one target a mirrored arm may be another sign: what fits is named only if it is the one that does.
     """
-    robot, q = campaign.robot, joint_angles(campaign, table)
-    n, found = robot.n, []
-    turned = 1.0 - 2.0 * np.eye(n)
-    changes = [(i + 1, f"the sign of joint {i + 1} turned", turned[i] * q) for i in range(n)]
-    for i, j in combinations(range(n), 2):
-        order = np.arange(n)
-        order[[i, j]] = j, i
-        changes.append((i + 1, f"joints {i + 1} and {j + 1} exchanged", q[:, order]))
-    for first, words, angles in changes:
+    robot, found = campaign.robot, []
+    for first, words, angles in joint_mistakes(joint_angles(campaign, table)):
         poses = forward(robot.screws, robot.flange, angles @ robot.linkage.T)
         if np.median(_fit(poses, points, measured).distance) < good:
             found.append((first, words))
@@ -280,17 +272,10 @@ def _swapped_targets(
     """How targets' names must be exchanged to make the points fit; distances do not show it if all are equal."""
     known = {"flange": np.zeros(3), **campaign.targets}
     labels = [str(name) for name in campaign.tables[table]["target"]]
-    names = sorted(set(labels))
-    swaps: list[dict[str, str]] = [{a: b, b: a} for a, b in combinations(names, 2)]
-    if len(names) <= _ALL_ORDERS:
-        swaps += [dict(zip(names, order, strict=True)) for order in permutations(names)]
-    for swap in swaps:
+    for swap in target_mistakes(sorted(set(labels))):
         points = np.stack([known[swap.get(name, name)] for name in labels])
         if np.median(_fit(poses, points, measured).distance) < good:
-            moved = [name for name in swap if swap[name] != name]
-            if len(moved) == 2:
-                return f"targets {moved[0]} and {moved[1]} swapped"
-            return "targets renamed: " + ", ".join(f"{name} is {swap[name]}" for name in moved)
+            return renaming_words(swap)
     return None
 
 

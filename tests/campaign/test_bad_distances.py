@@ -122,14 +122,41 @@ def test_points_in_a_plane_leave_two_places(campaign: Campaign) -> None:
     assert any("lie in a plane: it may be on either side" in w for w in words), words
 
 
+@pytest.mark.parametrize(
+    ("edit", "column", "words"),
+    [
+        *(
+            (lambda t, c=f"q{j}_rad": t.assign(**{c: -t[c]}), f"q{j}_rad", f"the sign of joint {j} turned")
+            for j in (1, 3, 6)
+        ),
+        (lambda t: t.assign(q2_rad=t["q3_rad"], q3_rad=t["q2_rad"]), "q2_rad", "joints 2 and 3 exchanged"),
+        (
+            lambda t: t.assign(target=t["target"].replace({"T1": "T2", "T2": "T1"})),
+            "target",
+            "targets T1 and T2 swapped",
+        ),
+        (
+            lambda t: t.assign(target=t["target"].replace({"T1": "T2", "T2": "T3", "T3": "T1"})),
+            "target",
+            "targets renamed: T1 is T3, T2 is T1, T3 is T2",
+        ),
+    ],
+)
+def test_a_mistake_that_explains_all_distances_is_named(
+    campaign: Campaign, edit: Edit, column: str, words: str
+) -> None:
+    first = campaign.tables["distances"].query("anchor == 'A1'")
+    found = [f for f in told(campaign, edit(first)) if f.severity == "error"]
+    assert [(f.column, f.message.partition("they fit with ")[2]) for f in found] == [(column, words)]
+
+
 def test_an_anchor_moved_or_misnamed_is_said(campaign: Campaign) -> None:
     table = campaign.tables["distances"].copy()
     table.loc[table["pose"] % 2 == 0, "anchor"] = "A1"
     (found,) = told(campaign, table)
     assert "41 of 88 distances to anchor A1 are far from where the others say" in found.message
-    q = table[[f"q{i + 1}_rad" for i in range(6)]]
-    turned = campaign.tables["distances"].assign(**{"q3_rad": -q["q3_rad"]})
-    assert [f.message[:28] for f in told(campaign, turned) if "wrong robot" in f.message][:1] == [
+    other = campaign.tables["distances"].assign(q3_rad=0.9 * table["q3_rad"] + 0.2)  # no mistake of signs or names
+    assert [f.message[:28] for f in told(campaign, other) if "wrong robot" in f.message][:1] == [
         "distances to anchor A1 stay "
     ]
     table = campaign.tables["distances"].copy()
