@@ -146,7 +146,7 @@ def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription
 def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
     """Other effects, or other places, that explain as well what the best one does."""
     found: dict[tuple[str, tuple[str, ...]], Scored] = {}
-    mine = set(best.candidate.terms)
+    mine, there = set(best.candidate.terms), set(best.candidate.places)
     for other in sorted(named, key=lambda s: -s.bic):
         theirs = set(other.candidate.terms)
         if (
@@ -157,10 +157,9 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             or other.candidate.label in rejected
         ):
             continue
-        if other.candidate.name == best.candidate.name and (theirs & mine):
-            continue
-        if other.candidate.is_variant_of(best.candidate):
-            continue  # variants of one effect at one place are one verdict
+        overlaps = other.candidate.family == best.candidate.family and there & set(other.candidate.places)
+        if overlaps or other.candidate.is_variant_of(best.candidate):
+            continue  # one effect there, whichever of its variants and wherever else, is one verdict
         if other.explained < best.explained - SAME - other.freedom:
             continue
         if other.bic < best.bic - SAME:
