@@ -37,7 +37,7 @@ from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]
 
-FAR_OFF = 2.0  # noise floors: so much is not noise, even if the instrument's maker was an optimist
+FAR_OFF = 2.0  # of what may be noise: so much is none, even if the makers of instrument and robot were optimists
 ROUNDS = 8
 
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
@@ -134,7 +134,7 @@ def _looked_through(
     if verification is not None:
         wrong = np.any(verification.used & ~held.rows.used, axis=1)
         result.outliers += listed_outliers(verification, held.residual, wrong)
-    excess = result.after > FAR_OFF * result.noise_floor
+    excess = result.after > FAR_OFF * (floor.most if stage == "poses" else 1.0)
     if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, tested, seed)):
         _unknown(result, look, fitted.estimate, seed)
     if result.verdict == "adequate":
@@ -147,7 +147,7 @@ def _looked_through(
 
 def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effects: dict[str, Effect]) -> None:
     """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
-    if result.verdict == "adequate":
+    if result.verdict in ("adequate", "missing"):
         result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free)
     result.one_sided = one_sided(rows)
     said = one_sided_words(result.one_sided, rows, effects)

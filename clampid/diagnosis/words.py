@@ -69,8 +69,8 @@ def summary_of(result: StageDiagnosis) -> str:
         fall = f"the held-out error falls from {shown(result.before)} to {shown(result.after)} ({floor})"
         start = f"Missing: {'; '.join(confirmed)}; with it {fall}. "
     match result.verdict:
-        case "adequate" if result.above is not None:
-            return _above(result.above, shown(result.after), floor)
+        case "adequate" | "missing" if result.above is not None:
+            return start + _above(result.above, shown(result.after), floor, "No further" if start else "No")
         case "adequate":
             return (
                 f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, {floor}; effects "
@@ -106,12 +106,12 @@ def _named(c: Mapping[str, Any]) -> str:
     return name if name == family else f"{name} ({family})"
 
 
-def _above(above: Mapping[str, Any], error: str, floor: str) -> str:
+def _above(above: Mapping[str, Any], error: str, floor: str, no: str) -> str:
     """That no effect was found though the error lies above the noise, with figures and what may be the reason."""
     unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in above["unseen"].items())
     blind = f" Not seen at all would be what depends on ({unseen}): the model takes that up." if unseen else ""
     return (
-        f"No effect is confirmed, but the held-out error is {error}, {above['times_floor']:.2g} times the {floor}: "
+        f"{no} effect is confirmed, but the held-out error is {error}, {above['times_floor']:.2g} times the {floor}: "
         f"{100 * above['share_of_square']:.0f} % of its square are not that noise. What may be the reason: "
         f"{'; '.join(above['reasons'])}.{blind} Effects above the listed limits would have been found with 90 % "
         "probability."

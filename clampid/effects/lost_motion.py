@@ -30,5 +30,6 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = -h/2 * dir, dir the direction of the last motion",
     source=("UniversalModel", "XCTDrift"),
+    beyond="backlash",
     describes=("wrist_coupling_friction",),
 )

@@ -292,6 +292,16 @@ def test_a_hidden_effect_is_found_from_distances(simulated: Simulated):
     assert found["heldout_rms_after"] < 0.6 * found["heldout_rms_before"]
 
 
+def test_repeatability_beside_a_fine_instrument_is_nothing_unknown(simulated: Simulated):
+    """Distances to 10 um of a robot that repeats within 20: no return says so, and "unknown" would be a false alarm."""
+    campaign = simulated(seed=0, poses=90, tables=("distances",))
+    effects = ["geometry", "joint_compliance", "backlash", "wrist_coupling_friction"]
+    found = diagnose(identify(campaign, effects), campaign).stages["poses"]
+    assert (found.verdict, found.candidates) == ("adequate", [])
+    assert found.before > 2.0 * found.noise_floor
+    assert "the floor is only what the instrument is stated to do" in found.summary
+
+
 @pytest.mark.parametrize("points", [False, True])
 def test_the_zero_of_a_draw_wire_is_found_and_does_not_move_the_arm(points: bool):
     campaign, zeros = measured(2, 90, individual=True, points=points), {"A1": 0.03, "A2": -0.012, "A3": 0.004}

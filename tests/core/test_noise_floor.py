@@ -42,10 +42,12 @@ def test_check_and_the_floor_say_the_same(base: Campaign, count: int) -> None:
     (said,) = (f.message for f in motion_findings(campaign, frozenset()) if f.column == "visit")
     if count < ENOUGH_RETURNS:
         assert floor.source == "instrument"
+        assert floor.most > floor.norm  # nobody has measured how well the robot repeats
         assert said.startswith(f"{count or 'no'} point")
         assert said.endswith(f"it takes {ENOUGH_RETURNS}, so the noise floor is the instrument's")
         return
     assert floor.source == "replicates"
+    assert floor.most == floor.norm
     assert floor.norm == pytest.approx(np.sqrt(3) * SCATTER, rel=0.25)
     assert said.startswith(f"{count} points measured again")
     assert said.endswith("they give the noise floor")
