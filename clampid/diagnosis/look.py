@@ -146,6 +146,7 @@ def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription
 def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
     """Other effects, or other places, that explain as well what the best one does."""
     found: dict[tuple[str, tuple[str, ...]], Scored] = {}
+    behind: list[Scored] = []
     mine, there = set(best.candidate.terms), set(best.candidate.places)
     for other in sorted(named, key=lambda s: -s.bic):
         theirs = set(other.candidate.terms)
@@ -164,10 +165,16 @@ def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Col
             continue
         if other.bic < best.bic - SAME:
             continue  # what needs more numbers explains what the simpler one does, and is no rival for it
-        shared = canonical(best, other)
-        if other.freedom > best.freedom and shared <= ALIASED and other.bic < best.bic - VERY_STRONG:
-            continue  # so is one by less, but for what is the same by the rows: they say nothing against its numbers
-        if shared > CONFUSABLE and explained_together(space, best, other) - other.explained < SAME:
+        if canonical(best, other) <= CONFUSABLE or explained_together(space, best, other) - other.explained >= SAME:
+            continue
+        if other.freedom > best.freedom and other.bic < best.bic - VERY_STRONG:
+            behind.append(other)
+        else:
+            found.setdefault((other.candidate.family, other.candidate.places), other)
+    # What has more numbers and is so far behind is no rival either, but for what is the same by the rows as the best
+    # one or a rival of it: they say nothing against its numbers.
+    for other in behind:
+        if any(canonical(one, other) > ALIASED for one in (best, *found.values())):
             found.setdefault((other.candidate.family, other.candidate.places), other)
     kept = [
         s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
