@@ -1,69 +1,30 @@
-"""What nobody said: what a cell file and a robot description leave to defaults, and what a model makes nothing of."""
+"""What nobody said: what is taken for what a cell leaves to defaults, and what a model makes nothing of."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.robot import RobotDescription
+from offline_ik.arm import IdentifiedArm
+from offline_ik.cell import Cell
+from offline_ik.shapes import radii_of
 
 if TYPE_CHECKING:
-    from offline_ik.arm import IdentifiedArm
-    from offline_ik.cell import Cell
     from offline_ik.detector import Detector
 
-__all__ = ["assumed_of", "assumptions", "moves_by", "notes_of", "time_effects"]
+__all__ = ["assumptions", "moves_by", "notes_of", "time_effects"]
 
 Array = npt.NDArray[np.float64]
 
 SHIFT = 8 * 3600.0  # s
 
-# Each default by the part and key of a cell file that would say it.
-_DEFAULTS = {
-    "convention": ("convention", "name"),
-    "sample": ("convention", "sample_m"),
-    "beam": ("convention", "beam"),
-    "detector at the flange": ("detector", "position_m"),
-    "a detector without a body": ("detector", "size_m"),
-    "tool at the flange": ("tool", "com_m"),
-    "tool as heavy as the campaign says": ("tool", "mass_kg"),
-    "no obstacles": ("", "obstacle"),
-    "gravity": ("", "gravity_m_s2"),
-    "links of 20 degC": ("temperature", "link_C"),
-    "link radii from the arm's reach": ("robot_shape", "radius_m"),
-    "base radius from the arm's reach": ("robot_shape", "base_radius_m"),
-    "clearance of 20 mm": ("safety", "clearance_m"),
-    "speed of 0.3 of the greatest": ("safety", "speed"),
-}
-
-
-def assumed_of(table: Mapping[str, Any], robot: RobotDescription) -> tuple[str, ...]:
-    """What a cell file and the robot's description leave open, in words.
-
-    Parameters
-    ----------
-    table
-        The cell file, checked; empty without one.
-    """
-    out = []
-    for name, (part, key) in _DEFAULTS.items():
-        if key not in (table.get(part, {}) if part else table):
-            out.append(name)
-    if np.array_equal(np.asarray(robot.transmission), np.eye(robot.n)):
-        out.append("motors turn as joints do (no gears are described)")
-    if any(not joint.max_speed for joint in robot.joints):
-        out.append("joints of 180 deg/s where no greatest speed is described")
-    return tuple(out)
-
 
 def assumptions(detector: Detector) -> tuple[str, ...]:
     """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
-    from offline_ik.shapes import radii_of
-
     cell, convention = detector.cell, detector.cell.convention
     base, radii = radii_of(detector.robot, cell)
     values = {

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
-from offline_ik.assumed import assumed_of
+from offline_ik.cell_defaults import assumed_of
 from offline_ik.cell_values import known, number, numbers, positive, sizes, spread, switch, temperatures, text, whole
 from offline_ik.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
