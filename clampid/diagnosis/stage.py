@@ -20,11 +20,12 @@ from clampid.diagnosis.entries import (
 )
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
+from clampid.diagnosis.pruning import Refit
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Refit, Undecided
+from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, 
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
+from clampid.diagnosis.pruning import Refit, pruned
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
@@ -21,10 +22,10 @@ from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
-from clampid.slots import Slot, Term
+from clampid.slots import Term
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Refit", "Tried", "Undecided", "held_out", "pruned"]
+__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Tried", "Undecided", "held_out"]
 
 HELD_OUT_RATE = 0.05
 STABLE = 0.6  # the majority of five parts of the rows
@@ -33,8 +34,6 @@ RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
-
-Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
 
 @dataclass(frozen=True)
@@ -330,68 +329,3 @@ def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int
     p = held.p_above(new, new.noise, seed)
     told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
     return p, p <= HELD_OUT_RATE or told
-
-
-def pruned(
-    trial: FittedStage, new: Sequence[Term], before: Sequence[Term], refit: Refit
-) -> tuple[FittedStage, list[Term]]:
-    """Drop the places of a new effect that do not pay for their parameters (Wald's statistic against BIC).
-
-    That statistic is a linear model's. A friction that decides on flanks may hardly be known and yet be needed: where
-    the fit without all that does not pay loses more than they cost, they are dropped one by one, while it does not.
-    """
-    if len(new) < 2:
-        return trial, list(new)
-    estimate = trial.estimate
-    cost, lacks = _costs(estimate, new), {}
-    for term, of_term in cost.items():
-        index = _of(estimate, term)
-        theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
-        lacks[term] = of_term - float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
-    gone = sorted((t for t in lacks if lacks[t] >= 0), key=lambda t: -lacks[t])
-    absent = [t for t in new if t not in cost]
-    if len(gone) + len(absent) in (0, len(new)):
-        return trial, list(new)
-
-    def without(dropped: Sequence[Term]) -> tuple[FittedStage, list[Term]] | None:
-        kept = [t for t in new if t not in dropped and t not in absent]
-        fitted = refit([*before, *kept], trial, {})
-        return (fitted, kept) if _loss(fitted.estimate, estimate) <= sum(cost[t] for t in dropped) else None
-
-    found = without(gone)
-    if found is not None:
-        return found
-    least: tuple[FittedStage, list[Term]] = (trial, list(new))
-    dropped: list[Term] = []
-    for term in gone:
-        found = without([*dropped, term])
-        if found is not None:
-            least, dropped = found, [*dropped, term]
-    return least
-
-
-def _of(estimate: Estimate, term: Term) -> list[int]:
-    return [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
-
-
-def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
-    """What the parameters of each term that a fit has must bring, in units of twice the log-likelihood."""
-    rows = max(len(estimate.whitened.residual), 2)
-    assumed = estimate.experiment.prior_std() <= estimate.experiment.sizes()
-    out = {}
-    for term in terms:
-        index = _of(estimate, term)
-        if not index:
-            continue
-        out[term] = len(index) * float(np.log(rows))
-        if assumed[index].all():  # what the rows narrowed the prior by
-            prior, covariance = estimate.experiment.prior_std()[index], estimate.covariance[np.ix_(index, index)]
-            out[term] = -float(np.linalg.slogdet(covariance / np.outer(prior, prior))[1])
-    return out
-
-
-def _loss(fewer: Estimate, full: Estimate) -> float:
-    """By how much the squares of a fit with fewer parameters are larger, in units of the full one's noise."""
-    rows = full.experiment.rows
-    white = full.noise.whiten(rows, fewer.residual, np.zeros((*fewer.residual.shape, 0))).residual
-    return float(white @ white) - full.point.cost

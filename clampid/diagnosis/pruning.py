@@ -1,0 +1,75 @@
+"""Which places of a new effect pay for their parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from clampid.fitting.solve import Estimate
+from clampid.identification.fitted_stage import FittedStage
+from clampid.slots import Slot, Term
+
+__all__ = ["Refit", "pruned"]
+
+Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
+
+
+def pruned(
+    trial: FittedStage, new: Sequence[Term], before: Sequence[Term], refit: Refit
+) -> tuple[FittedStage, list[Term]]:
+    """Drop the places of a new effect that do not pay for their parameters (Wald's statistic against BIC).
+
+    That statistic is a linear model's. A friction that decides on flanks may hardly be known and yet be needed: where
+    the fit without all that does not pay loses more than they cost, they are dropped one by one, while it does not.
+    """
+    if len(new) < 2:
+        return trial, list(new)
+    estimate = trial.estimate
+    cost, lacks = _costs(estimate, new), {}
+    for term, of_term in cost.items():
+        index = _of(estimate, term)
+        theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
+        lacks[term] = of_term - float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
+    gone = sorted((t for t in lacks if lacks[t] >= 0), key=lambda t: -lacks[t])
+    if len(gone) == len(cost):
+        return trial, list(new)
+    found, kept = trial, [t for t in new if t in cost]
+    if len(kept) < len(new):  # of some no row tells anything
+        found = refit([*before, *kept], trial, {})
+    one_by_one = [[term] for term in gone] if len(gone) > 1 else []
+    for dropped in (gone, *one_by_one):
+        fewer = [t for t in kept if t not in dropped]
+        if len(fewer) == len(kept):
+            continue
+        slim = refit([*before, *fewer], found, {})
+        if _loss(slim.estimate, estimate) <= sum(cost[t] for t in cost if t not in fewer):
+            found, kept = slim, fewer
+    return found, kept
+
+
+def _of(estimate: Estimate, term: Term) -> list[int]:
+    return [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
+
+
+def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
+    """What the parameters of each term that a fit has must bring, in units of twice the log-likelihood."""
+    rows = max(len(estimate.whitened.residual), 2)
+    assumed = estimate.experiment.prior_std() <= estimate.experiment.sizes()
+    out = {}
+    for term in terms:
+        index = _of(estimate, term)
+        if not index:
+            continue
+        out[term] = len(index) * float(np.log(rows))
+        if assumed[index].all():  # what the rows narrowed the prior by
+            prior, covariance = estimate.experiment.prior_std()[index], estimate.covariance[np.ix_(index, index)]
+            out[term] = -float(np.linalg.slogdet(covariance / np.outer(prior, prior))[1])
+    return out
+
+
+def _loss(fewer: Estimate, full: Estimate) -> float:
+    """By how much the squares of a fit with fewer parameters are larger, in units of the full one's noise."""
+    rows = full.experiment.rows
+    white = full.noise.whiten(rows, fewer.residual, np.zeros((*fewer.residual.shape, 0))).residual
+    return float(white @ white) - full.point.cost
