@@ -105,8 +105,8 @@ def _mistaken(
     for swap in target_mistakes(sorted(set(labels))):
         renamed = np.stack([known[swap.get(name, name)] for name in labels])
         found.append((_misfit(names, _places(robot, q, renamed), distances), "target", renaming_words(swap)))
-    (best, column, words), (second, _, _) = sorted(found)[:2]
-    if best > CLEARLY * min(here, second):
+    best, column, words = min(found)
+    if best > CLEARLY * min([here, *(miss for miss, _, other in found if other != words)]):
         return None
     message = (
         f"distances stay {here * 1e3:.0f} mm (median) from the nominal robot's wherever the anchors are; they fit with "
