@@ -39,16 +39,10 @@ def arm(name: str) -> RobotDescription:
 def weighed(robot: RobotDescription) -> RobotDescription:
     """The same arm with the KR20's masses and rated torques, scaled by its reach."""
     model = load_robot(WEIGHED)
-    ratio = reach(robot) / reach(model)
+    ratio = robot.reach / model.reach
     points = np.array([*(joint.point for joint in robot.joints), robot.flange[:3, 3]])
     middle = (points[:-1] + points[1:]) / 2
     links = tuple(Link(ratio**2 * link.mass, at) for link, at in zip(model.links, middle, strict=True))
     torques = [ratio**3 * joint.rated_torque for joint in model.joints]
     joints = tuple(replace(j, rated_torque=torque) for j, torque in zip(robot.joints, torques, strict=True))
     return replace(robot, links=links, joints=joints)
-
-
-def reach(robot: RobotDescription) -> float:
-    """Sum of the distances between the joints' points from the second on, m: the arm stretched out."""
-    points = np.array([joint.point for joint in robot.joints[1:]])
-    return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))

@@ -12,7 +12,7 @@ from scipy import linalg
 
 from kinematics.robot import Link, RobotDescription
 
-__all__ = ["links_of", "stretched", "usual_covariance", "usual_links"]
+__all__ = ["links_of", "usual_covariance", "usual_links"]
 
 Array = npt.NDArray[np.float64]
 
@@ -52,11 +52,6 @@ def usual_covariance(robot: RobotDescription) -> Array:
         mean.append(np.r_[link.mass, link.mass * centre])
     whole = np.concatenate(mean)
     return np.asarray(linalg.block_diag(*blocks) + BUILD**2 * np.outer(whole, whole))
-
-
-def stretched(robot: RobotDescription) -> float:
-    """How far the flange is from joint 2 with the arm stretched out, m."""
-    return float(_along(robot)[1][1:].sum())
 
 
 def _along(robot: RobotDescription) -> tuple[Array, Array]:

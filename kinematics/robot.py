@@ -172,6 +172,17 @@ class RobotDescription:
         """What each joint is built for (n), Nm, or N where it slides; 100 where the description says nothing."""
         return frozen_array([joint.rated_torque or USUAL_TORQUE for joint in self.joints])
 
+    @cached_property
+    def reach(self) -> float:
+        """How far the last joint's point is from the second one's, stretched out, m."""
+        points = np.array([joint.point for joint in self.joints])
+        return float(np.linalg.norm(np.diff(points[1:], axis=0), axis=1).sum())
+
+    @cached_property
+    def stretched(self) -> float:
+        """How far the flange is from the second joint's point, the arm stretched out, m."""
+        return self.reach + float(np.linalg.norm(self.flange[:3, 3] - np.asarray(self.joints[-1].point)))
+
     @property
     def has_masses(self) -> bool:
         """Whether the masses of the links are known."""

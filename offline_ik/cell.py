@@ -146,19 +146,13 @@ class Cell:
         }
 
 
-def reach_of(robot: RobotDescription) -> float:
-    """How far the last joint's point is from the second one's, stretched out, m."""
-    points = np.array([j.point for j in robot.joints])
-    return float(np.linalg.norm(np.diff(points[1:], axis=0), axis=1).sum())
-
-
 def default_cell(robot: RobotDescription) -> Cell:
     """A cell for a robot of which nothing is said: a placeholder, marked as such.
 
     The robot stands behind the detector, which looks back at a sample in front of it: the octant gamma, delta from 0 to
     90° lies in its reach, for r from a third to half of that.
     """
-    reach = reach_of(robot)
+    reach = robot.reach
     shoulder = np.asarray(robot.joints[1].point)
     sample = tuple(np.round(np.array([DEFAULT_X, DEFAULT_Y, DEFAULT_Z]) * reach + [0, 0, shoulder[2]], 3).tolist())
     beam = (math.cos(DEFAULT_AZIMUTH), math.sin(DEFAULT_AZIMUTH), 0.0)

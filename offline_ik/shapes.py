@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
-from offline_ik.cell import Cell, Obstacle, reach_of
+from offline_ik.cell import Cell, Obstacle
 from offline_ik.errors import CellError
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def distance_of(a: Any, a_at: Any, b: Any, b_at: Any) -> float:
 
 def radii_of(robot: RobotDescription, cell: Cell) -> tuple[float, Array]:
     """Of the base and of the links ``(n,)``, m: the cell's, or guessed from the arm's reach."""
-    guessed = np.interp(np.linspace(0, 1, robot.n + 1), np.linspace(0, 1, len(RADII)), RADII) * reach_of(robot)
+    guessed = np.interp(np.linspace(0, 1, robot.n + 1), np.linspace(0, 1, len(RADII)), RADII) * robot.reach
     base = float(guessed[0]) if cell.base_radius is None else cell.base_radius
     return base, guessed[1:] if cell.radius is None else cell.radius
 

@@ -15,7 +15,6 @@ from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
-from kinematics.masses import stretched
 
 __all__ = ["Floor", "StageErrors", "counted", "cross_validated", "noise_floor", "predicted", "stage_errors"]
 
@@ -100,7 +99,7 @@ def _pose_floor(rows: Rows) -> Floor:
         spread = _returns(rows, mine, channels)
         sources.append("instrument" if spread is None else "replicates")
         if spread is None:
-            repeats += float(np.mean(mine)) * len(channels) / 3.0 * (REPEATS * stretched(rows.robot)) ** 2
+            repeats += float(np.mean(mine)) * len(channels) / 3.0 * (REPEATS * rows.robot.stretched) ** 2
             spread = np.sqrt(np.mean(rows.sigma[mine][:, channels] ** 2, axis=0)) if mine.any() else np.zeros(3)
         variances.append(np.mean(mine) * spread**2)
     source: Literal["replicates", "instrument"] = "instrument" if "instrument" in sources else "replicates"
