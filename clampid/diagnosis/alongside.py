@@ -77,6 +77,10 @@ class Step:
         """Whether the score, which is that of a linear model, says what the candidate explains."""
         return abs(self.kept - self.promised) <= SAME
 
+    def may_reach(self, other: Step | None) -> bool:
+        """Whether a search from here may explain as much as the other does, as far as the curvature met tells."""
+        return other is None or max(self.kept, self.promised) + abs(self.kept - self.promised) >= other.kept
+
 
 def step_towards(estimate: Estimate, s: Scored) -> Step | None:
     """A step towards a candidate and what it keeps of its promise; None of what is no amplitude of rows.

@@ -34,6 +34,7 @@ __all__ = [
 
 RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
 CONFUSABLE = 0.8  # squared canonical correlation above which both are named: apart they are a fifth of what either is
+SHARED = 0.5  # above which they have more in common than not, so that one may be taken for the other if not linear
 ALIASED = 0.999  # above which they are one
 STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
@@ -190,16 +191,18 @@ def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
 
 
 def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
-    """What looks much like the best candidate and is of another family: the best of each, whatever its score."""
+    """What shares most with the best candidate and is of another family: the best of each, whatever its score."""
     mine = best.candidate
     others = [s for s in named if s.candidate.family != mine.family and not s.candidate.is_variant_of(mine)]
-    return _alike([s for s in others if s.candidate.label not in rejected], best, lambda c: c.family)
+    return _alike([s for s in others if s.candidate.label not in rejected], best, lambda c: c.family, SHARED)
 
 
-def _alike(scored: Sequence[Scored], best: Scored, kind: Callable[[Candidate], str]) -> list[Scored]:
+def _alike(
+    scored: Sequence[Scored], best: Scored, kind: Callable[[Candidate], str], above: float = CONFUSABLE
+) -> list[Scored]:
     """Of those that explain much of the same as the best one and pay for their numbers, the first of each kind."""
     found: dict[str, Scored] = {}
     for other in sorted(scored, key=lambda s: -s.bic):
-        if other.state in ABLE and other.bic > 0 and canonical(best, other) > CONFUSABLE:
+        if other.state in ABLE and other.bic > 0 and canonical(best, other) > above:
             found.setdefault(kind(other.candidate), other)
     return list(found.values())

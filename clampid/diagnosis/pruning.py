@@ -1,4 +1,4 @@
-"""Which places of a new effect pay for their parameters."""
+"""Which places of a new effect pay for their parameters, and which earlier effects still do beside it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
+from clampid.stages.experiment import parameter_of
 
-__all__ = ["Refit", "pruned"]
+__all__ = ["Refit", "needless", "pruned"]
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
@@ -26,11 +27,8 @@ def pruned(
     if len(new) < 2:
         return trial, list(new)
     estimate = trial.estimate
-    cost, lacks = _costs(estimate, new), {}
-    for term, of_term in cost.items():
-        index = _of(estimate, term)
-        theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
-        lacks[term] = of_term - float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
+    cost = _costs(estimate, new)
+    lacks = {term: of_term - _wald(estimate, _of(estimate, term)) for term, of_term in cost.items()}
     gone = sorted((t for t in lacks if lacks[t] >= 0), key=lambda t: -lacks[t])
     if len(gone) == len(cost):
         return trial, list(new)
@@ -46,6 +44,27 @@ def pruned(
         if _loss(slim.estimate, estimate) <= sum(cost[t] for t in cost if t not in fewer):
             found, kept = slim, fewer
     return found, kept
+
+
+def needless(trial: FittedStage, terms: Sequence[Term], refit: Refit) -> FittedStage | None:
+    """The fit without some terms of a model, where these do not pay for their parameters; None where they do.
+
+    As for the places of a new effect, where Wald's statistic says that they do not pay, the fit without decides.
+    """
+    estimate = trial.estimate
+    cost = sum(_costs(estimate, terms).values())
+    if _wald(estimate, [k for term in terms for k in _of(estimate, term)]) >= cost:
+        return None
+    slim = refit([t for t in trial.model.terms if t not in terms], trial, {})
+    return slim if _loss(slim.estimate, estimate) <= cost else None
+
+
+def _wald(estimate: Estimate, own: Sequence[int]) -> float:
+    """Wald's statistic of some parameters: how far amplitudes are from none, in units of twice the log-likelihood."""
+    effects, robot = estimate.experiment.effects, estimate.experiment.rows.robot
+    index = [k for k in own if not parameter_of(estimate.slots[k], effects, robot).shape]
+    theta, covariance = estimate.theta[index], estimate.covariance[np.ix_(index, index)]
+    return float(theta @ np.linalg.pinv(covariance, hermitian=True) @ theta)
 
 
 def _of(estimate: Estimate, term: Term) -> list[int]:

@@ -10,10 +10,12 @@ import numpy as np
 
 from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
 from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
+from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
     considered_of,
     entry_of,
+    label_of,
     merged,
     variables_of,
     with_stand_ins,
@@ -21,8 +23,7 @@ from clampid.diagnosis.entries import (
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.pruning import Refit
-from clampid.diagnosis.rejected import evidence_of
-from clampid.diagnosis.result import StageDiagnosis, Step
+from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Undecided
@@ -103,34 +104,32 @@ def _looked_through(
     held = bench.held_out(fitted)
     result.before = result.after = held.rms
     first = fitted.estimate
-    refused: dict[str, dict[str, Any]] = {}
     look = bench.look(fitted, 0)
     if look.fires and look.probe is not None:
         result.depends_on = list(look.probe.candidate.depends_on)
+    steps: list[Confirmed] = []
+    undecided: list[Undecided] = []
+    here: list[dict[str, Any]] = []
+    dropped: set[str] = set()
     for number in range(1, ROUNDS + 1):
         tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
-        here = {t.best.candidate.label: t.refusal(effects, held.rms) for t in others}
-        refused |= here
-        if tried is None:
-            break
+        here = [t.refusal(effects, held.rms) for t in others]
         if isinstance(tried, Undecided):
             beside = bench.beside(tried, fitted, number)
-            if isinstance(beside, list):
-                _undecided(result, beside, effects, fitted.estimate, propose, partial(bench.alone, fitted))
-                break
-            tried = bench.fitted_with(beside, fitted)
-        refused.pop(tried.best.candidate.label, None)
-        entry = tried.entry(effects, held.rms)
-        result.candidates.append(entry)
-        evidence = evidence_of(entry, tried.best, tried.look, list(here.values()))
-        result.steps.append(Step(tuple(tried.kept), evidence))
-        result.verdict = "missing"
-        fitted, held = tried.fitted, tried.held
-        result.after = held.rms
+            undecided = beside if isinstance(beside, list) else []
+            tried = None if isinstance(beside, list) else bench.fitted_with(beside, fitted)
+        if tried is None:
+            break
+        steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(here))], dropped)
+        fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
         look = bench.look(fitted, 2 * number)
+    result.after = held.rms
+    refused = _set_down(result, steps, here, effects, fitted.estimate)
+    if undecided:
+        _undecided(result, undecided, effects, fitted.estimate, propose, partial(bench.alone, fitted))
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
-    result.considered = [*refused.values(), *considered_of(look.named, look.named_null)]
+    result.considered = [*refused, *considered_of(look.named, look.named_null)]
     tested = None if verification is None else held.rows
     if verification is not None:
         wrong = np.any(verification.used & ~held.rows.used, axis=1)
@@ -144,6 +143,24 @@ def _looked_through(
     result.omission, result.fitted, result.look = omission_of(first, fitted.estimate), fitted, look
     _in_words(result, look, floor.source, first.experiment.rows, effects)
     return result
+
+
+def _set_down(
+    result: StageDiagnosis,
+    steps: Sequence[Confirmed],
+    last: Sequence[dict[str, Any]],
+    effects: dict[str, Effect],
+    estimate: Estimate,
+) -> list[dict[str, Any]]:
+    """Set down what was confirmed; what was refused, in the ``last`` round too, and never confirmed is given back."""
+    for confirmed in steps:
+        entry = confirmed.entry(effects, estimate)
+        result.candidates.append(entry)
+        result.steps.append(confirmed.step(entry))
+        result.verdict = "missing"
+    labels = {confirmed.label for confirmed in steps}
+    refused = {label_of(entry): entry for entry in [*(r for c in steps for r in c.refused), *last]}
+    return [entry for label, entry in refused.items() if label not in labels]
 
 
 def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effects: dict[str, Effect]) -> None:

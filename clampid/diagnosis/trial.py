@@ -118,9 +118,9 @@ class Tried:
     stability: float
     reason: str
 
-    def entry(self, effects: dict[str, Effect], before: float) -> dict[str, Any]:
-        """As the contract lists it, the held-out rms without it given."""
-        null, after, estimate = self.look.named_null, self.held.rms, self.fitted.estimate
+    def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
+        """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
+        null, after = self.look.named_null, self.held.rms
         return {
             **entry_of(self.best, null, effects, before, after, estimate, self.kept),
             "stability": self.stability,
@@ -128,10 +128,11 @@ class Tried:
             "confusable_with": confusable_with(self.look.named, self.best),
         }
 
-    def refusal(self, effects: dict[str, Effect], before: float) -> dict[str, Any]:
-        """The same of one that is refused, with the reason; its parameters are the score's."""
+    def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
+        """The same of one that is refused, with its reason or another; its parameters are the score's."""
         entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms)
-        return {**entry, "stability": self.stability, "p_held_out": self.p_held_out, "reason": self.reason}
+        told = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
+        return {**entry, **told}
 
 
 @dataclass(frozen=True)
@@ -256,7 +257,8 @@ class Bench:
         others = of_other_families(look.named, best, {t.best.candidate.label for t in refused})
         steps = [(s, step_towards(fitted.estimate, s)) for s in others]
         straight = step is None or step.linear
-        return [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
+        curved = [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
+        return [(s, own) for s, own in curved if own.may_reach(step)]
 
     def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage) -> _Along:
         # From none of it, a search would not know in which direction its shape is to go.

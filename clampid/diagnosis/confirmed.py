@@ -1,0 +1,91 @@
+"""What has been confirmed, step after step, and earlier steps that a later one makes needless.
+
+A step is confirmed on top of those before it, by what was known then: a shape close to the true one may come first and
+the truth after it, which then explains what the first one did. Steps forward are therefore followed by steps back, as
+in stepwise regression. Source: Efroymson, Multiple regression analysis, in Mathematical Methods for Digital Computers,
+1960.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from clampid.diagnosis.pruning import needless
+from clampid.diagnosis.rejected import evidence_of
+from clampid.diagnosis.result import Step
+from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, HeldOut, Tried
+from clampid.effect import Effect
+from clampid.fitting.solve import Estimate
+from clampid.identification.fitted_stage import FittedStage
+
+__all__ = ["Confirmed", "with_needed_only"]
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """A step, the model and its errors on rows not fitted before it, and what was refused before it, as listed."""
+
+    tried: Tried
+    base: FittedStage
+    before: HeldOut
+    refused: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def label(self) -> str:
+        """For people: the effect and where it is."""
+        return self.tried.best.candidate.label
+
+    def entry(self, effects: dict[str, Effect], estimate: Estimate) -> dict[str, Any]:
+        """As the contract lists it, its parameters those of the last fit."""
+        return self.tried.entry(effects, self.before.rms, estimate)
+
+    def step(self, entry: dict[str, Any]) -> Step:
+        """For the ledger."""
+        return Step(tuple(self.tried.kept), evidence_of(entry, self.tried.best, self.tried.look, self.refused))
+
+
+def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) -> list[Confirmed]:
+    """Drop earlier steps that, beside the last one, neither pay for their parameters nor lower the held-out error.
+
+    Parameters
+    ----------
+    again
+        Labels of steps that were dropped before: confirmed once more they stay. Those dropped now are added.
+    """
+    kept = list(steps)
+    for earlier in steps[:-1]:
+        last = kept[-1]
+        if earlier.label in again or _carries(bench, earlier, kept):
+            continue
+        slim = needless(last.tried.fitted, earlier.tried.kept, bench.refit)
+        if slim is None:
+            continue
+        without, now = bench.held_out(slim), last.tried.held
+        if without.p_above(now, now.noise, bench.seed) <= HELD_OUT_RATE:
+            continue
+        again.add(earlier.label)
+        kept = _without(bench, kept, earlier, replace(last.tried, fitted=slim, held=without))
+    return kept
+
+
+def _carries(bench: Bench, earlier: Confirmed, steps: Sequence[Confirmed]) -> bool:
+    """Whether another step refines this one."""
+    name = earlier.tried.best.candidate.name
+    return any(bench.effects[t.effect].beyond == name for s in steps for t in s.tried.kept if s is not earlier)
+
+
+def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last: Tried) -> list[Confirmed]:
+    """The steps without one of them: those between it and the last one are fitted again on top of what was before."""
+    at = steps.index(dropped)
+    out, base, held = list(steps[:at]), dropped.base, dropped.before
+    for step in steps[at + 1 : -1]:
+        fitted = bench.refit([*base.model.terms, *step.tried.kept], step.tried.fitted, {})
+        tried = replace(step.tried, fitted=fitted, held=bench.held_out(fitted))
+        out.append(replace(step, tried=tried, base=base, before=held))
+        base, held = fitted, tried.held
+    reason = f"beside {last.best.candidate.label} it brings nothing"
+    gone = dropped.tried.refusal(bench.effects, dropped.before.rms, reason)
+    refused = (*dropped.refused, *steps[-1].refused, gone)
+    return [*out, replace(steps[-1], tried=last, base=base, before=held, refused=refused)]
