@@ -24,7 +24,8 @@ from clampid.planning.clamping import (
     stiffness_of,
 )
 from clampid.planning.scene import Scene
-from clampid.stages.clamped import clamped_rows, standing_angles
+from clampid.stages.clamped import standing_angles
+from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.rows import Array, Rows
 from experiments.campaign import Campaign
 from experiments.plans.limits import Limits

@@ -28,7 +28,7 @@ from clampid.evidence.columns import Columns, channel_starts
 from clampid.evidence.score import ABSORBED, Scored, Space, log_tail, score, space_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
-from clampid.stages.clamped import BLOCK_ROWS
+from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["absent_events", "event_scores", "time_of"]

@@ -14,7 +14,7 @@ from clampid.fitting.solve import Estimate, FitError, holding, prior_of, solve, 
 from clampid.fitting.unknown_friction import at_no_friction, without_unknown_friction
 from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
-from clampid.stages.clamped import BLOCK_ROWS
+from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows
 

@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.fitting.noise import Noise
-from clampid.stages.clamped import BLOCK_ROWS, joint_torques, residual_by_angle, standing_angles
+from clampid.stages.clamped import joint_torques, residual_by_angle, standing_angles
+from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 

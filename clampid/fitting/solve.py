@@ -14,7 +14,7 @@ from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import Noise, Whitened
 from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
-from clampid.stages.clamped import loop_compliance
+from clampid.stages.clamped_rows import loop_compliance
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers
 

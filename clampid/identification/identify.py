@@ -18,7 +18,7 @@ from clampid.identification.identify_log import LogStage
 from clampid.identification.joint import JointPart, fit_jointly, shared_slots
 from clampid.models.model import Model, Round, Session, StageModel
 from clampid.slots import Layout, Term, parse_term
-from clampid.stages.clamped import clamped_rows
+from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts, steady_share
 from clampid.stages.pose_rows import Anchors, pose_rows

@@ -23,7 +23,7 @@ from clampid.planning.logs import TorqueNoise
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.slots import parse_term, slots_of_terms
-from clampid.stages.clamped import GAP_SOFTNESS, clamped_rows
+from clampid.stages.clamped_rows import GAP_SOFTNESS, clamped_rows
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows

@@ -16,7 +16,7 @@ from clampid.fitting.solve import prior_of
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify
 from clampid.slots import parse_term
-from clampid.stages.clamped import clamped_rows
+from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
 from experiments.virtual_robot import Hidden, Measured, measure
