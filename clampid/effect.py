@@ -112,7 +112,9 @@ SIGNALS: Mapping[str, Signal] = {
     "motor_temperature": Signal(("n",), "K", "temperature of each motor less 20 degC"),
     "elapsed": Signal((), "s", "time since the first row"),
     "fixture_motion": Signal((6,), "rad, m", "motion (w, v) of the clamped flange by a sensor, base frame; else zero"),
-    "slip": Signal(("n", 3), "", "states, -1 to +1, of elements that slip after 10, 30, 80 % of a sweep's amplitude"),
+    "slip": Signal(
+        ("n", 3), "", "states, -1 to +1, of what slips after 10, 30, 80 % of the amplitude of a sweep's load"
+    ),
     "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
     "sweep_progress": Signal((), "", "sweeps before this one, and the share of its rows that came before: s to s + 1"),
     "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),

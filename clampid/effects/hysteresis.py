@@ -1,6 +1,7 @@
-"""Lost motion that depends on the path: parts of a drive that stick, are wound up, and slip again after each reversal.
+"""A drive's torsion lags behind its load: parts of its spring stick, are wound up, and slip again after each reversal.
 
-Maxwell slip, Bouc-Wen and Dahl's law cannot be told apart in such sweeps, so that the effect goes by its family.
+Makers of gears draw it so, torsion over torque, as a loop. Maxwell slip, Bouc-Wen and Dahl's law cannot be told apart
+in such sweeps, so that the effect goes by its family.
 """
 
 from __future__ import annotations
@@ -10,21 +11,21 @@ from typing import Any
 from clampid.effect import Effect, Parameter
 
 
-def torque(p: Any, x: Any) -> Any:
-    """tau_joint = sum_k h_k z_k: three elements of fixed widths, z_k from -1 to +1."""
-    return p.h1 * x.slip[:, 0] + p.h2 * x.slip[:, 1] + p.h3 * x.slip[:, 2]
+def lag(p: Any, x: Any) -> Any:
+    """Dq = sum_k a_k z_k: three elements that slip at fixed loads, z_k from -1 to +1."""
+    return p.a1 * x.slip[:, 0] + p.a2 * x.slip[:, 1] + p.a3 * x.slip[:, 2]
 
 
 EFFECT = Effect(
     name="hysteresis",
     family="hysteresis",
-    acts={"joint_torque": torque},
+    acts={"joint_angle": lag},
     parameters=tuple(
-        Parameter(f"h{k + 1}", "Nm", 5.0, "joint", (0.0, 1e4), f"torque at which what slips after {after} slips")
-        for k, after in enumerate(("a tenth of the sweep", "three tenths", "most of it"))
+        Parameter(f"a{k + 1}", "rad", 1e-4, "joint", (0.0, 2e-2), f"half the width of the loop of what slips {when}")
+        for k, when in enumerate(("after a tenth of the load's amplitude", "after three tenths", "after most of it"))
     ),
     needs=("slip",),
     stages=("clamped",),
-    equation="tau_joint = sum_k h_k z_k, z_k the state of a stop operator on q of fixed width, -1 to +1",
+    equation="dq = sum_k a_k z_k, z_k the state of a stop operator on the joint's load, -1 to +1",
     source=("Olsson1998",),
 )

@@ -14,7 +14,6 @@ from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import Noise, Whitened
 from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
-from clampid.stages.clamped_rows import loop_compliance
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers
 
@@ -278,7 +277,7 @@ def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors:
     known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
     known |= dict(start or {})
     # A drive without spring would be infinitely stiff, and its torque undefined: the loops' slopes are the start.
-    stiffness = loop_compliance(experiment.rows) if experiment.stage == "clamped" else np.zeros(0)
+    stiffness = experiment.rows.constants.get("loop_compliance", np.zeros(0))
     for k, slot in enumerate(experiment.slots):
         if slot in known:
             theta[k] = known[slot]

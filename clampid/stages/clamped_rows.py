@@ -14,7 +14,7 @@ from experiments.signals import slip_states
 from experiments.temperatures import filled
 from kinematics.poe import forward, space_jacobian
 
-__all__ = ["BLOCK_ROWS", "GAP_SOFTNESS", "clamped_rows", "loop_compliance"]
+__all__ = ["BLOCK_ROWS", "GAP_SOFTNESS", "clamped_rows"]
 
 BLOCK_ROWS = 8  # neighbouring rows share their noise and are flipped together
 STILL, SETTLED = 1e-3, 0.9  # of a motor's usual step: less is a motor held; so far, and its friction has built up
@@ -70,6 +70,9 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         inverse[s] = np.linalg.pinv(J, rcond=1e-3)
         wrench[s] = inverse[s].T
     noise = step_noise(measured, motion, sweep)
+    compliance = loop_compliance(motor, measured, motion, driven, used, sweep)
+    wound = q - reference[sweep]
+    load = wound @ np.linalg.inv(T) / compliance @ np.linalg.inv(T).T  # that of the springs alone
     stood = _stood(motor, typical, sweep, session)
     still = [(s, i) for s in range(sweeps) for i in range(n) if not motion[sweep == s, i].any()]
     keeping = [(s, n + i) for s, i in still if np.ptp(measured[sweep == s, i]) > 0.0]  # an imagined table has none
@@ -82,7 +85,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         "wrench_map": wrench[sweep],
         "elapsed": time - time.min(),
         "fixture_motion": _watched(joined, sweep),
-        "slip": slip_states(q, _widths(q, driven, sweep), sweep),
+        "slip": slip_states(load, _widths(load, driven, sweep), sweep),
         "sweep_fraction": fraction,
         "sweep_progress": progress,
         **temperatures(joined, n),
@@ -105,11 +108,12 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             "run": sweep,
             "time": time,
             "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
+            "loop_compliance": compliance,
             "held_friction": loop_friction(motor, measured, motion, used, sweep),
             "stood": stood,
             "kept_sign": _kept_signs(motion, used, stood, sweep),
             "driven": driven,
-            "wound": q - reference[sweep],
+            "wound": wound,
             "reference": reference,
             "inverse_jacobian": inverse[sweep],
             "start_torque": measured @ np.linalg.inv(T).T,
@@ -175,27 +179,28 @@ def _watched(table: object, sweep: Integers) -> Array:
     return np.nan_to_num(out - out[first][sweep])
 
 
-def _widths(q: Array, driven: Integers, sweep: Integers) -> Array:
-    """Motions ``(n, 3)``, rad, over which slipping elements are wound up: shares of the joint's usual amplitude."""
-    amplitude = np.ones(q.shape[1])  # a joint that is never driven hardly moves, and slips nowhere
+def _widths(load: Array, driven: Integers, sweep: Integers) -> Array:
+    """Torques ``(n, 3)``, Nm, by which slipping elements are wound up: shares of the joint's usual amplitude."""
+    amplitude = np.full(load.shape[1], np.inf)  # a joint that is never driven is hardly loaded, and slips nowhere
     for j in np.unique(driven):
-        own = [0.5 * np.ptp(q[sweep == s, j]) for s in np.unique(sweep[driven == j])]
+        own = [0.5 * np.ptp(load[sweep == s, j]) for s in np.unique(sweep[driven == j])]
         amplitude[j] = max(float(np.median(own)), 1e-12)
     return np.asarray(amplitude[:, None] * np.array(SLIPS))
 
 
-def loop_compliance(rows: Rows) -> Array:
+def loop_compliance(
+    motor: Array, measured: Array, motion: Array, driven: Integers, used: Bools, sweep: Integers
+) -> Array:
     """A rough compliance of each drive ``(n,)``, rad/Nm at the motor: the slope of its own loops, by direction."""
-    n = rows.robot.n
-    motion, driven, sweep = rows.signals["motor_motion"], rows.constants["driven"], rows.constants["run"]
+    n = motor.shape[1]
     out = np.full(n, 0.3)
     for j in range(n):
         angle, torque = [], []
         for s in np.unique(sweep[driven == j]):
             for sign in (-1.0, 1.0):
-                branch = rows.used[:, j] & (sweep == s) & (motion[:, j] == sign)
+                branch = used[:, j] & (sweep == s) & (motion[:, j] == sign)
                 if branch.sum() > 3:
-                    m, t = rows.signals["motor"][branch, j], rows.measured[branch, j]
+                    m, t = motor[branch, j], measured[branch, j]
                     angle.append(m - m.mean())
                     torque.append(t - t.mean())
         if angle:
