@@ -26,6 +26,8 @@ __all__ = ["fixture_motion", "joint_torques", "residual", "residual_by_angle", "
 
 NEWTON_STEPS, HALVINGS = 60, 12
 SETTLED_STEP = 1e-9  # of the rated torque
+FAR = 10.0  # rated torques, at which every gap is closed
+NONE, STIFF = 1e-3, 0.1  # of the loops' compliance: less is no spring, and this much has a drive without any
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
@@ -101,8 +103,8 @@ def standing_angles(rows: Rows, chain: Chain, theta: Array, torque: Array) -> tu
     """
     n, fixture, inverse = rows.robot.n, chain.offsets["fixture"], rows.constants["inverse_jacobian"]
     d = chain.evaluate(theta, rows.signals, torque)
-    moved = np.einsum("nij,nj->ni", inverse, d.values[:, fixture])
-    return rows.constants["wound"] + d.values[:, :n] - moved, _slope(d, inverse, fixture, n)
+    moved, rigid = np.einsum("nij,nj->ni", inverse, d.values[:, fixture]), _rigid(rows, chain, theta)
+    return rows.constants["wound"] + d.values[:, :n] - moved - rigid * torque, _slope(d, inverse, fixture, rigid)
 
 
 def fixture_motion(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
@@ -124,11 +126,12 @@ def _equilibrium(
     signals = {name: rows.signals[name] for name, _ in chain.signals if name != "torque"} or {"q": rows.signals["q"]}
     scale = rows.constants["rated"]
     step_limit = 0.5 * scale
+    rigid = _rigid(rows, chain, theta)
 
     def balance(torque: Array, at: Integers) -> tuple[Array, Array]:
         d = chain.evaluate(theta, {name: values[at] for name, values in signals.items()}, torque)
         moved = np.einsum("nij,nj->ni", inverse[at], d.values[:, fixture])
-        return shift[at] + d.values[:, :n] - moved, _slope(d, inverse[at], fixture, n)
+        return shift[at] + d.values[:, :n] - moved - rigid * torque, _slope(d, inverse[at], fixture, rigid)
 
     torque = np.zeros((len(rows), n))  # not the measured ones: a solver that fails must not look right
     moving = np.arange(len(rows))
@@ -155,13 +158,26 @@ def _equilibrium(
         if not len(moving):
             break
     deviations = chain.evaluate(theta, signals, torque)
-    return torque, deviations, _slope(deviations, inverse, fixture, n)
+    return torque, deviations, _slope(deviations, inverse, fixture, rigid)
 
 
-def _slope(deviations: Deviations, inverse: Array, fixture: slice, n: int) -> Array:
+def _rigid(rows: Rows, chain: Chain, theta: Array) -> Array:
+    """Compliance ``(n,)``, rad/Nm, of joints for which the model has no spring, nor the clamp; zero of all others.
+
+    A drive that does not yield at all could not be turned, and would have no torque: without a spring in the model it
+    is stiff, but not so stiff that its torque is beyond all that a search can reach. The model must name its spring.
+    """
+    T = np.asarray(rows.robot.transmission)
+    signals = {name: rows.signals[name][:1] for name, _ in chain.signals if name != "torque"}
+    far = chain.evaluate(theta, signals or {"q": rows.signals["q"][:1]}, FAR * rows.constants["rated"][None])
+    yields = np.abs(np.diag(_slope(far, rows.constants["inverse_jacobian"][:1], chain.offsets["fixture"], 0.0)[0]))
+    loops = np.diag(T.T @ np.diag(rows.constants["loop_compliance"]) @ T)
+    return np.asarray(np.where(yields < NONE * loops, STIFF * loops, 0.0))
+
+
+def _slope(deviations: Deviations, inverse: Array, fixture: slice, rigid: Array | float) -> Array:
     by_torque = deviations.by_torque
     if by_torque is None:
         raise ValueError("the chain was not built for the stage clamped")
-    slope = by_torque[:, :n] - inverse @ by_torque[:, fixture]
-    # A drive without any spring or gap in the model is stiff, not infinitely so: the model must name its compliance.
-    return np.asarray(slope - 1e-12 * np.eye(n))
+    n = inverse.shape[1]
+    return np.asarray(by_torque[:, :n] - inverse @ by_torque[:, fixture] - rigid * np.eye(n))
