@@ -211,10 +211,10 @@ class Bench:
         if rivals:
             return Undecided([best, *rivals], look)
         step = step_towards(fitted.estimate, best)
-        if step is not None and step.falls and best.assumed <= MOSTLY:
+        if step is not None and step.falls and step.linear and best.assumed <= MOSTLY:
             new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
             p_held = held.p_above(new, new.noise, self.seed)
-            if p_held > RISES:  # one Gauss-Newton step towards it is the fit but for curvature
+            if p_held > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
                 return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
         others: list[tuple[Scored, Step | None]] = [
