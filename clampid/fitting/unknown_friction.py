@@ -41,12 +41,14 @@ def without_unknown_friction(estimate: Estimate) -> Estimate:
     """The same pose fit with frictions of zero where the rows do not tell them, and its covariance there."""
     found, gone, shown = estimate, list[int](), list[int]()
     unknown = unknown_frictions(estimate)
+    none = None
     if len(unknown) > 1:  # mostly all of them are chance: one search instead of one for each
-        without = at_no_friction(estimate, unknown)
-        if without.cost - estimate.cost < WORSE * len(_moot(estimate, unknown)[0]):
-            return without
+        none = at_no_friction(estimate, unknown)
+        if none.cost - estimate.cost < WORSE * len(_moot(estimate, unknown)[0]):
+            return none
     for k in unknown:
-        without = at_no_friction(found, [*gone, k])
+        known = none if len(gone) + 1 == len(unknown) else None  # without any of them: it was searched above
+        without = known or at_no_friction(found, [*gone, k])
         if without.cost - estimate.cost < WORSE * len(_moot(found, [*gone, k])[0]):
             found, gone = without, [*gone, k]
         elif not estimate.identified[k]:
