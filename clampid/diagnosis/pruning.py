@@ -1,4 +1,4 @@
-"""Which places of a new effect pay for their parameters, and which earlier effects still do beside it."""
+"""What parameters must bring to pay: places of a new effect, earlier effects beside it, others instead of it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import parameter_of
+from clampid.stages.rows import Array
 
-__all__ = ["Refit", "needless", "pruned"]
+__all__ = ["Refit", "behind", "needless", "pruned"]
 
 Refit = Callable[[Sequence[Term], FittedStage, Mapping[Slot, float]], FittedStage]
 
@@ -57,6 +59,24 @@ def needless(trial: FittedStage, terms: Sequence[Term], refit: Refit) -> FittedS
         return None
     slim = refit([t for t in trial.model.terms if t not in terms], trial, {})
     return slim if _loss(slim.estimate, estimate) <= cost else None
+
+
+def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Array:
+    """By how much each of some fits of the same rows is less likely than the likeliest, ``(fits,)``.
+
+    That is what they leave, in units of one noise, what the numbers of the terms in which they differ must bring, and
+    what these are off where a prior says what they amount to: twice the log of the odds.
+    """
+    found = []
+    for estimate, terms in fits:
+        white = noise.whiten(estimate.experiment.rows, estimate.residual, np.zeros((*estimate.residual.shape, 0)))
+        index = [k for term in terms for k in _of(estimate, term)]
+        prior = estimate.experiment.prior_std()[index]
+        assumed = prior <= estimate.experiment.sizes()[index]
+        off = np.where(assumed, estimate.theta[index] / prior, 0.0)
+        squares = float(white.residual @ white.residual)
+        found.append(squares + sum(_costs(estimate, terms).values()) + float(off @ off))
+    return np.array(found) - min(found)
 
 
 def _wald(estimate: Estimate, own: Sequence[int]) -> float:

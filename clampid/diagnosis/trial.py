@@ -13,7 +13,8 @@ from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, 
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
-from clampid.diagnosis.pruning import Refit, pruned
+from clampid.diagnosis.next_measurement import SAME
+from clampid.diagnosis.pruning import Refit, behind, pruned
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical
@@ -226,12 +227,11 @@ class Bench:
 
     def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
-        best, trial, kept, new = self._cause_first(fits)
+        (best, trial, kept, new), level = self._likeliest(fits)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
-        others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
-        level = [f.scored for f in others if f.held.p_above(new, new.noise, self.seed) > HELD_OUT_RATE]
         if falls and level:
-            return Undecided([best, *level], look)
+            return Undecided([best, *(fit.scored for fit in level)], look)
+        others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
         first = first_without_parts(look.space, look.named, look.folds, self.seed)
         again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
         reason = "" if falls else NO_FALL
@@ -242,6 +242,19 @@ class Bench:
                 return Undecided([best, *rest.values()], look)
             reason = "without a fifth of the rows it is not first"
         return Tried(fits[0].scored if reason else best, look, trial, kept, new, p_held, again, reason)
+
+    def _likeliest(self, fits: Sequence[_Along]) -> tuple[_Along, list[_Along]]:
+        """The fit that rows not fitted speak for, and those of other effects that are neither worse nor less likely.
+
+        Where the errors of rows not fitted are level, an effect that needs many more numbers for the same is no rival.
+        """
+        best = self._cause_first(fits)
+        new, mine = best.held, best.scored.candidate
+        others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(mine)]
+        level = [best, *(fit for fit in others if fit.held.p_above(new, new.noise, self.seed) > HELD_OUT_RATE)]
+        odds = behind([(fit.fitted.estimate, fit.kept) for fit in level], new.noise)
+        first = 0 if odds[0] <= SAME else int(np.argmin(odds))
+        return level[first], [level[k] for k in np.flatnonzero(odds <= SAME) if k != first]
 
     def _cause_first(self, fits: Sequence[_Along]) -> _Along:
         """The fit with the least error on rows not fitted; of what only states an outcome, its cause where as good."""

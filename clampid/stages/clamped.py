@@ -27,7 +27,8 @@ __all__ = ["fixture_motion", "joint_torques", "residual", "residual_by_angle", "
 NEWTON_STEPS, HALVINGS = 60, 12
 SETTLED_STEP = 1e-9  # of the rated torque
 FAR = 10.0  # rated torques, at which every gap is closed
-NONE, STIFF = 1e-3, 0.1  # of the loops' compliance: less is no spring, and this much has a drive without any
+NONE = 1e-12  # rad/Nm: a joint that yields less, its gap closed, has no spring in the model
+STIFF = 0.1  # of the loops' compliance, for such a joint
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
@@ -162,20 +163,21 @@ def _equilibrium(
 
 
 def _rigid(rows: Rows, chain: Chain, theta: Array) -> Array:
-    """Compliance ``(n,)``, rad/Nm, of joints for which the model has no spring, nor the clamp; zero of all others.
+    """Compliance ``(n,)``, rad/Nm, of joints for which the model has no spring; zero of all others.
 
-    A drive that does not yield at all could not be turned, and would have no torque: without a spring in the model it
-    is stiff, but not so stiff that its torque is beyond all that a search can reach. The model must name its spring.
+    A drive that does not yield could not be turned where the flange is held, and its torque would have no value. Of one
+    without a spring in the model it is ten times that of its loops: wrong, but not beyond what a search can reach.
     """
     T = np.asarray(rows.robot.transmission)
     signals = {name: rows.signals[name][:1] for name, _ in chain.signals if name != "torque"}
     far = chain.evaluate(theta, signals or {"q": rows.signals["q"][:1]}, FAR * rows.constants["rated"][None])
-    yields = np.abs(np.diag(_slope(far, rows.constants["inverse_jacobian"][:1], chain.offsets["fixture"], 0.0)[0]))
-    loops = np.diag(T.T @ np.diag(rows.constants["loop_compliance"]) @ T)
-    return np.asarray(np.where(yields < NONE * loops, STIFF * loops, 0.0))
+    if far.by_torque is None:
+        raise ValueError("the chain was not built for the stage clamped")
+    yields, loops = np.abs(np.diag(far.by_torque[0, : len(T)])), rows.constants["loop_compliance"]
+    return np.asarray(np.where(yields < NONE, STIFF * np.diag(T.T @ np.diag(loops) @ T), 0.0))
 
 
-def _slope(deviations: Deviations, inverse: Array, fixture: slice, rigid: Array | float) -> Array:
+def _slope(deviations: Deviations, inverse: Array, fixture: slice, rigid: Array) -> Array:
     by_torque = deviations.by_torque
     if by_torque is None:
         raise ValueError("the chain was not built for the stage clamped")
