@@ -135,13 +135,17 @@ def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> boo
 def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
     """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
     value, spread = s.value, SURE * scale * s.spread
-    alone = len(s.candidate.terms) < 2  # of several places, one step from zero may put a few on the wrong side
-    for slot, v, sd in zip(s.candidate.slots, value, spread, strict=True):
-        parameter = parameter_of(slot, effects, robot)
-        lower, upper = parameter.bounds
-        if abs(v) - sd > IMPOSSIBLE * parameter.size or (alone and (v + sd < lower or v - sd > upper)):
-            return False
-    return True
+    parameters = [parameter_of(slot, effects, robot) for slot in s.candidate.slots]
+    if any(abs(v) - sd > IMPOSSIBLE * p.size for p, v, sd in zip(parameters, value, spread, strict=True)):
+        return False
+    if len(s.candidate.terms) > 1:  # of several places, one step from zero may put a few on the wrong side
+        return True
+    # So it may of several parts of one whole, which are all of one sign and unit: these are judged by their sum.
+    parts: dict[tuple[str, tuple[float, float]], list[int]] = {}
+    for k, p in enumerate(parameters):
+        parts.setdefault((p.unit, p.bounds), []).append(k)
+    means = [(bounds, value[k].mean(), spread[k].mean()) for (_, bounds), k in parts.items()]
+    return all(v + sd >= lower and v - sd <= upper for (lower, upper), v, sd in means)
 
 
 def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:

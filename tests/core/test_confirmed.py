@@ -1,0 +1,97 @@
+"""Steps that were confirmed: earlier ones that a later one makes needless, and effects that need more numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import pytest
+
+from clampid.diagnosis.confirmed import Confirmed, with_needed_only
+from clampid.diagnosis.trial import Bench, Tried
+from clampid.fitting.accuracy import noise_floor
+from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.identify import identify
+from clampid.identification.reopen import Reopened, reopen
+from clampid.slots import Slot, Term
+from experiments.campaign import Campaign
+
+Simulated = Callable[..., Campaign]
+GEAR, CABLE, OTHER = "gear_eccentricity@joint5", "dress_pack@joint5", "gear_eccentricity@joint2"
+
+
+@pytest.fixture(scope="module")
+def opened(simulated: Simulated) -> Reopened:
+    hidden = ("gear_eccentricity@joint2:3", "gear_eccentricity@joint5:3")
+    campaign = simulated(seed=3, poses=120, tables=("poses",), hidden=hidden)
+    return reopen(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+
+
+@pytest.fixture(scope="module")
+def start(opened: Reopened) -> FittedStage:
+    return opened.refit("poses")
+
+
+@pytest.fixture(scope="module")
+def bench(opened: Reopened, start: FittedStage) -> Bench:
+    rows = opened.rows("poses")
+
+    def refit(terms: Sequence[Term], last: FittedStage, known: Mapping[Slot, float]) -> FittedStage:
+        return fit_stage(rows, opened.effects, terms, {}, {**last.model.values(), **known}, last=last.estimate)
+
+    floor = noise_floor(start.estimate.experiment.rows, start.estimate.residual)
+    return Bench(opened.effects, refit, None, floor, seed=0, flips=49)
+
+
+def in_turn(bench: Bench, start: FittedStage, labels: Sequence[str]) -> list[Confirmed]:
+    """Steps as if these had been confirmed one after the other."""
+    look, steps, base, held = bench.look(start, 0), list[Confirmed](), start, bench.held_out(start)
+    for label in labels:
+        best = next(s for s in look.named if s.candidate.label == label and s.freedom)
+        terms = list(best.candidate.terms)
+        fitted = bench.refit([*base.model.terms, *terms], base, best.candidate.shapes)
+        tried = Tried(best, look, fitted, terms, bench.held_out(fitted), 0.001, 1.0, "")
+        steps.append(Confirmed(tried, base, held))
+        base, held = fitted, tried.held
+    return steps
+
+
+def test_what_a_later_effect_explains_with_fewer_numbers_is_dropped(bench: Bench, start: FittedStage) -> None:
+    steps, again = in_turn(bench, start, [CABLE, GEAR]), set[str]()
+    kept = with_needed_only(bench, steps, again)
+    assert [s.label for s in kept] == [GEAR]
+    assert again == {CABLE}
+    assert kept[0].before.rms == steps[0].before.rms
+    assert {t.effect for t in kept[0].tried.fitted.model.terms} == {"geometry", "joint_compliance", "gear_eccentricity"}
+    (gone,) = kept[0].refused
+    assert gone["name"] == "dress_pack"
+    assert gone["reason"] == f"beside {GEAR} it brings nothing"
+    assert kept[0].tried.held.rms < 1.05 * steps[-1].tried.held.rms
+
+
+def test_steps_between_are_fitted_again_without_what_was_dropped(bench: Bench, start: FittedStage) -> None:
+    steps = in_turn(bench, start, [CABLE, OTHER, GEAR])
+    kept = with_needed_only(bench, steps, set())
+    assert [s.label for s in kept] == [OTHER, GEAR]
+    assert kept[0].before.rms == steps[0].before.rms
+    assert kept[1].before.rms == kept[0].tried.held.rms  # each on top of those before it
+    assert not any(t.effect == "dress_pack" for t in kept[0].tried.fitted.model.terms)
+    assert kept[1].tried.held.rms < kept[0].tried.held.rms < kept[0].before.rms
+
+
+def test_what_is_needed_stays(bench: Bench, start: FittedStage) -> None:
+    steps = in_turn(bench, start, [OTHER, GEAR])
+    assert with_needed_only(bench, steps, set()) == steps
+
+
+def test_what_was_dropped_and_confirmed_again_stays(bench: Bench, start: FittedStage) -> None:
+    steps = in_turn(bench, start, [CABLE, GEAR])
+    assert with_needed_only(bench, steps, {CABLE}) == steps
+
+
+def test_what_another_refines_stays(bench: Bench, start: FittedStage) -> None:
+    """A law beyond another has no meaning without that."""
+    steps = in_turn(bench, start, [CABLE, GEAR])
+    beyond = replace(bench.effects["gear_eccentricity"], beyond="dress_pack")
+    tied = replace(bench, effects={**bench.effects, "gear_eccentricity": beyond})
+    assert [s.label for s in with_needed_only(tied, steps, set())] == [CABLE, GEAR]
