@@ -69,13 +69,21 @@ class Look:
         """Whether a name only stands in for something else, which a probe says better.
 
         It explains so much less than the probe, and nothing beside it: of errors of several joints a name may say one,
-        and the probe another. Or it can follow nearly anything, and the probe is a simple one.
+        and the probe another; and of two effects, which two names say together, a flexible probe may say much at once.
+        Or it can follow nearly anything, and the probe is a simple one.
         """
         if not self.fires or self.probe is None or self.probe.bic - best.bic <= SAME:
             return False
-        follows = best.candidate.sized_by is not None and self.probe.candidate.prior is None
+        if best.candidate.sized_by is not None and self.probe.candidate.prior is None:
+            return True
         less = best.explained < STANDS_IN * self.probe.explained
-        return follows or (less and explained_together(self.space, best, self.probe) - self.probe.explained < SAME)
+        if not less or explained_together(self.space, best, self.probe) - self.probe.explained >= SAME:
+            return False
+        return not any(
+            explained_together(self.space, best, s) - best.cost - s.cost >= self.probe.bic
+            for s in self.named
+            if s is not best and s.freedom and s.state in ABLE and s.bic > 0 and s.candidate.prior is None
+        )
 
 
 def look_at(
