@@ -67,9 +67,9 @@ def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Arr
     That is what they leave, in units of one noise, what the numbers of the terms in which they differ must bring, and
     what these are off where a prior says what they amount to: twice the log of the odds.
     """
-    found = []
+    found, rows = [], fits[0][0].experiment.rows  # those that one of them counts, for all
     for estimate, terms in fits:
-        white = noise.whiten(estimate.experiment.rows, estimate.residual, np.zeros((*estimate.residual.shape, 0)))
+        white = noise.whiten(rows, estimate.residual, np.zeros((*estimate.residual.shape, 0)))
         index = [k for term in terms for k in _of(estimate, term)]
         prior = estimate.experiment.prior_std()[index]
         assumed = prior <= estimate.experiment.sizes()[index]

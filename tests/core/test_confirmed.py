@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
+from clampid.diagnosis.pruning import behind
 from clampid.diagnosis.trial import Bench, Tried
 from clampid.fitting.accuracy import noise_floor
 from clampid.identification.fitted_stage import FittedStage, fit_stage
@@ -95,3 +97,17 @@ def test_what_another_refines_stays(bench: Bench, start: FittedStage) -> None:
     beyond = replace(bench.effects["gear_eccentricity"], beyond="dress_pack")
     tied = replace(bench, effects={**bench.effects, "gear_eccentricity": beyond})
     assert [s.label for s in with_needed_only(tied, steps, set())] == [CABLE, GEAR]
+
+
+def test_what_needs_more_numbers_for_the_same_is_less_likely(bench: Bench, start: FittedStage) -> None:
+    terms = [Term("gear_eccentricity", "joint2"), Term("gear_eccentricity", "joint5")]
+    few = bench.refit([*start.model.terms, *terms], start, {})
+    more = [*terms, Term("gear_eccentricity", "joint6")]
+    many = bench.refit([*start.model.terms, *more], few, {})
+    less = behind([(few.estimate, terms), (many.estimate, more), (start.estimate, [])], few.estimate.noise)
+    numbers = sum(s.place == "joint6" and s.effect == "gear_eccentricity" for s in many.estimate.slots)
+    assert less[0] == 0.0
+    # By chance, numbers that are not there explain as much as there are of them, on average.
+    price = numbers * np.log(len(few.estimate.whitened.residual))
+    assert price - 4 * numbers < less[1] <= price
+    assert less[2] > 100.0
