@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from clampid.diagnosis.look import ALIASED, CONFUSABLE, RATE, Look
 from clampid.effect import Effect
+from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term, unit_of
 
-__all__ = ["confusable_with", "considered_of", "entry_of", "label_of", "merged", "variables_of", "with_stand_ins"]
+__all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
 
 LISTED = 12
 
@@ -137,17 +138,12 @@ def considered_of(scored: Sequence[Scored], null: Flips, most: int = LISTED) -> 
     ]
 
 
-def label_of(entry: Mapping[str, Any]) -> str:
-    """The label of the candidate behind a listed entry."""
-    return str(entry["name"]) + ("@" + ",".join(entry["where"]) if entry["where"] else "")
-
-
 def with_stand_ins(considered: list[dict[str, Any]], look: Look) -> list[dict[str, Any]]:
     """Mark names that merely absorb a part of what the best probe explains."""
     whole = look.probe.explained if look.probe is not None else 0.0
     share = {s.candidate.label: s.explained / whole for s in look.named if s.freedom and whole > 0}
     for entry in considered:
-        part = share.get(label_of(entry), 0.0)
+        part = share.get(label_of(entry["name"], entry["where"]), 0.0)
         if part > 0.2:
             entry["stand_in"] = f"absorbs {100 * min(part, 1.0):.0f} % of what is left"
     return considered

@@ -148,7 +148,7 @@ def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription
         return False
     if len(s.candidate.terms) > 1:  # of several places, one step from zero may put a few on the wrong side
         return True
-    # So it may of several parts of one whole, which are all of one sign and unit: these are judged by their sum.
+    # So it may of several parts of one whole, which are all of one sign and unit: these are judged by their mean.
     parts: dict[tuple[str, tuple[float, float]], list[int]] = {}
     for k, p in enumerate(parameters):
         parts.setdefault((p.unit, p.bounds), []).append(k)

@@ -11,7 +11,7 @@ from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import parameter_of
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Rows
 
 __all__ = ["Refit", "behind", "needless", "pruned"]
 
@@ -69,13 +69,11 @@ def behind(fits: Sequence[tuple[Estimate, Sequence[Term]]], noise: Noise) -> Arr
     """
     found, rows = [], fits[0][0].experiment.rows  # those that one of them counts, for all
     for estimate, terms in fits:
-        white = noise.whiten(rows, estimate.residual, np.zeros((*estimate.residual.shape, 0)))
         index = [k for term in terms for k in _of(estimate, term)]
         prior = estimate.experiment.prior_std()[index]
         assumed = prior <= estimate.experiment.sizes()[index]
         off = np.where(assumed, estimate.theta[index] / prior, 0.0)
-        squares = float(white.residual @ white.residual)
-        found.append(squares + sum(_costs(estimate, terms).values()) + float(off @ off))
+        found.append(_squares(estimate, rows, noise) + sum(_costs(estimate, terms).values()) + float(off @ off))
     return np.array(found) - min(found)
 
 
@@ -109,6 +107,10 @@ def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:
 
 def _loss(fewer: Estimate, full: Estimate) -> float:
     """By how much the squares of a fit with fewer parameters are larger, in units of the full one's noise."""
-    rows = full.experiment.rows
-    white = full.noise.whiten(rows, fewer.residual, np.zeros((*fewer.residual.shape, 0))).residual
-    return float(white @ white) - full.point.cost
+    return _squares(fewer, full.experiment.rows, full.noise) - full.point.cost
+
+
+def _squares(estimate: Estimate, rows: Rows, noise: Noise) -> float:
+    """What a fit leaves of the rows that count in ``rows``, squared, in units of that noise."""
+    white = noise.whiten(rows, estimate.residual, np.zeros((*estimate.residual.shape, 0))).residual
+    return float(white @ white)

@@ -15,7 +15,6 @@ from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
     considered_of,
     entry_of,
-    label_of,
     merged,
     variables_of,
     with_stand_ins,
@@ -30,6 +29,7 @@ from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
+from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Scored
 from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
@@ -159,7 +159,9 @@ def _set_down(
         result.steps.append(confirmed.step(entry))
         result.verdict = "missing"
     labels = {confirmed.label for confirmed in steps}
-    refused = {label_of(entry): entry for entry in [*(r for c in steps for r in c.refused), *last]}
+    refused = {
+        label_of(entry["name"], entry["where"]): entry for entry in [*(r for c in steps for r in c.refused), *last]
+    }
     return [entry for label, entry in refused.items() if label not in labels]
 
 

@@ -252,6 +252,8 @@ class Bench:
         new, mine = best.held, best.scored.candidate
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(mine)]
         level = [best, *(fit for fit in others if fit.held.p_above(new, new.noise, self.seed) > HELD_OUT_RATE)]
+        if len(level) < 2:
+            return best, []
         odds = behind([(fit.fitted.estimate, fit.kept) for fit in level], new.noise)
         first = 0 if odds[0] <= SAME else int(np.argmin(odds))
         return level[first], [level[k] for k in np.flatnonzero(odds <= SAME) if k != first]

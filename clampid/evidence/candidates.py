@@ -21,7 +21,7 @@ from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Array
 
-__all__ = ["Candidate", "columns_of", "named_candidates", "terms_not_active"]
+__all__ = ["Candidate", "columns_of", "label_of", "named_candidates", "terms_not_active"]
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,12 @@ class Candidate:
     @property
     def label(self) -> str:
         """For people: the effect and where it is."""
-        return f"{self.name}@{','.join(self.places)}" if self.places else self.name
+        return label_of(self.name, self.places)
+
+
+def label_of(name: str, places: Sequence[str]) -> str:
+    """For people: an effect and where it is."""
+    return f"{name}@{','.join(places)}" if places else name
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:

@@ -84,10 +84,9 @@ def _by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[A
     torque, deviations, slope = _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
     predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor] + constant[:, n:]
-    if deviations.by_torque is None:
-        raise ValueError("the chain was not built for the stage clamped")
+    by_torque = _by_torque(deviations)
     # Friction may follow the load, so that the torque reaches the motors by way of it too.
-    through = T + T @ deviations.by_torque[:, joint] + deviations.by_torque[:, motor]
+    through = T + T @ by_torque[:, joint] + by_torque[:, motor]
     return rows.measured - predicted, through @ np.linalg.inv(slope), deviations
 
 
@@ -169,17 +168,18 @@ def _rigid(rows: Rows, chain: Chain, theta: Array) -> Array:
     without a spring in the model it is ten times that of its loops: wrong, but not beyond what a search can reach.
     """
     T = np.asarray(rows.robot.transmission)
-    signals = {name: rows.signals[name][:1] for name, _ in chain.signals if name != "torque"}
-    far = chain.evaluate(theta, signals or {"q": rows.signals["q"][:1]}, FAR * rows.constants["rated"][None])
-    if far.by_torque is None:
-        raise ValueError("the chain was not built for the stage clamped")
-    yields, loops = np.abs(np.diag(far.by_torque[0, : len(T)])), rows.constants["loop_compliance"]
+    first = {name: values[:1] for name, values in rows.signals.items()}
+    far = _by_torque(chain.evaluate(theta, first, FAR * rows.constants["rated"][None]))
+    yields, loops = np.abs(np.diag(far[0, : len(T)])), rows.constants["loop_compliance"]
     return np.asarray(np.where(yields < NONE, STIFF * np.diag(T.T @ np.diag(loops) @ T), 0.0))
 
 
 def _slope(deviations: Deviations, inverse: Array, fixture: slice, rigid: Array) -> Array:
-    by_torque = deviations.by_torque
-    if by_torque is None:
-        raise ValueError("the chain was not built for the stage clamped")
-    n = inverse.shape[1]
+    by_torque, n = _by_torque(deviations), inverse.shape[1]
     return np.asarray(by_torque[:, :n] - inverse @ by_torque[:, fixture] - rigid * np.eye(n))
+
+
+def _by_torque(deviations: Deviations) -> Array:
+    if deviations.by_torque is None:
+        raise ValueError("the chain was not built for the stage clamped")
+    return deviations.by_torque

@@ -71,8 +71,8 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         wrench[s] = inverse[s].T
     noise = step_noise(measured, motion, sweep)
     compliance = loop_compliance(motor, measured, motion, driven, used, sweep)
-    wound = q - reference[sweep]
-    load = wound @ np.linalg.inv(T) / compliance @ np.linalg.inv(T).T  # that of the springs alone
+    to_joints = np.linalg.inv(T).T
+    load = motor / compliance @ to_joints  # what springs alone carry; only its changes count
     stood = _stood(motor, typical, sweep, session)
     still = [(s, i) for s in range(sweeps) for i in range(n) if not motion[sweep == s, i].any()]
     keeping = [(s, n + i) for s, i in still if np.ptp(measured[sweep == s, i]) > 0.0]  # an imagined table has none
@@ -113,10 +113,10 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
             "stood": stood,
             "kept_sign": _kept_signs(motion, used, stood, sweep),
             "driven": driven,
-            "wound": wound,
+            "wound": q - reference[sweep],
             "reference": reference,
             "inverse_jacobian": inverse[sweep],
-            "start_torque": measured @ np.linalg.inv(T).T,
+            "start_torque": measured @ to_joints,
             "rated": robot.rated_torques,
         },
         per_row=("run", "time", "driven", "wound", "inverse_jacobian", "start_torque"),

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from benches import bench_of, refits
 
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.pruning import behind
 from clampid.diagnosis.trial import Bench, Tried
-from clampid.fitting.accuracy import noise_floor
-from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.reopen import Reopened, reopen
-from clampid.slots import Slot, Term
+from clampid.slots import Term
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]
@@ -36,13 +36,7 @@ def start(opened: Reopened) -> FittedStage:
 
 @pytest.fixture(scope="module")
 def bench(opened: Reopened, start: FittedStage) -> Bench:
-    rows = opened.rows("poses")
-
-    def refit(terms: Sequence[Term], last: FittedStage, known: Mapping[Slot, float]) -> FittedStage:
-        return fit_stage(rows, opened.effects, terms, {}, {**last.model.values(), **known}, last=last.estimate)
-
-    floor = noise_floor(start.estimate.experiment.rows, start.estimate.residual)
-    return Bench(opened.effects, refit, None, floor, seed=0, flips=49)
+    return bench_of(opened, start, refits(opened))
 
 
 def in_turn(bench: Bench, start: FittedStage, labels: Sequence[str]) -> list[Confirmed]:

@@ -7,19 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benches import bench_of, refits
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.alongside import step_towards
 from clampid.diagnosis.look import rivals_of
-from clampid.diagnosis.trial import Bench, Tried
+from clampid.diagnosis.trial import Tried
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored, canonical, score, space_of
-from clampid.fitting.accuracy import FOLDS, cross_validated, noise_floor
+from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
-from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.slots import Slot, Term
@@ -173,15 +174,14 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
     opened = reopen(model, campaign)
-    rows, fitted = opened.rows("poses"), opened.refit("poses")
+    fitted, fit = opened.refit("poses"), refits(opened)
     starts: list[dict[Slot, float]] = []
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
         starts.append(dict(start))
-        return fit_stage(rows, opened.effects, terms, {}, {**last.model.values(), **start}, last=last.estimate)
+        return fit(terms, last, start)
 
-    floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
-    bench = Bench(opened.effects, refit, None, floor, seed=0, flips=49)
+    bench = bench_of(opened, fitted, refit)
     held, look = bench.held_out(fitted), bench.look(fitted, 0)
     able = [s for s in look.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     false = [s for s in able if s.candidate.places == ("joint4",)]
