@@ -200,6 +200,9 @@ def test_what_happens_while_a_move_is_checked_counts(
                 link.q = link.q + 0.1
             elif what == "closed":  # on the wire no other than a client that still waits for its answer
                 writer.close()
+                async with asyncio.timeout(20):
+                    while not any(client.session.closed for client in server.clients):
+                        await asyncio.sleep(0.002)
             elif what == "reset":
                 sock = writer.get_extra_info("socket")
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -322,12 +325,12 @@ def test_patience_is_with_a_line_and_not_with_a_connection(detector: Detector) -
         async with connected(host, port) as (reader, writer):
             writer.write(GOOD[:9])
             for _ in range(12):  # every piece ends within a line, for three times as long as a line may take
-                await asyncio.sleep(0.1)
+                await asyncio.sleep(0.25)
                 writer.write(GOOD[9:] + b"\n" + GOOD[:9])
             for _ in range(12):
                 assert json.loads(await reader.readline())["ok"]
 
-    serving(detector, talk, Limits(patience=0.4))
+    serving(detector, talk, Limits(patience=1.0))
 
 
 def test_one_client_too_many_is_told(detector: Detector) -> None:
