@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib
 import re
 import tomllib
-from importlib.metadata import entry_points
+from importlib.metadata import distributions, entry_points
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).parents[2]
 
@@ -35,3 +36,10 @@ def test_nothing_is_tied_to_one_machine_or_host(name: str) -> None:
 def test_constraints_are_names_and_versions() -> None:
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert all(re.fullmatch(r"#.*|[A-Za-z0-9_.-]+==[^\s@]+", line) for line in lines)
+
+
+def test_what_is_pinned_installs_on_the_oldest_python_that_we_name() -> None:
+    named = SpecifierSet(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"])
+    (oldest,) = (part.version for part in named if part.operator == ">=")
+    needs = {found.name: SpecifierSet(found.metadata["Requires-Python"] or "") for found in distributions()}
+    assert not [name for name, need in needs.items() if not need.contains(f"{oldest}.0")]
