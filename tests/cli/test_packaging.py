@@ -38,7 +38,7 @@ def test_constraints_are_names_and_versions() -> None:
     assert all(re.fullmatch(r"#.*|[A-Za-z0-9_.-]+==[^\s@]+", line) for line in lines)
 
 
-def test_what_is_pinned_installs_on_the_oldest_python_that_we_name() -> None:
+def test_what_is_installed_takes_the_oldest_python_that_we_name() -> None:
     named = SpecifierSet(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"])
     (oldest,) = (part.version for part in named if part.operator == ">=")
     needs = {found.name: SpecifierSet(found.metadata["Requires-Python"] or "") for found in distributions()}

@@ -48,6 +48,13 @@ async def connected(host: str, port: int) -> AsyncIterator[tuple[asyncio.StreamR
             await writer.wait_closed()
 
 
+async def until(holds: Callable[[], Any]) -> None:
+    """Let the loop turn until a condition holds, which it is to do soon."""
+    async with asyncio.timeout(20):
+        while not holds():
+            await asyncio.sleep(0.002)
+
+
 async def ask(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, line: bytes) -> dict[str, Any]:
     writer.write(line + b"\n")
     answer: dict[str, Any] = json.loads(await reader.readline())
@@ -133,8 +140,7 @@ class Held:
         monkeypatch.setattr("offline_ik.protocol.check_path", check)
 
     async def until_begun(self) -> None:
-        while not self.begun.is_set():
-            await asyncio.sleep(0.002)
+        await until(self.begun.is_set)
 
 
 def test_while_a_move_is_checked_others_are_answered_and_its_own_client_in_order(
@@ -200,16 +206,12 @@ def test_what_happens_while_a_move_is_checked_counts(
                 link.q = link.q + 0.1
             elif what == "closed":  # on the wire no other than a client that still waits for its answer
                 writer.close()
-                async with asyncio.timeout(20):
-                    while not any(client.session.closed for client in server.clients):
-                        await asyncio.sleep(0.002)
+                await until(lambda: any(client.session.closed for client in server.clients))
             elif what == "reset":
                 sock = writer.get_extra_info("socket")
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                 writer.transport.abort()
-                async with asyncio.timeout(20):
-                    while len(server.clients) > 1:
-                        await asyncio.sleep(0.002)
+                await until(lambda: len(server.clients) == 1)
             held.go.set()
             if what in ("closed", "reset"):
                 assert (await ask(*other, PATH))["path"]["safe"]  # is computed after the move
@@ -234,8 +236,7 @@ def test_of_two_moves_at_once_one_is_made(detector: Detector, monkeypatch: pytes
             one[1].write(b"move gamma=0.35 delta=0.2 r=0.8\n")
             await held.until_begun()
             other[1].write(b"move gamma=0.25 delta=0.2 r=0.8\n")  # from where the robot still stands
-            while not all(client.job for client in server.clients):
-                await asyncio.sleep(0.002)
+            await until(lambda: all(client.job for client in server.clients))
             held.go.set()
             assert json.loads(await one[0].readline())["moving"] is True
             assert "moved while" in json.loads(await other[0].readline())["error"]
@@ -350,8 +351,8 @@ def test_a_client_that_does_not_read_is_not_read_either(detector: Detector) -> N
             for _ in range(2000):
                 writer.write(b"state\n" * 50)
                 await asyncio.sleep(0)
-            while not (client := next((c for c in server.clients if not c.writable), None)):
-                await asyncio.sleep(0.01)
+            await until(lambda: any(not client.writable for client in server.clients))
+            client = next(client for client in server.clients if not client.writable)
             assert (await ask(*other, GOOD))["ok"]
             assert client.transport is not None
             assert not client.transport.is_reading()
