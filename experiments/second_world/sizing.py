@@ -1,0 +1,200 @@
+"""How large a hidden effect is: the rms of what it adds to the measurements, over their noise."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from experiments.second_world.arrays import Array, stream
+from experiments.second_world.chain import Bend
+from experiments.second_world.dynamics import rigid_body_model
+from experiments.second_world.equilibrium import clearance_side
+from experiments.second_world.friction import direction
+from experiments.second_world.hidden import HIDDEN, Active
+from experiments.second_world.individual import Robot
+from experiments.second_world.session import Hidden, Session, activate, open_session, points_seen, torques
+from experiments.second_world.states import PoseState
+
+__all__ = ["magnitude_for", "pose_std_m", "size_in_sigma"]
+
+_NOTHING = 1e-5  # sigma: what rounding may leave of an effect that is absorbed
+
+
+def pose_std_m(session: Session) -> Array:
+    """Noise (3,), m, of a point along the instrument's axes: the instrument's, and the robot's repeatability."""
+    visits = session.visits("poses")
+    jitter = session.robot.repeatability_rad * stream(session.seed, "sizing").standard_normal(visits.q.shape)
+    moved = points_seen(session, visits, [], jitter) - points_seen(session, visits, [])
+    return np.asarray(np.sqrt(session.instrument.std_m**2 + (moved**2).mean((0, 1))))
+
+
+def _rms(whitened: Array) -> float:
+    return float(np.sqrt((whitened**2).mean()))
+
+
+def _beyond(values: Array, columns: Array) -> Array:
+    """What is left of values (M,) after a least-squares fit of columns (M, p)."""
+    scale = np.linalg.norm(columns, axis=0)
+    A = columns[:, scale > 0] / scale[scale > 0]
+    return np.asarray(values - A @ np.linalg.lstsq(A, values, rcond=1e-9)[0])
+
+
+def _nudge(kind: str, joint: int, axis: int, size: float) -> Active:
+    """Make an effect that nudges one standard parameter of the chain."""
+
+    def bend(state: PoseState) -> Bend:
+        b = Bend.none(*state.visits.q.shape)
+        if kind == "spring":
+            b.angle_rad[:, joint] = (
+                size * state.loads.torque_Nm[:, joint] / state.robot.nominal.joints[joint].max_torque_Nm
+            )
+        elif kind == "gap":
+            b.angle_rad[:, joint] = (
+                size * clearance_side(state.robot, state.loads.torque_Nm, state.visits.dirs)[:, joint]
+            )
+        elif kind in ("tilt_rad", "shift_m"):
+            getattr(b, kind)[:, joint, axis] = size
+        else:
+            getattr(b, kind)[:, axis] = size
+        return b
+
+    return Active((), bend=bend)
+
+
+def _standard_pose_columns(session: Session) -> Array:
+    """Derivatives (3NK, p) of the points by geometry, springs, clearances, base and targets."""
+    visits = session.visits("poses")
+    plain = points_seen(session, visits, [])
+    n, h = session.robot.n, 1e-5
+    kinds = [("spring", j, 0) for j in range(n) if session.robot.compliance_rad_Nm.any()]
+    kinds += [("gap", j, 0) for j in range(n) if session.robot.clearance_rad.any()]
+    kinds += [(k, j, a) for k in ("tilt_rad", "shift_m") for j in range(n) for a in range(3)]
+    kinds += [(k, 0, a) for k in ("base_shift_m", "base_turn_rad") for a in range(3)]
+    columns = [(points_seen(session, visits, [_nudge(*k, h)]) - plain) / h for k in kinds]
+    for target in range(session.poses.targets):
+        for step in np.eye(3):
+            robot = session.robot
+            moved = robot.targets_m.copy()
+            moved[target] += h * step
+            other = Session(**{**vars(session), "robot": Robot(**{**vars(robot), "targets_m": moved})})
+            columns.append((points_seen(other, visits, []) - plain) / h)
+    return np.stack(columns, axis=-1)  # (N, K, 3, p)
+
+
+def _pose_size(session: Session, actives: Sequence[Active], beyond_standard: bool) -> float:
+    visits = session.visits("poses")
+    std = pose_std_m(session)
+    added = (points_seen(session, visits, actives) - points_seen(session, visits, [])) / std
+    if not beyond_standard:
+        return _rms(added)
+    columns = _standard_pose_columns(session) / std[:, None]
+    return _rms(_beyond(added.ravel(), columns.reshape(added.size, -1)))
+
+
+def _torque_size(session: Session, actives: Sequence[Active], beyond_standard: bool) -> float:
+    robot, log = session.robot, session.logged()
+    added = (torques(session, log, actives) - torques(session, log, [])) / robot.torque_std_Nm
+    if not beyond_standard:
+        return _rms(added)
+    model = rigid_body_model(robot.arm, robot.tool, robot.gravity_m_s2)
+    data = model.createData()
+    rows = np.linspace(0, len(added) - 1, min(len(added), 1500)).astype(int)
+    way = direction(log.qd, robot.nominal.max_speeds())
+    blocks = []
+    for k in rows:
+        rigid = pin.computeJointTorqueRegressor(model, data, log.q[k], log.qd[k], log.qdd[k])
+        blocks.append(
+            np.hstack([rigid, *(np.diag(x) for x in (log.qdd[k], log.qd[k], way[k]))]) / robot.torque_std_Nm[:, None]
+        )
+    return _rms(_beyond(added[rows].ravel(), np.vstack(blocks)))
+
+
+def size_in_sigma(
+    robot: Robot,
+    hidden: Sequence[Hidden],
+    *,
+    program: str = "quick",
+    log: str = "trapezoids_10hz",
+    noise: str | None = "white",
+    seed: int = 0,
+    tables: Sequence[str] = ("poses", "free_air"),
+    beyond_standard: bool = False,
+) -> dict[str, float]:
+    """
+    Size of what hidden effects add, per coordinate or motor, over its noise.
+
+    Parameters
+    ----------
+    robot, hidden, program, log, noise, seed
+        As for `measure`.
+    tables
+        Which of `poses` and `free_air` are asked for; a table in which nothing hidden acts is left out.
+    beyond_standard
+        Whether only the part counts that a refit of the standard model leaves: geometry, base, targets and,
+        where the robot has them, springs and clearances in poses; rigid bodies, rotors, Coulomb and viscous friction in free air.
+
+    Returns
+    -------
+    dict
+        Table to size in sigma: the rms over all numbers of the table of added value over standard deviation.
+    """
+    session = open_session(robot, program, log, noise, seed)
+    laws = [active for _, _, active in activate(session, hidden)]
+    touched = {t for name, _, _ in hidden for t in HIDDEN[name].tables}
+    sizes = {"poses": _pose_size, "free_air": _torque_size}
+    return {t: sizes[t](session, laws, beyond_standard) for t in tables if t in touched}
+
+
+def magnitude_for(
+    robot: Robot,
+    name: str,
+    where: str | None,
+    sigma: float,
+    *,
+    table: str | None = None,
+    program: str = "quick",
+    log: str = "trapezoids_10hz",
+    noise: str | None = "white",
+    seed: int = 0,
+    beyond_standard: bool = False,
+) -> float:
+    """
+    Magnitude at which one hidden effect has a wanted size.
+
+    Parameters
+    ----------
+    robot, program, log, noise, seed
+        As for `measure`.
+    name, where
+        The effect and its place; None is its default place.
+    sigma
+        Wanted size, as of `size_in_sigma`.
+    table
+        Table in which it is wanted; by default the effect's first.
+    beyond_standard
+        As of `size_in_sigma`.
+
+    Returns
+    -------
+    float
+        For `measure`; within 1 % of the size, unless the effect is far from proportional.
+    """
+    table = table or HIDDEN[name].tables[0]
+    magnitude = 1.0
+    for _ in range(4):
+        size = size_in_sigma(
+            robot,
+            [(name, where, magnitude)],
+            program=program,
+            log=log,
+            noise=noise,
+            seed=seed,
+            tables=(table,),
+            beyond_standard=beyond_standard,
+        )[table]
+        if size < _NOTHING:
+            raise ValueError(f"{name} at {where}: it changes nothing in {table} of this robot and program")
+        magnitude *= sigma / size
+        if abs(size / sigma - 1) < 0.005:
+            break
+    return magnitude
