@@ -48,4 +48,6 @@ def reach(arm: Arm, target_m: Array, places_m: Array, start_rad: Array, turn_wei
         A = np.swapaxes(J, 1, 2) @ J + 1e-6 * np.eye(n)
         step = np.linalg.solve(A, np.swapaxes(J, 1, 2) @ error[..., None])[..., 0]
         q = np.clip(q + np.clip(step, -0.3, 0.3), low, high)
+        if k > 20 and np.abs(step).max() < 1e-9:
+            break
     return np.asarray(q)

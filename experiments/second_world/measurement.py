@@ -43,7 +43,7 @@ def _sensor(values: Array, rng: np.random.Generator) -> Array:
 
 
 def _pose_table(session: Session, table: str, actives: Sequence[Active], temperatures: bool) -> pd.DataFrame:
-    visits = session.visits(table)
+    visits = session.visits if table == "poses" else session.verification_visits
     rng = stream(session.seed, f"noise {table}")
     jitter = session.robot.repeatability_rad * rng.standard_normal(visits.q.shape)
     points = points_seen(session, visits, actives, jitter)
@@ -72,7 +72,7 @@ def _sensor_links(n: int) -> tuple[int, ...]:
 
 
 def _log_table(session: Session, actives: Sequence[Active], temperatures: bool) -> pd.DataFrame:
-    robot, log = session.robot, session.logged()
+    robot, log = session.robot, session.motion
     rng = stream(session.seed, "noise free_air")
     tau = torques(session, log, actives)
     tau = tau + draw_noise(session.noise, robot.torque_std_Nm, np.arange(len(tau), dtype=float), rng)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,16 +37,20 @@ class Session:
     poses: PoseProgram
     log: LogProgram
 
-    def visits(self, table: str) -> Visits:
-        """Visits of `poses` or of `verification`, which follows it on its clock."""
-        first = run_poses(self.robot, self.poses, self.seed, "poses", 0.0, 1)
-        if table == "poses":
-            return first
+    @cached_property
+    def visits(self) -> Visits:
+        """Visits of the table `poses`."""
+        return run_poses(self.robot, self.poses, self.seed, "poses", 0.0, 1)
+
+    @cached_property
+    def verification_visits(self) -> Visits:
+        """Visits of the table `verification`, which follows `poses` on its clock."""
         fewer = replace(self.poses, poses=max(9, round(0.35 * self.poses.poses)), returns=0, cycles=1)
-        start = float(first.time_s[-1]) + 30.0
+        start = float(self.visits.time_s[-1]) + 30.0
         return run_poses(self.robot, fewer, self.seed, "verification", start, self.poses.poses + 1)
 
-    def logged(self) -> Log:
+    @cached_property
+    def motion(self) -> Log:
         """The motion of the free-air table."""
         return run_log(self.robot, self.log, self.seed)
 
@@ -104,7 +109,7 @@ def activate(session: Session, hidden: Sequence[Hidden]) -> list[tuple[str, str,
     list of tuple
         Name, place and laws of each.
     """
-    visited = session.visits("poses").q
+    visited = session.visits.q
     out = []
     for name, wanted, magnitude in hidden:
         where = _check(session, name, wanted)

@@ -1,6 +1,7 @@
 """How large a hidden effect is: the rms of what it adds to the measurements, over their noise."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -17,12 +18,13 @@ from experiments.second_world.states import PoseState
 
 __all__ = ["magnitude_for", "pose_std_m", "size_in_sigma"]
 
+_ROWS = 1500  # of a log, that a refit of the standard model is judged by
 _NOTHING = 1e-5  # sigma: what rounding may leave of an effect that is absorbed
 
 
 def pose_std_m(session: Session) -> Array:
     """Noise (3,), m, of a point along the instrument's axes: the instrument's, and the robot's repeatability."""
-    visits = session.visits("poses")
+    visits = session.visits
     jitter = session.robot.repeatability_rad * stream(session.seed, "sizing").standard_normal(visits.q.shape)
     moved = points_seen(session, visits, [], jitter) - points_seen(session, visits, [])
     return np.asarray(np.sqrt(session.instrument.std_m**2 + (moved**2).mean((0, 1))))
@@ -34,6 +36,8 @@ def _rms(whitened: Array) -> float:
 
 def _beyond(values: Array, columns: Array) -> Array:
     """What is left of values (M,) after a least-squares fit of columns (M, p)."""
+    if not columns.shape[1]:
+        return values
     scale = np.linalg.norm(columns, axis=0)
     A = columns[:, scale > 0] / scale[scale > 0]
     return np.asarray(values - A @ np.linalg.lstsq(A, values, rcond=1e-9)[0])
@@ -63,7 +67,7 @@ def _nudge(kind: str, joint: int, axis: int, size: float) -> Active:
 
 def _standard_pose_columns(session: Session) -> Array:
     """Derivatives (3NK, p) of the points by geometry, springs, clearances, base and targets."""
-    visits = session.visits("poses")
+    visits = session.visits
     plain = points_seen(session, visits, [])
     n, h = session.robot.n, 1e-5
     kinds = [("spring", j, 0) for j in range(n) if session.robot.compliance_rad_Nm.any()]
@@ -76,37 +80,55 @@ def _standard_pose_columns(session: Session) -> Array:
             robot = session.robot
             moved = robot.targets_m.copy()
             moved[target] += h * step
-            other = Session(**{**vars(session), "robot": Robot(**{**vars(robot), "targets_m": moved})})
+            other = replace(session, robot=replace(robot, targets_m=moved))
             columns.append((points_seen(other, visits, []) - plain) / h)
     return np.stack(columns, axis=-1)  # (N, K, 3, p)
 
 
-def _pose_size(session: Session, actives: Sequence[Active], beyond_standard: bool) -> float:
-    visits = session.visits("poses")
-    std = pose_std_m(session)
-    added = (points_seen(session, visits, actives) - points_seen(session, visits, [])) / std
-    if not beyond_standard:
-        return _rms(added)
-    columns = _standard_pose_columns(session) / std[:, None]
-    return _rms(_beyond(added.ravel(), columns.reshape(added.size, -1)))
-
-
-def _torque_size(session: Session, actives: Sequence[Active], beyond_standard: bool) -> float:
-    robot, log = session.robot, session.logged()
-    added = (torques(session, log, actives) - torques(session, log, [])) / robot.torque_std_Nm
-    if not beyond_standard:
-        return _rms(added)
+def _standard_torque_columns(session: Session, rows: list[int]) -> Array:
+    """Derivatives (rows, n, p) of the torques by rigid bodies, rotors, viscous and Coulomb friction."""
+    robot, log = session.robot, session.motion
     model = rigid_body_model(robot.arm, robot.tool, robot.gravity_m_s2)
     data = model.createData()
-    rows = np.linspace(0, len(added) - 1, min(len(added), 1500)).astype(int)
     way = direction(log.qd, robot.nominal.max_speeds())
     blocks = []
     for k in rows:
         rigid = pin.computeJointTorqueRegressor(model, data, log.q[k], log.qd[k], log.qdd[k])
-        blocks.append(
-            np.hstack([rigid, *(np.diag(x) for x in (log.qdd[k], log.qd[k], way[k]))]) / robot.torque_std_Nm[:, None]
-        )
-    return _rms(_beyond(added[rows].ravel(), np.vstack(blocks)))
+        blocks.append(np.hstack([rigid, *(np.diag(x) for x in (log.qdd[k], log.qd[k], way[k]))]))
+    return np.stack(blocks)
+
+
+Sizer = Callable[[Sequence[Active]], float]
+
+
+def _pose_sizer(session: Session, beyond_standard: bool) -> Sizer:
+    plain, std = points_seen(session, session.visits, []), pose_std_m(session)
+    columns = _standard_pose_columns(session) / std[:, None] if beyond_standard else np.zeros((*plain.shape, 0))
+
+    def size(actives: Sequence[Active]) -> float:
+        added = (points_seen(session, session.visits, actives) - plain) / std
+        return _rms(_beyond(added.ravel(), columns.reshape(added.size, -1)))
+
+    return size
+
+
+def _torque_sizer(session: Session, beyond_standard: bool) -> Sizer:
+    std = session.robot.torque_std_Nm
+    plain = torques(session, session.motion, [])
+    rows = list(range(len(plain)))
+    columns = np.zeros((len(rows), len(std), 0))
+    if beyond_standard:
+        rows = rows[:: -(-len(rows) // _ROWS)]
+        columns = _standard_torque_columns(session, rows) / std[:, None]
+
+    def size(actives: Sequence[Active]) -> float:
+        added = ((torques(session, session.motion, actives) - plain) / std)[rows]
+        return _rms(_beyond(added.ravel(), columns.reshape(added.size, -1)))
+
+    return size
+
+
+_SIZERS = {"poses": _pose_sizer, "free_air": _torque_sizer}
 
 
 def size_in_sigma(
@@ -130,8 +152,9 @@ def size_in_sigma(
     tables
         Which of `poses` and `free_air` are asked for; a table in which nothing hidden acts is left out.
     beyond_standard
-        Whether only the part counts that a refit of the standard model leaves: geometry, base, targets and,
-        where the robot has them, springs and clearances in poses; rigid bodies, rotors, Coulomb and viscous friction in free air.
+        Whether only the part counts that a refit of the standard model leaves. In poses that is geometry, base and
+        targets, and springs and clearances where the robot has them; in free air it is rigid bodies, rotors, Coulomb
+        and viscous friction.
 
     Returns
     -------
@@ -141,8 +164,7 @@ def size_in_sigma(
     session = open_session(robot, program, log, noise, seed)
     laws = [active for _, _, active in activate(session, hidden)]
     touched = {t for name, _, _ in hidden for t in HIDDEN[name].tables}
-    sizes = {"poses": _pose_size, "free_air": _torque_size}
-    return {t: sizes[t](session, laws, beyond_standard) for t in tables if t in touched}
+    return {t: _SIZERS[t](session, beyond_standard)(laws) for t in tables if t in touched}
 
 
 def magnitude_for(
@@ -180,18 +202,11 @@ def magnitude_for(
         For `measure`; within 1 % of the size, unless the effect is far from proportional.
     """
     table = table or HIDDEN[name].tables[0]
+    session = open_session(robot, program, log, noise, seed)
+    size_of = _SIZERS[table](session, beyond_standard)
     magnitude = 1.0
     for _ in range(4):
-        size = size_in_sigma(
-            robot,
-            [(name, where, magnitude)],
-            program=program,
-            log=log,
-            noise=noise,
-            seed=seed,
-            tables=(table,),
-            beyond_standard=beyond_standard,
-        )[table]
+        size = size_of([active for _, _, active in activate(session, [(name, where, magnitude)])])
         if size < _NOTHING:
             raise ValueError(f"{name} at {where}: it changes nothing in {table} of this robot and program")
         magnitude *= sigma / size

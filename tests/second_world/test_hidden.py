@@ -10,11 +10,37 @@ from experiments.second_world.session import activate, open_session, points_seen
 SMALL = {"program": "few", "log": "warm_up", "noise": "white", "seed": 3}
 ROBOT = draw_robot("uncoupled6", 3)
 SEVEN = draw_robot("seven7", 3)
-FAMILIES = """geometry gravity payload gravity_compensator inertia coulomb_friction viscous_friction stribeck_friction
-asymmetric_friction load_dependent_friction temperature_dependent_friction wrist_coupling_friction torque_ripple dress_pack
-torque_offset backlash joint_compliance nonlinear_stiffness hysteresis cross_coupled_stiffness fixture_compliance
-bearing_tilt link_bending base_tilt gear_eccentricity coupling_ratio_error thermal_expansion instrument_scale
-time_lag""".split()
+FAMILIES = [
+    "geometry",
+    "gravity",
+    "payload",
+    "gravity_compensator",
+    "inertia",
+    "coulomb_friction",
+    "viscous_friction",
+    "stribeck_friction",
+    "asymmetric_friction",
+    "load_dependent_friction",
+    "temperature_dependent_friction",
+    "wrist_coupling_friction",
+    "torque_ripple",
+    "dress_pack",
+    "torque_offset",
+    "backlash",
+    "joint_compliance",
+    "nonlinear_stiffness",
+    "hysteresis",
+    "cross_coupled_stiffness",
+    "fixture_compliance",
+    "bearing_tilt",
+    "link_bending",
+    "base_tilt",
+    "gear_eccentricity",
+    "coupling_ratio_error",
+    "thermal_expansion",
+    "instrument_scale",
+    "time_lag",
+]
 
 
 @pytest.mark.parametrize("name", HIDDEN)
@@ -29,7 +55,7 @@ def test_an_effect_has_the_size_asked_for(name):
 @pytest.mark.parametrize("name", [n for n, e in HIDDEN.items() if "poses" in e.tables])
 def test_pose_effects_act_on_seven_axes_wherever_they_may_sit(name):
     session = open_session(SEVEN, "few", "warm_up", "white", 3)
-    visits = session.visits("poses")
+    visits = session.visits
     plain = points_seen(session, visits, [])
     for where in HIDDEN[name].places(SEVEN.n):
         active = activate(session, [(name, where, 1.0)])[0][2]
@@ -39,8 +65,8 @@ def test_pose_effects_act_on_seven_axes_wherever_they_may_sit(name):
 
 
 def test_torque_effects_act_at_their_motor_only():
-    session = open_session(SEVEN, "few", "five_speeds", "white", 3)
-    log = session.logged()
+    session = open_session(SEVEN, "few", "warm_up", "white", 3)
+    log = session.motion
     plain = torques(session, log, [])
     for name, effect in HIDDEN.items():
         if effect.tables != ("free_air",):
@@ -61,7 +87,7 @@ def test_names_are_families_or_say_what_they_depend_on():
 
 def test_a_tooth_is_local():
     session = open_session(ROBOT, "many", "warm_up", "white", 3)
-    visits = session.visits("poses")
+    visits = session.visits
     active = activate(session, [("damaged_tooth", "joint3", 1.0)])[0][2]
     moved = np.abs(points_seen(session, visits, [active]) - points_seen(session, visits, [])).max((1, 2)) > 1e-7
     truth = {p.name: p.value for p in active.parameters}
