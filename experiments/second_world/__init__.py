@@ -3,6 +3,14 @@ A second virtual world, by another hand: other robots, other noise, other progra
 
 It exists to find out whether a diagnosis works on the first virtual robot only. It shares no code with that one, nor
 with the estimator: numpy, scipy, pandas and pinocchio are all it imports.
+
+A robot that hides nothing has geometry, gravity, rigid-body and rotor inertia, Coulomb and viscous friction, springs and
+clearances; its motors turn as its joints do. Everything else is hidden on purpose::
+
+    robot = draw_robot("seven7", seed=4)
+    session = {"program": "two_sided", "noise": "stereo", "seed": 1}
+    magnitude = magnitude_for(robot, "gear_eccentricity", "joint5", 0.8, **session)
+    measure(robot, "out/c1", hidden=[("gear_eccentricity", "joint5", magnitude)], **session)
 """
 
 from experiments.second_world.hidden import HIDDEN
