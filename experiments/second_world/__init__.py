@@ -4,8 +4,8 @@ A second virtual world, by another hand: other robots, other noise, other progra
 It exists to find out whether a diagnosis works on the first virtual robot only. It shares no code with that one, nor
 with the estimator: numpy, scipy, pandas and pinocchio are all it imports.
 
-A robot that hides nothing has geometry, gravity, rigid-body and rotor inertia, Coulomb and viscous friction, springs and
-clearances; its motors turn as its joints do. Everything else is hidden on purpose::
+A robot that hides nothing has geometry, gravity, rigid-body and rotor inertia, Coulomb and viscous friction, springs
+and clearances; its motors turn as its joints do. Everything else is hidden on purpose::
 
     robot = draw_robot("seven7", seed=4)
     session = {"program": "two_sided", "noise": "stereo", "seed": 1}
