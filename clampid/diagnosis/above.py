@@ -25,6 +25,8 @@ WHY_FLOOR = {
     "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
     "instrument": "the floor is only what the instrument is stated to do, and may be too low: measure some poses again "
     "later, from the same side",
+    "regression": "a regression on rigid-body dynamics and friction predicts these torques better than the model does, "
+    "so that the model lacks something that these rows know",
     "log": "the floor is only what changes from row to row, and noise that lasts longer is not in it",
 }
 

@@ -40,7 +40,7 @@ class Floor:
     """
 
     sigma: Array
-    source: Literal["replicates", "instrument", "log"]
+    source: Literal["replicates", "instrument", "log", "regression"]
     repeats: float = 0.0
 
     @property
@@ -68,8 +68,10 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     """What noise alone leaves.
 
     Poses: from returns to a pose that share directions and, within 0.5 K, temperatures, where there are enough; else
-    what the instrument's maker states. Torques: from how the residual changes within a few rows, so that neither a
-    missing effect that varies with posture nor the fit's quality counts as noise.
+    what the instrument's maker states. Torques: the smaller of two figures, motor by motor. One is how the residual
+    changes within a few rows, so that a missing effect that varies with posture is no noise. The other has no part in
+    the model: what a regression on rigid-body dynamics and friction leaves of torques that it has not seen. It counts
+    where it is smaller by more than two standard errors; then the model lacks something that these rows know.
     """
     if rows.stage == "poses":
         return _pose_floor(rows)
@@ -86,7 +88,9 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
         bent = (residual[lag:-lag, c] - 0.5 * (residual[2 * lag :, c] + residual[: -2 * lag, c]))[same]
         spread = np.sqrt(np.mean(bent**2) / 1.5) if len(bent) > 20 else np.sqrt(np.mean(residual[used, c] ** 2))
         out[c] = spread if used.any() else 1.0
-    return Floor(np.maximum(out, 1e-12), "log")
+    regression = rows.constants.get("regression", np.full(len(out), np.inf))
+    lower = np.any((regression < out) & rows.used.any(axis=0))
+    return Floor(np.maximum(np.minimum(out, regression), 1e-12), "regression" if lower else "log")
 
 
 def _pose_floor(rows: Rows) -> Floor:

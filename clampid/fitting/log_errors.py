@@ -103,7 +103,7 @@ def log_errors(
         of_fit = kept[block.fold]
         floor.add(block.run[of_fit], table[of_fit])
         test.rows += int(tested.sum())
-    noise = _noise_floor(floor, fitted)
+    noise = np.minimum(_noise_floor(floor, fitted), design.facts.regression)
     return StageErrors(fitted.rms(noise), test.rms(noise), noise_floor=1.0, heldout_rows=test.rows)
 
 

@@ -47,6 +47,7 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "poses": ("poses", "distances"),
 }
 MOSTLY = 0.5  # of a log's motion
+DYNAMICS = ("inertia", "link_inertia")
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
@@ -58,7 +59,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     """The standard set for the tables present.
 
     Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs whose
-    motion is accelerated for the most part get inertia, because hardly anything would be left of them without.
+    motion is accelerated for the most part get the inertia of rotors and links: hardly a row would count without.
     Everything else is for diagnosis to find.
     """
     found = stages_of(campaigns)
@@ -75,7 +76,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
         )
         names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
     if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
-        names["free_air"] += ("inertia",)
+        names["free_air"] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
 

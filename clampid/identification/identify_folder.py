@@ -11,7 +11,14 @@ import numpy as np
 
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
-from clampid.identification.identify import MOSTLY, has_friction_state, has_inertia, held_out_folds, session_of
+from clampid.identification.identify import (
+    DYNAMICS,
+    MOSTLY,
+    has_friction_state,
+    has_inertia,
+    held_out_folds,
+    session_of,
+)
 from clampid.identification.identify_log import LogStage
 from clampid.models.model import Model, Round
 from clampid.slots import Term, parse_term
@@ -92,7 +99,7 @@ def identify_folder(
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
     elif steady_share(parts) < MOSTLY:
-        terms = (*terms, Term("inertia"))
+        terms = (*terms, *map(Term, DYNAMICS))
     if has_friction_state(terms, catalogue):
         raise EffectError(
             f"effects {', '.join(t.label for t in terms)}: expected none that reads a state of friction, which follows "

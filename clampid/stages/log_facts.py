@@ -8,15 +8,25 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from clampid.stages import prewhitening
+from clampid.stages.motion_choice import Excerpt, Way, chosen_rows, chosen_way, left_out_squares, ways
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
 from experiments.columns import LOGS
 from experiments.log_windows import LogTable, Window, windows
-from experiments.signals import acceleration, medians, speed_counts, speeds, threshold_of_counts
+from experiments.signals import (
+    differentiate,
+    medians,
+    smallest_half,
+    speed_counts,
+    speeds,
+    stale_rows,
+    threshold_of_counts,
+)
 from experiments.temperatures import filled
 
 __all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked", "steady_share"]
@@ -24,7 +34,10 @@ __all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_pa
 WINDOW = 1 << 15  # rows at once: half as many cost a fifth more time
 REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
 NEIGHBOURS = 16  # at least
-WINDOW_S = 0.02  # over which speeds and accelerations are taken
+WINDOW_S = 0.02  # the shortest over which speeds and accelerations are taken
+TOGETHER_S = 0.01  # rows within it are one number to the noise
+CREDIBLE = 2.0  # standard errors
+CHOICE_WINDOWS = 2  # windows of a long log by which it is chosen how its motion is taken
 CLEAR_MOTION = 0.02  # of the top speed of the log
 STEADY = 0.15  # of the log's largest acceleration of a joint
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
@@ -70,26 +83,26 @@ class Motions:
         Number of joints.
     step
         The usual time step, s.
-    logged
-        Whether the log has all speeds.
+    way
+        From which columns, and over how long a window.
     """
 
-    def __init__(self, n: int, step: float, logged: bool) -> None:
-        self.n, self.step, self.logged = n, step, logged
+    def __init__(self, n: int, step: float, way: Way) -> None:
+        self.n, self.step, self.way = n, step, way
         self._kept: dict[tuple[int, int, int], Motion] = {}
         self._room = KEPT_BYTES
 
     @property
     def columns(self) -> list[str]:
         """The columns that a window has to have."""
-        kinds = [("q", "rad"), ("qd", "rad_s")] if self.logged else [("q", "rad")]
+        kinds = [("q", "rad"), ("qd", "rad_s")] if self.way.logged else [("q", "rad")]
         return ["run", "time_s", *(c for kind, unit in kinds for c in joint_columns(kind, unit, self.n))]
 
     def of(self, part: int, window: Window) -> Motion:
         """The motion of a window of one of the log's parts."""
         key = part, window.first, len(window.columns["time_s"])
         if key not in self._kept:
-            found = self._found(window)
+            found = self.at(window)
             size = sum(v.nbytes for v in found)
             if size > self._room:
                 return found
@@ -97,15 +110,27 @@ class Motions:
             self._room -= size
         return self._kept[key]
 
-    def _found(self, window: Window) -> Motion:
+    def at(self, window: Window, wanted: Bools | None = None) -> Motion:
+        """The motion of a window, or only of the ``wanted`` rows ``(w,)`` of it; the others' accelerations are zero."""
         q, time = stacked(window, joint_columns("q", "rad", self.n)), window.columns["time_s"]
-        run = window.columns["run"].astype(np.int64)
-        logged = joint_columns("qd", "rad_s", self.n)
-        qd = stacked(window, logged) if self.logged else speeds(q, time, run, WINDOW_S, self.step)
-        return Motion(q, qd, acceleration(qd, time, run, WINDOW_S, self.step))
+        run, length = window.columns["run"].astype(np.int64), self.way.window_s
+        if not self.way.logged:
+            qd = speeds(q, time, run, length, self.step)
+            return Motion(q, qd, differentiate(qd, time, run, 1, length, None, self.step, wanted))
+        qd = stacked(window, joint_columns("qd", "rad_s", self.n))
+        stale = stale_rows(q, run) if self.way.smoothed else None
+        acceleration = differentiate(qd, time, run, 1, length, stale, self.step, wanted)
+        if self.way.smoothed:
+            qd = differentiate(qd, time, run, 0, length, stale, self.step, wanted)
+        return Motion(q, qd, acceleration)
+
+    @property
+    def logged(self) -> bool:
+        """Whether the recorded speeds are used."""
+        return self.way.logged
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LogFacts:
     """Facts of the log.
 
@@ -115,6 +140,10 @@ class LogFacts:
         The usual time step, within runs and between any rows that follow each other, s.
     noise
         ``(n,)``: of the torques, between neighbouring rows, Nm.
+    regression
+        ``(n,)``: what a regression on rigid-body dynamics and friction leaves of torques that it has not seen, rms in
+        Nm, with two standard errors added; infinite where the log is too short for one. No model under test has a part
+        in it (:func:`clampid.stages.motion_choice.left_out_squares`).
     motions
         How its rows move.
     rest, rest_motor, clear, clear_motor
@@ -136,6 +165,7 @@ class LogFacts:
     step: float
     spacing: float
     noise: Array
+    regression: Array
     motions: Motions
     rest: Array
     rest_motor: Array
@@ -151,7 +181,7 @@ class LogFacts:
     @property
     def halo(self) -> int:
         """How many neighbours a window needs on either side."""
-        return halo_of(self.step)
+        return halo_of(self.step, self.motions.way.window_s)
 
     @property
     def together(self) -> int:
@@ -159,14 +189,18 @@ class LogFacts:
         return together_of(self.step)
 
 
-def halo_of(step: float) -> int:
+_KNOWN: WeakKeyDictionary[Campaign, dict[tuple[tuple[str, ...], int, int], LogFacts]] = WeakKeyDictionary()
+"""Facts of campaigns' logs: a command asks for them several times, and tables are not changed once they are read."""
+
+
+def halo_of(step: float, window_s: float = WINDOW_S) -> int:
     """Rows on either side of a window: its noise remembers some, whose speeds and accelerations reach for others."""
-    return prewhitening.REACH * together_of(step) + max(NEIGHBOURS, REACH * round(WINDOW_S / step))
+    return prewhitening.REACH * together_of(step) + max(NEIGHBOURS, REACH * round(window_s / step))
 
 
 def together_of(step: float) -> int:
-    """How many rows fit into half the window of speeds and accelerations: quicker changes the design does not know."""
-    return max(1, round(0.5 * WINDOW_S / step))
+    """How many rows are one number to the noise: what changes quicker, the drives' vibration, says little."""
+    return max(1, round(TOGETHER_S / step))
 
 
 def joint_columns(kind: str, unit: str, n: int) -> list[str]:
@@ -179,7 +213,11 @@ def stacked(window: Window, names: Sequence[str]) -> Array:
     return np.array([window.columns[name] for name in names]).T
 
 
-def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22, use_logged: bool = True) -> LogFacts:
+def facts_of(
+    parts: Sequence[LogPart],
+    window: int = WINDOW,
+    held: int = 1 << 22,
+) -> LogFacts:
     """Find the facts of a log.
 
     Parameters
@@ -190,22 +228,31 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
         Rows read at once.
     held
         How many numbers may be held for a median; see `experiments.signals.medians`.
-    use_logged
-        Take the log's own speeds, where it has them.
     """
+    one = parts[0].campaign if len({part.session for part in parts}) == 1 else None
+    key = tuple(part.name for part in parts), window, held
+    if one is not None and key in _KNOWN.get(one, {}):
+        return _KNOWN[one][key]
+    facts = _facts_of(parts, window, held)
+    if one is not None:
+        _KNOWN.setdefault(one, {})[key] = facts
+    return facts
+
+
+def _facts_of(parts: Sequence[LogPart], window: int, held: int) -> LogFacts:
     n = parts[0].campaign.robot.n
     middle = medians(lambda: _differences(parts, n), held)
     step = float(middle[0]) if np.isfinite(middle[0]) else 1.0
     names_qd = joint_columns("qd", "rad_s", n)
-    logged = use_logged and all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
-    motions = Motions(n, step, logged)
+    logged = all(set(names_qd) <= set(p.table.names) for p in parts) and not _missing(parts, names_qd)
+    motions, left_out = _motions_of(parts, step, Way(logged, WINDOW_S), window)
     to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
     counts = [speed_counts(np.zeros((0, n))) for _ in range(2)]
     top = np.zeros((3, n))
     since, rows = np.inf, 0
     found: dict[tuple[int, int], tuple[int, Array]] = {}
     for p, part in enumerate(parts):
-        for w in windows(part.table, motions.columns, window, halo_of(step)):
+        for w in windows(part.table, motions.columns, window, halo_of(step, motions.way.window_s)):
             own = slice(w.start, w.stop)
             _, qd, qdd = (v[own] for v in motions.of(p, w))
             wm = qd @ to_motor
@@ -225,6 +272,7 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
         step=step,
         spacing=float(middle[1]) if np.isfinite(middle[1]) else 0.0,
         noise=NORMAL * middle[2:] / np.sqrt(2.0),
+        regression=_credible(left_out),
         motions=motions,
         rest=rest,
         rest_motor=rest_motor,
@@ -239,11 +287,72 @@ def facts_of(parts: Sequence[LogPart], window: int = WINDOW, held: int = 1 << 22
     )
 
 
+def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int) -> tuple[Motions, Array]:
+    """The motion of the log, taken as its torques like best; mean squares ``(n, blocks)`` that are left then, Nm²."""
+    n = parts[0].campaign.robot.n
+    candidates = ways(default, step, 2 * smallest_half())
+    rows = sum(part.table.rows for part in parts)
+    longest = max([default.window_s, *(way.window_s for source in candidates for way in source)])
+    columns = list(dict.fromkeys([*Motions(n, step, default).columns, *joint_columns("tau", "Nm", n)]))
+    read = [
+        (part.campaign, before, w)
+        for part, before in zip(parts, _rows_before(parts), strict=True)
+        for w in _some_windows(part.table, columns, window, halo_of(step, longest))
+    ]
+    to_motor = np.linalg.inv(np.asarray(parts[0].campaign.robot.transmission))
+    speed = [np.abs(_smoothest(w, n, step, longest)[w.start : w.stop] @ to_motor) for _, _, w in read]
+    slow = CLEAR_MOTION * np.max([v.max(axis=0) for v in speed], axis=0)
+
+    def score(way: Way) -> Array:
+        motions = Motions(n, step, way)
+        excerpts = []
+        for (campaign, before, w), fast in zip(read, speed, strict=True):
+            own = np.zeros(len(w.columns["time_s"]), dtype=bool)
+            own[w.start : w.stop] = chosen_rows(before + w.first + np.arange(w.start, w.stop), rows)
+            motion = Motion(*(v[own] for v in motions.at(w, own)))
+            torque, moving = stacked(w, joint_columns("tau", "Nm", n))[own], (fast > slow)[own[w.start : w.stop]]
+            excerpts.append(Excerpt(campaign, motion, torque, moving, before + w.first + np.flatnonzero(own)))
+        return left_out_squares(excerpts, rows)
+
+    way, left_out = chosen_way(default, candidates, score)
+    return Motions(n, step, way), left_out
+
+
+def _credible(left_out: Array) -> Array:
+    """Upper ends ``(n,)``, Nm, of the errors that blocks ``(n, blocks)`` of mean squares give; see `LogFacts`."""
+    out = np.full(len(left_out), np.inf)
+    for motor, squares in enumerate(left_out):
+        known = squares[np.isfinite(squares)]
+        if len(known) > left_out.shape[1] // 2:
+            out[motor] = np.sqrt(known.mean() + CREDIBLE * known.std(ddof=1) / np.sqrt(len(known)))
+    return out
+
+
+def _smoothest(w: Window, n: int, step: float, window_s: float) -> Array:
+    """Speeds ``(w, n)`` over a long window, rad/s: differences across it, which say what moves and what does not."""
+    q, half = stacked(w, joint_columns("q", "rad", n)), max(1, round(0.5 * window_s / step))
+    ahead, behind = np.minimum(np.arange(len(q)) + half, len(q) - 1), np.maximum(np.arange(len(q)) - half, 0)
+    same = w.columns["run"][ahead] == w.columns["run"][behind]
+    return np.asarray(np.where(same[:, None], q[ahead] - q[behind], 0.0) / (2.0 * half * step))
+
+
+def _rows_before(parts: Sequence[LogPart]) -> list[int]:
+    """How many rows of the log the parts before each have."""
+    return [sum(part.table.rows for part in parts[:p]) for p in range(len(parts))]
+
+
+def _some_windows(table: LogTable, columns: Sequence[str], window: int, halo: int) -> Iterator[Window]:
+    """The windows of a short table; of a long one the first few of every hundred."""
+    for k, w in enumerate(windows(table, columns, window, halo)):
+        if k % 100 < CHOICE_WINDOWS:
+            yield w
+
+
 def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
     """The share, 0 to 1, of a session's motion that is steady; 1 for a session without logs."""
     steady = moving = 0
     for part in parts:
-        facts = facts_of([part], window, use_logged=False)
+        facts = facts_of([part], window)
         for w in windows(part.table, facts.motions.columns, window, facts.halo):
             _, qd, qdd = (v[w.start : w.stop] for v in facts.motions.of(0, w))
             moves = np.abs(qd) > np.maximum(facts.rest, facts.clear)

@@ -110,6 +110,7 @@ def torque_rows(
             "time": time,
             "run": run,
             "together": facts.together,
+            "regression": facts.regression,
             "log_row": np.arange(len(run)),
             "offset_keys": standing_joints(facts, layout.wrist),
             "gravity": np.array([campaign.gravity for campaign in campaigns], dtype=float),

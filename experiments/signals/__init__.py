@@ -7,6 +7,7 @@ from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_r
 from experiments.signals.definite import solve_definite
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
 from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
+from experiments.signals.polynomial import smallest_half
 from experiments.signals.selection import medians
 from experiments.signals.shift import Shift, combine_shifts, time_shift
 from experiments.signals.slip import slip_states
@@ -28,6 +29,7 @@ __all__ = [
     "rest_threshold",
     "segments",
     "slip_states",
+    "smallest_half",
     "solve_definite",
     "speed_counts",
     "speeds",

@@ -57,6 +57,7 @@ def differentiate(
     window_s: float | None = None,
     stale: Bools | None = None,
     step: float | None = None,
+    wanted: Bools | None = None,
 ) -> Array:
     """Differentiate columns of a log by local cubics, without lag, run by run.
 
@@ -80,6 +81,8 @@ def differentiate(
         Rows ``(N,)`` that only repeat the one before, and say nothing of their own time.
     step
         The usual step of the log that the rows are a part of [s]; by default that of the rows.
+    wanted
+        Rows ``(N,)`` whose derivatives are asked for, by default all; the others stay zero.
 
     Returns
     -------
@@ -105,4 +108,4 @@ def differentiate(
     step = typical_step(time, run) if step is None else step
     half = max(int(np.rint(length / step / 2.0)), smallest_half())
     usable = np.ones(len(values), dtype=bool) if stale is None else ~stale
-    return local_polynomial(values, time, run, half, order, usable, step)
+    return local_polynomial(values, time, run, half, order, usable, step, wanted)

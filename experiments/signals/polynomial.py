@@ -19,6 +19,7 @@ from itertools import pairwise
 from math import factorial
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
@@ -31,6 +32,9 @@ __all__ = ["DEGREE", "kernel", "local_polynomial", "smallest_half"]
 DEGREE = 3
 # From here on convolving by Fourier transform is faster.
 _LONG = 100
+# A window of so many samples on a side does not see how the steps between them vary; where windows of even steps are
+# rarer than this share, rows are not solved one by one.
+_MANY, _SHARE = 16, 0.8
 # Rows solved at once: their windows should stay in the processor's cache.
 _BLOCK = 1 << 17
 
@@ -50,7 +54,14 @@ def kernel(half: int, order: int) -> Array:
 
 
 def local_polynomial(
-    values: Array, time: Array, run: Integers, half: int, order: int, usable: Bools, step: float | None = None
+    values: Array,
+    time: Array,
+    run: Integers,
+    half: int,
+    order: int,
+    usable: Bools,
+    step: float | None = None,
+    wanted: Bools | None = None,
 ) -> Array:
     """Derivatives of columns by local polynomials.
 
@@ -70,6 +81,8 @@ def local_polynomial(
         Rows ``(N,)`` that are measurements; others are predicted from these.
     step
         The log's usual step [s]; by default that of these rows.
+    wanted
+        Rows ``(N,)`` whose derivatives are asked for, by default all; the others stay zero.
 
     Returns
     -------
@@ -87,7 +100,11 @@ def local_polynomial(
         known = np.flatnonzero(usable[rows])
         # A repeated stamp is no second sample of its time.
         known = known[np.r_[True, np.diff(stamps[known]) > 0.0]] if len(known) else known
-        if len(known) == len(own):
+        if wanted is not None:
+            at = np.flatnonzero(wanted[rows])
+            if len(known) and len(at):
+                out[rows.start + at] = _stretch(own[known], stamps[known], stamps[at], half, order, step)
+        elif len(known) == len(own):
             out[rows] = _stretch(own, stamps, stamps, half, order, step)
         elif len(known):
             out[rows] = _stretch(own[known], stamps[known], stamps, half, order, step)
@@ -107,6 +124,8 @@ def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, 
     values = values - base
     out = np.empty((len(wanted), values.shape[1]), order="F")
     known, pieces = _evened(known, step)
+    if half >= _MANY and length > 4 * half and _inside(pieces, half) < _SHARE * length:
+        return _through_grid(values, known, wanted, half, order, step) + (base if order == 0 else 0.0)
     if len(wanted) == length:
         place, wanted = np.arange(length), known
     else:
@@ -134,6 +153,22 @@ def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, 
         near = values[index] - centre  # (window, B, c)
         out[rest[chosen]] = np.einsum("kb,kbc->bc", weights, near) + (centre if order == 0 else 0.0)
     return out + base if order == 0 else out
+
+
+def _inside(pieces: list[tuple[int, int, float]], half: int) -> int:
+    """How many samples have a whole window of even steps around them."""
+    return sum(max(last - first - 2 * half, 0) for first, last, _ in pieces)
+
+
+def _through_grid(values: Array, known: Array, wanted: Array, half: int, order: int, step: float) -> Array:
+    """The same by convolution on even steps, between which and the stamps cubic splines go.
+
+    A spline that goes through the samples is exact for cubics, as the polynomial is; what it makes of noise between
+    them is far quicker than a window of many samples lets through.
+    """
+    grid = known[0] + step * np.arange(int((known[-1] - known[0]) / step) + 1)
+    even = _stretch(CubicSpline(known, values)(grid), grid, grid, half, order, step)
+    return np.asarray(CubicSpline(grid, even)(wanted))
 
 
 def _evened(time: Array, step: float) -> tuple[Array, list[tuple[int, int, float]]]:
