@@ -218,9 +218,10 @@ class Bench:
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
                 return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
-        others: list[tuple[Scored, Step | None]] = [
+        variants: list[tuple[Scored, Step | None]] = [
             (s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)
         ]
+        others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
         if known is None:
             others += self._not_linear(look, fitted, best, step, refused)
         return self._judged([self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)], look, held)
@@ -330,6 +331,18 @@ class Bench:
         shapes = {k: v for k, v in tried.fitted.model.values().items() if k in tried.best.candidate.shapes}
         alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
         return replace(tried, fitted=alone, held=self.held_out(alone))
+
+
+def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:
+    """Whether a variant has more numbers than the best and does not pay for them, and its score says all of it.
+
+    Fitted, it would leave less of these rows, and of others half the time by chance.
+    """
+    scores_tell = all(
+        one.candidate.prior is None and not one.candidate.shapes and near is not None and near.linear
+        for one, near in ((s, own), (best, step))
+    )
+    return scores_tell and s.freedom > best.freedom and s.bic < best.bic
 
 
 def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
