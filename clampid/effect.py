@@ -308,6 +308,9 @@ class Effect:
         The kind of joint at which alone diagnosis looks for it; None: any.
     describes
         Effects whose outcome it states without a cause: where one of these leaves no larger error, it is that one.
+    differs_from
+        A stage that has the same quantity too, if it states by how much that is another one here: diagnosis looks for
+        it only where that stage was measured.
     """
 
     name: str
@@ -334,6 +337,7 @@ class Effect:
     asked: bool = False
     tried_on: JointKind | None = None
     describes: tuple[str, ...] = ()
+    differs_from: Stage | None = None
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):
@@ -345,7 +349,7 @@ class Effect:
             ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
             ("signal", (*self.needs, *((self.without,) if self.without else ())), tuple(SIGNALS)),
-            ("stage", self.stages, STAGES),
+            ("stage", (*self.stages, *((self.differs_from,) if self.differs_from else ())), STAGES),
         ):
             for name in found:
                 if name not in known and not (kind == "signal" and signal(name)):

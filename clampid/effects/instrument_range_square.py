@@ -24,6 +24,6 @@ EFFECT = Effect(
     source=("HartleyZisserman2004",),
     at="instrument",
 )
-"""Of two cameras b apart, of focal length f, a point at depth z has the disparity d = b f / z; d off by e makes z off by
-z^2 e / (b f), along the line of sight.
+"""Of two cameras b apart, of focal length f, a point at depth z has the disparity d = b f / z; d off by e makes z off
+by z^2 e / (b f), along the line of sight.
 """

@@ -21,7 +21,7 @@ FAR = np.array([0.3, -0.2, 2.5])  # m: the middle of what the camera sees, in it
 
 
 def seen_by_camera(campaign: Campaign, error: Callable[[np.ndarray], np.ndarray]) -> Campaign:
-    """The same points seen by a camera that looks along its z; ``error``: points ``(N, 3)``, m, to what they are off."""
+    """The same points seen by a camera that looks along its z and is off by ``error`` of the points ``(N, 3)``, m."""
     tables = {}
     first = campaign.tables["poses"][XYZ].to_numpy()
     rough = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
