@@ -1,4 +1,4 @@
-"""What is held out: whole runs where they are exchangeable, parts of them where they differ in what a candidate needs."""
+"""What is held out: whole runs where they are exchangeable, parts where they differ in what a candidate needs."""
 
 from __future__ import annotations
 
