@@ -30,6 +30,7 @@ __all__ = [
     "fourier",
     "interleave",
     "log",
+    "norm",
     "norms",
     "powers",
     "products",
@@ -63,6 +64,11 @@ def columns(*parts: Any) -> Any:
 def dot(a: Any, b: Any) -> Any:
     """Inner product of two columns."""
     return ca.dot(a, b)
+
+
+def norm(a: Any) -> Any:
+    """Length of a column; of one that is zero, zero, with no derivative."""
+    return ca.sqrt(ca.fmax(ca.sumsqr(a), 1e-300))
 
 
 def cross(a: Any, b: Any) -> Any:

@@ -6,6 +6,7 @@ what a deviation at each location does to the measurement. Zero amplitudes mean 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -26,6 +27,7 @@ __all__ = [
     "Parameter",
     "Signal",
     "Stage",
+    "signal",
 ]
 
 Stage = Literal["free_air", "clamped", "poses"]
@@ -51,7 +53,7 @@ UNITS: frozenset[str] = frozenset(
     {
         "", "m", "rad", "kg", "kg m", "kg m^2", "s", "K", "1/K", "Nm", "Nm s/rad", "Nm s^2/rad^2", "Nm/rad", "Nm/K",
         "rad/Nm", "rad/Nm^3", "rad/s", "m/Nm", "m/N", "m/s", "N/m", "rad/m", "1/(N m^2)", "rad/K",
-        "m/rad", "N", "m/N^3", "N s/m", "N s^2/m^2", "N/K", "m/K",
+        "1/m", "m/rad", "N", "m/N^3", "N s/m", "N s^2/m^2", "N/K", "m/K",
     }
 )  # fmt: skip
 
@@ -110,6 +112,7 @@ SIGNALS: Mapping[str, Signal] = {
     "wrench": Signal((6,), "Nm, N", "moment and force of the clamped flange on the fixture, base frame"),
     "link_temperature": Signal(("n",), "K", "temperature of each link less 20 degC"),
     "motor_temperature": Signal(("n",), "K", "temperature of each motor less 20 degC"),
+    "ambient_temperature": Signal((), "K", "temperature of the surroundings less 20 degC"),
     "elapsed": Signal((), "s", "time since the first row"),
     "fixture_motion": Signal((6,), "rad, m", "motion (w, v) of the clamped flange by a sensor, base frame; else zero"),
     "slip": Signal(
@@ -123,7 +126,20 @@ SIGNALS: Mapping[str, Signal] = {
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
     "position": Signal((3,), "m", "the measured point in the instrument's frame"),
 }
-"""What an effect may depend on, name by name."""
+"""What an effect may depend on, name by name; beside these every other recorded temperature, see :func:`signal`."""
+
+_SENSOR = re.compile(r"temp_(?!(link|motor)\d+$|ambient$)[A-Za-z]\w*")
+
+
+def signal(name: str) -> Signal | None:
+    """The signal of a name; None if there is none.
+
+    ``temp_<where>`` is what a column ``temp_<where>_C`` recorded, if it is of no link, motor or the surroundings.
+    """
+    if name not in SIGNALS and _SENSOR.fullmatch(name):
+        return Signal((), "K", f"temperature of {name.removeprefix('temp_')} less 20 degC, as recorded")
+    return SIGNALS.get(name)
+
 
 STATIONS: Mapping[str, tuple[tuple[str | int, ...], str]] = {
     "friction_state": (("n",), "state of the motors' dry friction beyond the sign of their last motion"),
@@ -292,6 +308,9 @@ class Effect:
         The kind of joint at which alone diagnosis looks for it; None: any.
     describes
         Effects whose outcome it states without a cause: where one of these leaves no larger error, it is that one.
+    differs_from
+        A stage that has the same quantity too, if it states by how much that is another one here: diagnosis looks for
+        it only where that stage was measured.
     """
 
     name: str
@@ -318,6 +337,7 @@ class Effect:
     asked: bool = False
     tried_on: JointKind | None = None
     describes: tuple[str, ...] = ()
+    differs_from: Stage | None = None
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):
@@ -329,10 +349,10 @@ class Effect:
             ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
             ("signal", (*self.needs, *((self.without,) if self.without else ())), tuple(SIGNALS)),
-            ("stage", self.stages, STAGES),
+            ("stage", (*self.stages, *((self.differs_from,) if self.differs_from else ())), STAGES),
         ):
             for name in found:
-                if name not in known:
+                if name not in known and not (kind == "signal" and signal(name)):
                     raise EffectError(f"effect {self.name}: {kind} {name!r} does not exist; known: {', '.join(known)}")
 
     @cached_property

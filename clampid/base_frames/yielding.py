@@ -102,7 +102,7 @@ def _of_model(model: Model, tips: Collection[str] | None) -> Yielding:
 def _of_arm(slot: Slot, tips: Collection[str]) -> bool:
     """Whether a parameter belongs to the arm or to one of its tips, wherever it stands and whatever measures it."""
     frame = slot.effect == GEOMETRY and slot.parameter.startswith(FRAMES) and slot.place not in tips
-    return not frame and not slot.place.startswith("session") and slot.effect != "instrument_scale"
+    return not frame and not slot.place.startswith("session") and slot.place != "instrument"
 
 
 def gives_way(rows: Rows, effects: Mapping[str, Effect], yielding: Yielding) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.chain.compiled import Blocks
-from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage
+from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage, signal
 from clampid.slots import Layout, Slot
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "offer_friction_state",
     "offer_torque",
     "parameter_columns",
+    "recorded",
 ]
 
 Array = npt.NDArray[np.float64]
@@ -142,7 +143,7 @@ class Chain:
         columns = []
         count = next(len(v) for v in signals.values())
         for name, width in self.signals:
-            values = torque if name == "torque" and self.stage == "clamped" else signals[name]
+            values = torque if name == "torque" and self.stage == "clamped" else recorded(signals, name)
             if values is None:
                 raise ValueError("the chain of the stage clamped needs the joint torques it is to be evaluated at")
             columns.append(np.reshape(values, (count, width)))
@@ -152,6 +153,19 @@ class Chain:
     def reads_flanks(self) -> bool:
         """Whether the pose stage's flanks matter to any effect."""
         return self.stage == "poses" and any(name == "flank" for name, _ in self.signals)
+
+
+def recorded(signals: Mapping[str, Array], name: str) -> Array:
+    """A row's signal of that name.
+
+    Raises
+    ------
+    EffectError
+        It is that of a sensor that no table has.
+    """
+    if name.startswith("temp_") and name not in signals:
+        raise EffectError(f"an effect of the model reads {name}, and these tables have no column {name}_C")
+    return signals[name]
 
 
 def _size(shape: tuple[str | int, ...], layout: Layout) -> tuple[int, ...]:
@@ -269,7 +283,8 @@ class RowSymbols:
     def recorded(self, name: str) -> Any:
         """A signal as it comes with the row."""
         if name not in self.offered:
-            shape = SIGNALS[name].shape if name in SIGNALS else _INTERNAL[name]
+            known = signal(name)
+            shape = _INTERNAL[name] if known is None else known.shape
             self.flats[name], self.offered[name] = _symbol(name, _size(shape, self.layout))
         return self.offered[name]
 

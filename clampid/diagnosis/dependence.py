@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from clampid.effect import STAGES, EffectError, Stage
+from clampid.effect import STAGES, EffectError, Stage, signal
 
 __all__ = ["AXES", "Dependence", "Place", "Variable", "dependence"]
 
@@ -108,6 +108,7 @@ _ANYWHERE: Mapping[str, _Kind] = {
     "time": _Kind(("elapsed",), ("x.elapsed",), "powers", _HOUR, "s", numbered=False),
     "temp_link": _Kind(("link_temperature",), ("x.link_temperature[{i}]",), "powers", _WARM, "K"),
     "temp_motor": _Kind(("motor_temperature",), ("x.motor_temperature[{i}]",), "powers", _WARM, "K"),
+    "temp_ambient": _Kind(("ambient_temperature",), ("x.ambient_temperature",), "powers", _WARM, "K", numbered=False),
 }
 _KINDS: Mapping[Stage, Mapping[str, _Kind]] = {
     "free_air": {
@@ -207,6 +208,8 @@ def _split(name: str) -> tuple[str, int]:
 def _variable(name: str, stage: Stage) -> Variable:
     head, number = _split(name)
     kind = _KINDS[stage].get(head)
+    if kind is None and signal(name) is not None and name.startswith("temp_"):  # any other sensor
+        return Variable(name, (name,), (f"x.{name}",), None, "powers", _WARM, "K")
     if kind is None or kind.numbered != (number > 0) or number < 0:
         known = ", ".join(_listed((k, v.numbered) for k, v in _KINDS[stage].items()))
         raise EffectError(f"variable {name!r} is not known in {stage}; known: {known}")

@@ -187,9 +187,11 @@ def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
     """The effects that a stage looks for.
 
     What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one
-    that these did not call for: a spring on a joint bends the arm just as an eccentric gear does.
+    that these did not call for: a spring on a joint bends the arm just as an eccentric gear does. A tool that
+    differs between tables does not show in these logs.
     """
-    effects = dict(opened.effects)
+    measured = {s for s in opened.stages if opened.has(TABLES_OF[s])}
+    effects = {name: e for name, e in opened.effects.items() if e.differs_from in (None, *measured)}
     if stage != "poses" or not opened.has(TABLES_OF["free_air"]):
         return effects
     known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clampid.diagnosis.drift import blocks_of_visits
+from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
 from clampid.effect import Effect
@@ -116,7 +117,7 @@ def look_at(
     robot = estimate.experiment.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]
-    folds = estimate.experiment.rows.fold[estimate.whitened.entry]
+    folds = stability_folds(estimate.experiment.rows)[estimate.whitened.entry]
     return Look(space, named, free, named_null, free_null, _best(free, free_null), folds)
 
 

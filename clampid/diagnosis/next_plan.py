@@ -23,7 +23,7 @@ from experiments.plans.errors import PlanError
 __all__ = ["parting_plan", "showing_plan", "weak_ones"]
 
 BETTER = 0.5  # of the present limit: what is to be reached where a parameter of its usual size would be found already
-WARMTH = frozenset({"link_temperature", "motor_temperature", "elapsed"})
+WARMTH = frozenset({"link_temperature", "motor_temperature", "ambient_temperature", "elapsed"})
 
 
 def parting_plan(

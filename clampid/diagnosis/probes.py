@@ -19,6 +19,7 @@ from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
+from clampid.stages.temperatures import shared_temperatures
 
 __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 
@@ -77,7 +78,8 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     slow = np.column_stack([elapsed, elapsed**2])
     found: list[Candidate | None] = []
     levers = _whitened(estimate, sensitivity[:, :, offsets["joint_angle"]])
-    common = _by_other_joints(rows)
+    air = _air(rows)
+    common = [*_by_other_joints(rows), *air]
     for j in range(n):
         q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
         own: list[Covariate] = [
@@ -98,6 +100,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
         found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
+        found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in air]
     place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
     for k, axis in enumerate("xyz"):
         columns = np.zeros((len(rows), width, 3))
@@ -105,6 +108,12 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         found.append(_probe(estimate, "instrument", f"position along {axis}", (axis,), columns))
     found.append(_periodic(rows, levers))
     return [p for p in found if p is not None]
+
+
+def _air(rows: Rows) -> list[Covariate]:
+    """Temperatures of no single link or motor: of the surroundings, and of whatever else has a sensor."""
+    warm = {name: _scaled(values)[:, None] for name, values in shared_temperatures(rows).items()}
+    return [(name, (name,), x) for name, x in warm.items() if np.any(x)]
 
 
 def _by_other_joints(rows: Rows) -> list[Covariate]:
@@ -175,7 +184,7 @@ def _periodic(rows: Rows, white: Whitened) -> Candidate | None:
 def _log_covariates(rows: Rows) -> list[list[Covariate]]:
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
-    elapsed = _scaled(s["elapsed"])
+    elapsed, air = _scaled(s["elapsed"]), _air(rows)
     out = []
     for i in range(n):
         w, sign, q = _scaled(s["motor_speed"][:, i]), s["motor_motion"][:, i], s["q"][:, i]
@@ -207,6 +216,9 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
             ("time", ("time",), np.column_stack([elapsed, elapsed**2])),
             ("motion times time", (f"qd{name}", "time"), np.column_stack([sign * elapsed, w * elapsed])),
         ]
+        for what, variables, x in air:
+            own.append((what, variables, x))
+            own.append((f"motion times {what}", (f"qd{name}", *variables), np.column_stack([sign, w]) * x))
         for k in range(n):
             if k != i:
                 own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], OTHERS)))
@@ -219,6 +231,7 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
     elapsed, fraction = _scaled(s["elapsed"]), s["sweep_fraction"] - 0.5
+    air = _air(rows)
     out = []
     for i in range(n):
         sign, mine = s["motor_motion"][:, i], (rows.constants["driven"] == i).astype(float)
@@ -232,6 +245,8 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
                 (f"motor{name}", "time"),
                 np.column_stack([sign * elapsed, sign * fraction]),
             ),
+            (f"temp_motor{name}", (f"temp_motor{name}",), _scaled(s["motor_temperature"][:, i])[:, None]),
+            *air,
         ]
         for k in range(n):
             x = rows.constants["wound"][:, k] * np.sqrt(stiff)

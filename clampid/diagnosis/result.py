@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from clampid.diagnosis.above import OneSided
+from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan, NextPoses
 from clampid.effect import Stage
@@ -44,7 +45,7 @@ class StageDiagnosis:
     """What was found in one stage; :meth:`to_json` gives the contract's form.
 
     ``steps``: what was confirmed, one after the other, each on top of those before it. ``look``: the last one, at what
-    the fit with them leaves.
+    the fit with them leaves. ``folds``: which parts of runs were held out, where these were not whole.
     """
 
     stage: Stage
@@ -71,6 +72,7 @@ class StageDiagnosis:
     one_sided: list[OneSided] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
+    folds: Folds | None = None
 
     @property
     def added(self) -> list[Term]:
@@ -104,5 +106,6 @@ class StageDiagnosis:
             "testability": self.testability,
             "above_floor": self.above,
             "one_sided": [found.to_json() for found in self.one_sided],
+            **({} if self.folds is None else {"folds": self.folds.to_json()}),
             "summary": self.summary,
         }

@@ -19,17 +19,18 @@ from clampid.diagnosis.entries import (
     variables_of,
     with_stand_ins,
 )
+from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.pruning import Refit
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Undecided
+from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Tried, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
-from clampid.evidence.candidates import label_of
+from clampid.evidence.candidates import Candidate, label_of
 from clampid.evidence.score import Scored
 from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
@@ -93,18 +94,27 @@ def _looked_through(
     propose: Propose | None,
     called_for: Collection[Term],
     block: int,
+    folds: Folds | None = None,
 ) -> StageDiagnosis:
-    """One diagnosis; ``block``: how many consecutive visits of poses are one to its tests."""
+    """One diagnosis; ``block``: how many consecutive visits of poses are one to its tests.
+
+    ``folds``: parts of runs to hold out instead of whole folds; where a candidate comes to trial that whole runs would
+    not test, everything is judged by these, from the start.
+    """
+    again = partial(_looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for, block)
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(*counted(fitted.estimate, verification))
     result.outliers = outliers_of(fitted.estimate)
-    bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for))
+    bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for), folds)
+    result.folds = folds
     result.noise_floor = floor.norm if stage == "poses" else 1.0
-    held = bench.held_out(fitted)
-    result.before = result.after = held.rms
     first = fitted.estimate
     look = bench.look(fitted, 0)
+    if folds is None and (finer := folds_of(first.experiment.rows, _on_trial(look), effects)) is not None:
+        return again(finer)
+    held = bench.held_out(fitted)
+    result.before = result.after = held.rms
     if look.fires and look.probe is not None:
         result.depends_on = list(look.probe.candidate.depends_on)
     steps: list[Confirmed] = []
@@ -113,6 +123,8 @@ def _looked_through(
     dropped: set[str] = set()
     for number in range(1, ROUNDS + 1):
         tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
+        if (finer := folds or folds_of(first.experiment.rows, _on_trial(look, others), effects)) is not folds:
+            return again(finer)
         here = [t.refusal(effects, held.rms) for t in others]
         if isinstance(tried, Undecided):
             beside = bench.beside(tried, fitted, number)
@@ -145,6 +157,12 @@ def _looked_through(
     return result
 
 
+def _on_trial(look: Look, refused: Sequence[Tried] = ()) -> list[Candidate]:
+    """The candidates that come to trial: the best name of a look, and those that were refused after it."""
+    best = look.best()
+    return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]
+
+
 def _set_down(
     result: StageDiagnosis,
     steps: Sequence[Confirmed],
@@ -172,7 +190,8 @@ def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effec
     result.one_sided = one_sided(rows)
     said = one_sided_words(result.one_sided, rows, effects)
     result.warnings += [said] if said else []
-    result.summary = " ".join([summary_of(result), *result.warnings])
+    judged = [] if result.folds is None else [result.folds.sentence]
+    result.summary = " ".join([summary_of(result), *judged, *result.warnings])
 
 
 def _undecided(

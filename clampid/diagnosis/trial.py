@@ -12,6 +12,7 @@ from clampid.diagnosis.alongside import Step, alongside, step_towards
 from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
+from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.look import CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
@@ -89,12 +90,25 @@ class HeldOut:
         return min(2.0 * min(p, white), 1.0)
 
 
-def held_out(estimate: Estimate, verification: Rows | None, floor: Floor, seed: int, block: int = 1) -> HeldOut:
-    """Errors of an estimate on a verification table, or else by cross-validation in five parts of whole folds."""
+def held_out(
+    estimate: Estimate,
+    verification: Rows | None,
+    floor: Floor,
+    seed: int,
+    block: int = 1,
+    folds: Folds | None = None,
+) -> HeldOut:
+    """Errors of an estimate on a verification table, or else by cross-validation in five parts.
+
+    The parts consist of whole folds of the rows, or are ``folds``.
+    """
     count = len(estimate.slots)
     if verification is not None:
         residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
         rows = without_outlying(verification, residual, estimate.experiment.rows, estimate.residual)
+    elif folds is not None:
+        rows, residual = cross_validated(estimate, folds.of(estimate.experiment.rows), seed)
+        rows = folds.judging(rows)
     else:
         rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
     return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise, block)
@@ -165,21 +179,23 @@ class Bench:
     flips: int
     block: int = 1
     called_for: frozenset[Term] = frozenset()
+    folds: Folds | None = None
 
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
-        return look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
+        found = look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
+        return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
         """A fit's errors on rows that it has not seen."""
-        return held_out(fitted.estimate, self.verification, self.floor, self.seed, self.block)
+        return held_out(fitted.estimate, self.verification, self.floor, self.seed, self.block, self.folds)
 
     def alone(self, fitted: FittedStage, s: Scored) -> float | None:
         """The rms, in the stage's unit, that a candidate would leave of rows that no fit has seen; it is not fitted."""
         estimate = alongside(fitted.estimate, s)
         if estimate is None:
             return None
-        return held_out(estimate, self.verification, self.floor, self.seed, self.block).rms
+        return held_out(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
 
     def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
@@ -213,14 +229,15 @@ class Bench:
             return Undecided([best, *rivals], look)
         step = step_towards(fitted.estimate, best)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY:
-            new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
+            new = held_out(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
             p_held = held.p_above(new, new.noise, self.seed)
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
                 return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
-        others: list[tuple[Scored, Step | None]] = [
+        variants: list[tuple[Scored, Step | None]] = [
             (s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)
         ]
+        others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
         if known is None:
             others += self._not_linear(look, fitted, best, step, refused)
         return self._judged([self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)], look, held)
@@ -330,6 +347,18 @@ class Bench:
         shapes = {k: v for k, v in tried.fitted.model.values().items() if k in tried.best.candidate.shapes}
         alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
         return replace(tried, fitted=alone, held=self.held_out(alone))
+
+
+def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:
+    """Whether a variant has more numbers than the best and does not pay for them, and its score says all of it.
+
+    Fitted, it would leave less of these rows, and of others half the time by chance.
+    """
+    scores_tell = all(
+        one.candidate.prior is None and not one.candidate.shapes and near is not None and near.linear
+        for one, near in ((s, own), (best, step))
+    )
+    return scores_tell and s.freedom > best.freedom and s.bic < best.bic
 
 
 def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg, stats
 
+from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.held_motors import other_crossings
 from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
 from clampid.fitting.solve import Estimate, FitError, holding, prior_of, solve, start_of
@@ -161,6 +162,8 @@ def outlying(rows: Rows, residual: Array) -> Bools:
         if used.sum() < 20:
             continue
         white = rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside]
+        if rows.stage == "poses" and group == POSE_CHANNELS[0]:
+            white = white / relative_axes(rows, residual)
         scale = NORMAL * np.median(np.abs(white[used]))
         size = np.linalg.norm(white, axis=1) / max(scale, 1e-12)
         limit = np.sqrt(stats.chi2.isf(OUTLIER_RATE / used.sum(), len(inside)))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from clampid.fitting.anisotropy import relative_axes
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 from experiments.signals import segments
@@ -121,7 +122,8 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
 
     In poses positions share one scale, rotations another and distances a third; each motor has its own. The scale is
     the rms of the used residuals, so that a fit is weighted by what its model leaves, whichever of instrument and model
-    that is.
+    that is. Along the axes of the instrument it differs where points of one visit say so
+    (:mod:`clampid.fitting.anisotropy`); their mean square stays.
 
     Parameters
     ----------
@@ -141,6 +143,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
             white = (rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside])[used]
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
     if rows.stage == "poses":
+        sigma[:, :3] *= relative_axes(rows, residual)
         return Noise(sigma)
     autocorrelations, counts, together = [], [], int(rows.constants.get("together", 1))
     for c in range(residual.shape[1]):

@@ -155,7 +155,7 @@ def _curve(data: StageData, effects: Sequence[str], place: int, side: str, cloud
     piece = data.first
     middle = piece.rows.take(np.zeros(len(speed), dtype=np.int64))
     signals = dict(middle.signals)
-    for name in ("motor_temperature", "elapsed", "torque", "gravity_torque"):
+    for name in ("motor_temperature", "ambient_temperature", "elapsed", "torque", "gravity_torque"):
         if name in signals:
             signals[name] = np.broadcast_to(np.median(piece.rows.signals[name], axis=0), signals[name].shape)
     trial = piece.experiment.with_rows(_alone(replace(middle, signals=signals), place, side, speed))

@@ -18,7 +18,7 @@ from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, 
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
 from clampid.stages.prewhitening import REACH, Grouping, Whitener
 from clampid.stages.rows import Array, Bools, Integers
-from clampid.stages.temperatures import temperatures
+from clampid.stages.temperatures import reads_temperatures, temperatures
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel
 from experiments.log_windows import Window, windows
 
@@ -263,7 +263,7 @@ class LogDesign:
         before = 0
         for p, part in enumerate(self.parts):
             warm = [c for c in part.table.names if c.startswith("temp_")]
-            chosen = names + (warm if any(name.endswith("_temperature") for name in read) else [])
+            chosen = names + (warm if any(map(reads_temperatures, read)) else [])
             held: _Held | None = None
             for w in windows(part.table, chosen, self.window, self.facts.halo):
                 prepared, held = self._prepare(w, p, before, held)
@@ -285,7 +285,7 @@ class LogDesign:
         counts[: max(w.start - REACH * facts.together, 0)] = False
         counts[w.stop :] = False
         chosen = np.flatnonzero(counts.any(axis=1))
-        if any(name.endswith("_temperature") for name, _ in kernel.signals):
+        if any(reads_temperatures(name) for name, _ in kernel.signals):
             every |= temperatures(pd.DataFrame(dict(w.columns)), self.n)
         breaks = np.r_[True, (run[1:] != run[:-1]) | (np.abs(np.diff(time) - facts.step) > 0.5 * facts.step)]
         row = before + w.first + np.arange(len(time))

@@ -305,6 +305,7 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
     def widen(a: Array, fill: float) -> Array:
         return np.c_[a, np.full((len(a), width - a.shape[1]), fill)] if a.shape[1] < width else a
 
+    names = dict.fromkeys(name for p in parts for name in p.signals)  # not every session has every sensor
     first, shift_unit, shift_fold = parts[0], 0, 0
     units, folds = [], []
     for p in parts:
@@ -315,7 +316,7 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
         stage="poses",
         robot=first.robot,
         layout=first.layout,
-        signals={k: np.concatenate([p.signals[k] for p in parts]) for k in first.signals},
+        signals={k: np.concatenate([p.signals.get(k, np.zeros(len(p))) for p in parts]) for k in names},
         measured=np.concatenate([widen(p.measured, 0.0) for p in parts]),
         sigma=np.concatenate([widen(p.sigma, 1.0) for p in parts]),
         used=np.concatenate([widen(p.used.astype(float), 0.0) for p in parts]) > 0.5,

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from clampid.chain.chain import Chain
+from clampid.chain.chain import Chain, recorded
 from clampid.chain.compiled import Blocks, compile_rows
 from clampid.chain.lanes import Lanes
 from clampid.stages.loads import flange_to_base
@@ -54,7 +54,7 @@ class TorqueKernel:
 
     def stacked(self, signals: Mapping[str, Array], chosen: Integers) -> Array:
         """Of some rows ``(N,)`` the signals that the function reads, each ``(w, …)``, beside each other ``(N, s)``."""
-        columns = [column for name, width in self.signals for column in signals[name].reshape(-1, width).T]
+        columns = [column for name, width in self.signals for column in recorded(signals, name).reshape(-1, width).T]
         out = np.empty((len(columns), len(chosen)))  # column by column, as signals are in memory
         for column, place in zip(columns, out, strict=True):
             np.take(column, chosen, out=place)

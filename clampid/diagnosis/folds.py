@@ -1,0 +1,133 @@
+"""Which rows are held out together: whole runs where runs are exchangeable, else parts of runs.
+
+A run that is left out is predicted from the others. Where it lies outside all of them in a variable that a candidate
+depends on, such as warmth, that tests an extrapolation and not the candidate: of two runs, one cold and one warm,
+neither says anything of the other's warmth. Each run is then cut into contiguous pieces, of which every part of the
+rows has one, so that each piece lies between others of its own run. Pieces are at least four units of noise long, and
+the first and last unit of each, which share noise with the pieces beside it, are fitted and not judged.
+
+Source: Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic
+structure, Ecography 40, 2017: blocks in time, and no extrapolation between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from clampid.effect import Effect
+from clampid.evidence.candidates import Candidate
+from clampid.stages.rows import Array, Bools, Integers, Rows
+
+__all__ = ["PARTS", "Folds", "extrapolated_in", "folds_of", "parts_of_runs", "stability_folds"]
+
+PARTS = 5
+UNITS = 4  # of noise, of which a piece consists at least: its first and last are not judged
+MOSTLY = 0.5  # of the rows, which lie outside the other runs' ranges
+
+
+@dataclass(frozen=True)
+class Folds:
+    """Parts of runs that are held out together.
+
+    Attributes
+    ----------
+    fold
+        ``(N,)``: the part of each row.
+    judged
+        ``(N,)``: False next to a piece that other parts have.
+    because
+        Signals in which runs lie outside each other.
+    """
+
+    fold: Integers
+    judged: Bools
+    because: tuple[str, ...]
+
+    def of(self, rows: Rows) -> Rows:
+        """The rows with these folds."""
+        return replace(rows, fold=self.fold)
+
+    def judging(self, rows: Rows) -> Rows:
+        """The rows without those that are not judged."""
+        return rows.without(~self.judged)
+
+    @property
+    def sentence(self) -> str:
+        """For people: what was held out, and why."""
+        names = " and ".join(name.replace("_", " ").replace("elapsed", "time") for name in self.because)
+        return f"Parts of runs are held out, not whole runs: most of each run lies outside the others in {names}."
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {"held_out": "parts of runs", "because": list(self.because)}
+
+
+def folds_of(rows: Rows, candidates: Sequence[Candidate], effects: Mapping[str, Effect]) -> Folds | None:
+    """Parts of runs, where whole runs would test an extrapolation of one of the candidates; else None."""
+    if rows.stage != "free_air":  # sweeps have constants of their own, and poses are not ordered by anything
+        return None
+    because: dict[str, None] = {}
+    for candidate in candidates:
+        because |= dict.fromkeys(extrapolated_in(rows, effects[candidate.name], candidate.places))
+    if not because:
+        return None
+    fold, judged = parts_of_runs(rows)
+    return Folds(fold, judged, tuple(because))
+
+
+def extrapolated_in(rows: Rows, effect: Effect, places: Sequence[str]) -> tuple[str, ...]:
+    """Signals that an effect needs, in which most rows lie outside the ranges of all runs but their own."""
+    joints = [int(place.removeprefix(effect.per)) - 1 for place in places if place.startswith(effect.per)]
+    used = rows.used.any(axis=1)
+    found = []
+    for name in effect.needs:
+        values = rows.signals.get(name)
+        if values is None or values.ndim > 2:
+            continue
+        columns = values[:, None] if values.ndim == 1 else values[:, joints] if joints else values
+        columns = columns[:, np.ptp(columns, axis=0) > 0.0]
+        if columns.shape[1] and np.mean(_outside(columns[used], rows.fold[used])) > MOSTLY:
+            found.append(name)
+    return tuple(found)
+
+
+def _outside(columns: Array, run: Integers) -> Bools:
+    """Which numbers ``(N, k)`` lie in no range that a run other than their own has."""
+    runs = np.unique(run)
+    inside = np.zeros(columns.shape, dtype=bool)
+    for k in runs:
+        mine = run == k
+        low, high = columns[mine].min(axis=0), columns[mine].max(axis=0)
+        inside |= ~mine[:, None] & (columns >= low) & (columns <= high)
+    return ~inside
+
+
+def parts_of_runs(rows: Rows) -> tuple[Integers, Bools]:
+    """Parts ``(N,)``, a contiguous piece of each run in every one, and which rows ``(N,)`` are judged.
+
+    A run that is too short for pieces is of one part, as a whole.
+    """
+    part, judged = np.zeros(len(rows), dtype=np.int64), np.ones(len(rows), dtype=bool)
+    for number, run in enumerate(np.unique(rows.fold)):
+        mine = np.flatnonzero(rows.fold == run)
+        units, order = np.unique(rows.unit[mine], return_inverse=True)
+        pieces = min(PARTS, len(units) // UNITS)
+        if pieces < 2:
+            part[mine] = number % PARTS
+            continue
+        of_unit = np.arange(len(units)) * pieces // len(units)
+        part[mine] = (of_unit[order] + number) % PARTS
+        cut = np.flatnonzero(np.diff(of_unit))
+        judged[mine] = ~np.isin(order, np.r_[cut, cut + 1])
+    return part, judged
+
+
+def stability_folds(rows: Rows) -> Integers:
+    """Folds ``(N,)`` of which a fifth may be left out: parts of runs, where there are fewer runs than that."""
+    if rows.stage == "free_air" and len(np.unique(rows.fold)) < PARTS:
+        return parts_of_runs(rows)[0]
+    return rows.fold

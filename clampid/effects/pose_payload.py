@@ -1,0 +1,35 @@
+"""A tool that poses were measured with and torque logs were not: changed, or loaded, between the two.
+
+What both have in common beyond what the controller was told is :mod:`clampid.effects.payload`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """D tau = Y_flange(q) d(m, m c): the tool moves with the last link."""
+    return x.tool_regressor @ rows(p.m, p.mx, p.my, p.mz)
+
+
+EFFECT = Effect(
+    name="pose_payload",
+    family="payload",
+    acts={"joint_torque": torque},
+    parameters=(
+        Parameter("m", "kg", 2.0, meaning="mass of the poses' tool beyond that of the logs"),
+        Parameter("mx", "kg m", 0.4, meaning="m c_x of the poses' tool beyond that of the logs, in the flange frame"),
+        Parameter("my", "kg m", 0.4, meaning="m c_y of the poses' tool beyond that of the logs, in the flange frame"),
+        Parameter("mz", "kg m", 0.4, meaning="m c_z of the poses' tool beyond that of the logs, in the flange frame"),
+    ),
+    needs=("tool_regressor",),
+    stages=("poses",),
+    equation="d tau = Y_n(q) d(m, m c), of the poses' tool less the logs'",
+    source=("Thesis",),
+    at="tool",
+    differs_from="free_air",
+)

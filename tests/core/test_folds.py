@@ -1,0 +1,86 @@
+"""What is held out: whole runs where they are exchangeable, parts where they differ in what a candidate needs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+
+from clampid.catalogue import catalogue
+from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.folds import extrapolated_in, parts_of_runs, stability_folds
+from clampid.identification.identify import identify, stage_rows
+from clampid.stages.layout import layout_of
+from clampid.stages.rows import Rows
+from experiments.campaign import Campaign, read_campaign
+from experiments.simulate import simulate
+from experiments.virtual_robot import Plant
+
+PER_KELVIN = 0.01  # of the motors' friction
+
+
+def rubs_less_warm(plant: Plant) -> Plant:
+    """Every motor's friction falls with its warmth, and every motor warms up twice as much as usual."""
+    friction = replace(plant.friction, thermal=np.full(plant.n, PER_KELVIN))
+    return replace(plant, friction=friction, heat=replace(plant.heat, motor_rise=2.0 * plant.heat.motor_rise))
+
+
+@pytest.fixture(scope="module")
+def warming(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    """Two runs, the second warmer than the first."""
+    folder = tmp_path_factory.mktemp("folds") / "arm"
+    simulate(folder, seed=3, tables=("free_air",), alter=rubs_less_warm)
+    return read_campaign(folder)
+
+
+@pytest.fixture(scope="module")
+def rows(warming: Campaign) -> Rows:
+    return stage_rows([warming], layout_of([warming]), "free_air")
+
+
+def test_runs_that_differ_in_warmth_are_no_test_of_warmth(rows: Rows):
+    effects = catalogue()
+    assert extrapolated_in(rows, effects["temperature_dependent_friction"], ("joint1",)) == ("motor_temperature",)
+    assert extrapolated_in(rows, effects["warm_up_friction"], ()) == ("elapsed",)
+    for name in ("viscous_friction", "torque_ripple", "load_dependent_friction", "torque_offset"):
+        assert extrapolated_in(rows, effects[name], ("joint1",)) == ()
+
+
+def test_runs_of_the_same_warmth_are(warming: Campaign):
+    log = warming.tables["free_air"]
+    first = log["run"] == 1
+    again = np.interp(np.linspace(0, 1, (~first).sum()), np.linspace(0, 1, first.sum()), log["temp_motor1_C"][first])
+    log = log.copy()
+    log.loc[~first, "temp_motor1_C"] = again
+    alike = replace(warming, tables=MappingProxyType({"free_air": log}))
+    rows = stage_rows([alike], layout_of([alike]), "free_air")
+    effect = catalogue()["temperature_dependent_friction"]
+    assert extrapolated_in(rows, effect, ("joint1",)) == ()
+    assert extrapolated_in(rows, effect, ("joint2",)) == ("motor_temperature",)
+
+
+def test_every_part_has_a_piece_of_every_run_and_is_judged_off_its_ends(rows: Rows):
+    part, judged = parts_of_runs(rows)
+    for run in np.unique(rows.fold):
+        mine = np.flatnonzero(rows.fold == run)
+        assert set(part[mine]) == set(range(5))
+        cut = mine[1:][np.diff(part[mine]) != 0]
+        assert len(cut) == 4  # contiguous
+        for k in cut:  # a unit of noise on either side of a cut is not judged
+            assert not judged[rows.unit == rows.unit[k]].any()
+            assert not judged[rows.unit == rows.unit[k - 1]].any()
+    assert judged.mean() > 0.9
+    np.testing.assert_array_equal(stability_folds(rows), part)  # of two runs, a fifth of the rows is no run
+
+
+@pytest.mark.slow
+def test_friction_that_warms_up_over_all_motors_is_named_where_runs_differ_in_warmth(warming: Campaign):
+    found = diagnose(identify(warming), warming).stages["free_air"]
+    assert found.verdict == "missing"
+    assert {c["effect"] for c in found.candidates} == {"temperature_dependent_friction"}
+    assert len({place for c in found.candidates for place in c["where"]}) >= 3
+    assert found.after < found.before
+    assert found.to_json()["folds"] == {"held_out": "parts of runs", "because": ["motor_temperature"]}
+    assert "lies outside the others in motor temperature" in found.summary
