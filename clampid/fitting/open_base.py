@@ -22,7 +22,7 @@ import numpy as np
 from scipy import linalg
 
 from clampid.fitting.noise import Noise, initial_noise
-from clampid.fitting.solve import Estimate, prior_of, start_of, stage_point
+from clampid.fitting.solve import Estimate, prior_of, stage_point, start_of
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Rows

@@ -171,7 +171,7 @@ def stated_base_pose(stated: StatedBase, points: Array, measured: Array) -> Arra
 
     def off(free: Array) -> Array:
         pose = at(free)
-        return np.ravel(points @ rotation_of(pose[:3]).T + pose[3:] - measured) / NOMINAL
+        return np.asarray(np.ravel(points @ rotation_of(pose[:3]).T + pose[3:] - measured) / NOMINAL)
 
     best, cost = first[unknown], np.inf
     angles = [np.arange(STARTS) * (2.0 * np.pi / STARTS) if u else np.zeros(1) for u in unknown[:3]]
