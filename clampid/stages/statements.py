@@ -165,7 +165,7 @@ def stated_base_pose(stated: StatedBase, points: Array, measured: Array) -> Arra
     first = np.r_[stated.rpy, stated.position]
 
     def at(free: Array) -> Array:
-        pose = first.copy()
+        pose: Array = np.array(first, dtype=np.float64)
         pose[unknown] = free
         return pose
 
