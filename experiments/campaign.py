@@ -22,11 +22,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from experiments.columns import LOGS, TABLES, table_format
+from experiments.columns import LOGS, TABLES, lookalike, table_format, temperature_columns
 from experiments.errors import CampaignError, fault
 from experiments.fingerprint import fingerprint
-from experiments.header import FORMAT, HEADER_FILE, Instrument, Tool, read_header
+from experiments.header import FORMAT, HEADER_FILE, Header, Instrument, Tool, read_header
 from experiments.long_log import LongLog, is_long, read_long
+from experiments.sensors import placed
+from experiments.stated import Stated
 from experiments.tables import TableFile, read_table
 from experiments.toml_text import toml_text
 from experiments.validate import validate_table
@@ -62,9 +64,11 @@ class Campaign:
     fingerprint
         SHA-256 of header and tables; the same for CSV and Parquet with equal numbers.
     header
-        ``campaign.toml`` as it was read, unknown keys included.
+        ``campaign.toml`` as it was read.
     long
         Torque logs that are not held; ``tables`` has extracts of them.
+    stated
+        What is known beforehand of base, targets and sensors.
     """
 
     name: str
@@ -78,6 +82,11 @@ class Campaign:
     fingerprint: str
     header: Mapping[str, Any] = field(default_factory=dict, repr=False)
     long: Mapping[str, LongLog] = field(default_factory=dict, repr=False)
+    stated: Stated = field(default_factory=Stated)
+
+    def placed(self, table: str) -> pd.DataFrame:
+        """The table with its temperatures where ``[sensors]`` says that they were taken."""
+        return placed(self.tables[table], self.stated.sensors)
 
     @property
     def robot_file(self) -> str | None:
@@ -121,6 +130,7 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
                 long[name], tables[name] = read_long(source.path, layout, header.robot.n)
             else:
                 tables[name] = validate_table(read_table(source.path), layout, source, header.targets)
+    _refuse_absent_sensors(header, tables, path)
     hashed: dict[str, pd.DataFrame | Path] = {**tables, **{name: path / header.tables[name] for name in long}}
     return Campaign(
         name=path.resolve().name,
@@ -134,7 +144,22 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
         fingerprint=fingerprint(header.raw, hashed),
         header=header.raw,
         long=MappingProxyType(long),
+        stated=header.stated,
     )
+
+
+def _refuse_absent_sensors(header: Header, tables: Mapping[str, pd.DataFrame], path: Path) -> None:
+    """A sensor that no table has would be ignored in silence."""
+    columns = dict.fromkeys(name for frame in tables.values() for name in temperature_columns(map(str, frame.columns)))
+    for name in header.stated.sensors:
+        if f"temp_{name}_C" not in columns:
+            near = lookalike(f"temp_{name}_C", list(columns))
+            found = f"none; the tables have {', '.join(columns) or 'no temperatures'}"
+            found += f"; did you mean {near}?" if near else ""
+            raise fault(
+                path / HEADER_FILE, expected=f"a table with a column temp_{name}_C", found=found,
+                column=f"sensors.{name}",
+            )  # fmt: skip
 
 
 def target_points(campaign: Campaign, table: str) -> FloatArray:

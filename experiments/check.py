@@ -77,7 +77,8 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``campaign``, ``robot``, ``joints``, ``instrument``, ``targets``, ``fingerprint`` and, per table in ``tables``:
+        ``campaign``, ``robot``, ``joints``, ``instrument``, ``targets``, ``stated`` (what is known beforehand, see
+        :meth:`experiments.stated.Stated.to_json`), ``fingerprint`` and, per table in ``tables``:
         ``rows``, ``duration_s``, ``joints_moved`` (from 1; in ``clamped`` those driven), ``temperatures``; for logs
         ``runs`` (or ``sweeps``) and ``velocities`` or ``fixture``; for poses ``poses``, ``visits``, ``replicates``,
         ``targets``, ``orientation`` and ``directions``, for distances ``anchors``, too.
@@ -88,6 +89,7 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
         "joints": campaign.robot.n,
         "instrument": campaign.instrument.name,
         "targets": list(campaign.targets),
+        "stated": campaign.stated.to_json(),
         "fingerprint": campaign.fingerprint,
         "tables": {table: _table(campaign, table) for table in campaign.tables},
     }

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from experiments.columns import TABLES, lookalike
 from experiments.errors import fault
+from experiments.keys import frozen, missing, number, refuse_unknown, section_of, vector
+from experiments.stated import SECTIONS, UNREAD, Stated, parse_stated
 from kinematics.description import DescriptionError, RobotDescription, load_robot, robot_names
 
 __all__ = ["FORMAT", "Header", "Instrument", "Tool", "parse_header", "read_header"]
@@ -40,7 +41,8 @@ _STATED = {
 }
 """Keys of one sigma each, with the worst that an instrument may have."""
 
-_KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables")
+KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables", *SECTIONS)
+"""The keys and sections of ``campaign.toml``; any other is refused, because it would be ignored in silence."""
 _TRACKER = {
     "range_std_m": (WORST_POSITION_STD_M, False),
     "range_std_m_m": (1e-3, True),
@@ -128,7 +130,9 @@ class Header:
     tables
         File name by table.
     raw
-        Everything the file holds, keys unknown to the contract included.
+        Everything the file holds.
+    stated
+        What is known beforehand.
     """
 
     robot: RobotDescription
@@ -138,6 +142,7 @@ class Header:
     instrument: Instrument
     tables: Mapping[str, str]
     raw: Mapping[str, Any]
+    stated: Stated = field(default_factory=Stated)
 
 
 def read_header(folder: Path) -> Header:
@@ -174,7 +179,7 @@ def read_header(folder: Path) -> Header:
     return parse_header(raw, path)
 
 
-def parse_header(raw: Mapping[str, Any], path: Path) -> Header:
+def parse_header(raw: Mapping[str, Any], path: Path, also: Sequence[str] = ()) -> Header:
     """Check the content of a ``campaign.toml``.
 
     Parameters
@@ -183,6 +188,8 @@ def parse_header(raw: Mapping[str, Any], path: Path) -> Header:
         The file's content.
     path
         The file, for messages, and because a robot's path is relative to it.
+    also
+        Keys that the caller reads itself.
 
     Returns
     -------
@@ -195,17 +202,19 @@ def parse_header(raw: Mapping[str, Any], path: Path) -> Header:
         As `read_header`.
     """
     if raw.get("format") != FORMAT:
-        found = repr(raw["format"]) if "format" in raw else _missing("format", raw)
+        found = repr(raw["format"]) if "format" in raw else missing("format", raw)
         raise fault(path, expected=f'"{FORMAT}"', found=found, column="format")
-    _refuse_misspelt(raw, _KEYS, path)
+    refuse_unknown(raw, (*KEYS, *UNREAD, *also), path)
+    robot, targets = _robot(raw, path), _targets(raw, path)
     return Header(
-        robot=_robot(raw, path),
+        robot=robot,
         gravity=_gravity(raw, path),
         tool=_tool(raw, path),
-        targets=_targets(raw, path),
+        targets=targets,
         instrument=_instrument(raw, path),
         tables=_tables(raw, path),
         raw=MappingProxyType(dict(raw)),
+        stated=parse_stated(raw, targets, robot.n, path),
     )
 
 
@@ -214,7 +223,7 @@ def _robot(raw: Mapping[str, Any], path: Path) -> RobotDescription:
     known = ", ".join(robot_names())
     expected = f"a bundled robot ({known}) or the path of a description"
     if not isinstance(name, str):
-        found = _missing("robot", raw) if name is None else repr(name)
+        found = missing("robot", raw) if name is None else repr(name)
         raise fault(path, expected=expected, found=found, column="robot")
     try:
         return load_robot(name, relative_to=path.parent)
@@ -225,7 +234,7 @@ def _robot(raw: Mapping[str, Any], path: Path) -> RobotDescription:
 
 
 def _gravity(raw: Mapping[str, Any], path: Path) -> FloatArray:
-    gravity = _vector(raw, "gravity_m_s2", "gravity_m_s2", path)
+    gravity = vector(raw, "gravity_m_s2", "gravity_m_s2", path)
     size = float(np.linalg.norm(gravity))
     low, high = GRAVITY_RANGE
     if not low <= size <= high:
@@ -235,11 +244,11 @@ def _gravity(raw: Mapping[str, Any], path: Path) -> FloatArray:
 
 
 def _tool(raw: Mapping[str, Any], path: Path) -> Tool:
-    section = _section(raw, "tool", path)
+    section = section_of(raw, "tool", path)
     if not section:
-        return Tool(0.0, _frozen(np.zeros(3)))
-    _refuse_misspelt(section, ("mass_kg", "com_m"), path, "tool")
-    mass = _number(section, "mass_kg", "tool.mass_kg", path)
+        return Tool(0.0, frozen(np.zeros(3)))
+    refuse_unknown(section, ("mass_kg", "com_m"), path, "tool")
+    mass = number(section, "mass_kg", "tool.mass_kg", path)
     if not 0.0 <= mass <= LARGEST_MASS_KG:
         expected = f"a mass in kg from 0 to {LARGEST_MASS_KG:g}"
         raise fault(path, expected=expected, found=f"{mass:g}", column="tool.mass_kg")
@@ -247,19 +256,35 @@ def _tool(raw: Mapping[str, Any], path: Path) -> Tool:
 
 
 def _targets(raw: Mapping[str, Any], path: Path) -> Mapping[str, FloatArray]:
-    section = _section(raw, "targets_m", path)
-    return MappingProxyType({name: _point(section, name, f"targets_m.{name}", path) for name in section})
+    section = section_of(raw, "targets_m", path)
+    return MappingProxyType({name: _target(section, name, path) for name in section})
+
+
+def _target(section: Mapping[str, Any], name: str, path: Path) -> FloatArray:
+    """A target on the flange: three numbers, or a table that says so."""
+    where, entry = f"targets_m.{name}", section[name]
+    if not isinstance(entry, Mapping):
+        return _point(section, name, where, path)
+    refuse_unknown(entry, ("at", "position_m"), path, where)
+    if entry.get("at", "flange") != "flange":
+        raise fault(
+            path,
+            expected='a target on the flange: three numbers, or {at = "flange", position_m = …}',
+            found=f"at = {entry['at']!r}: targets that stand elsewhere are not supported yet",
+            column=f"{where}.at",
+        )
+    return _point(entry, "position_m", f"{where}.position_m", path)
 
 
 def _instrument(raw: Mapping[str, Any], path: Path) -> Instrument:
-    section = _section(raw, "instrument", path)
-    _refuse_misspelt(section, ("name", *_STATED, *_TRACKER), path, "instrument")
+    section = section_of(raw, "instrument", path)
+    refuse_unknown(section, ("name", *_STATED, *_TRACKER), path, "instrument")
     name = section.get("name", "unknown")
     if not isinstance(name, str):
         raise fault(path, expected="text", found=repr(name), column="instrument.name")
     sigmas: dict[str, float | None] = {}
     for key, limit in _STATED.items():
-        sigmas[key] = _number(section, key, f"instrument.{key}", path) if key in section else None
+        sigmas[key] = number(section, key, f"instrument.{key}", path) if key in section else None
         sigma = sigmas[key]
         if sigma is not None and not 0.0 < sigma <= limit:
             unit = key.rsplit("_", 1)[-1]
@@ -278,7 +303,7 @@ def _tracker(section: Mapping[str, Any], path: Path) -> Tracker | None:
         if key not in section and not optional:
             given = ", ".join(k for k in _TRACKER if k in section)
             raise fault(path, expected=f"instrument.{key} with {given}", found="none", column=f"instrument.{key}")
-        value = _number(section, key, f"instrument.{key}", path) if key in section else 0.0
+        value = number(section, key, f"instrument.{key}", path) if key in section else 0.0
         if not (0.0 if optional else 1e-12) <= value <= limit:
             raise fault(
                 path,
@@ -291,7 +316,7 @@ def _tracker(section: Mapping[str, Any], path: Path) -> Tracker | None:
 
 
 def _tables(raw: Mapping[str, Any], path: Path) -> Mapping[str, str]:
-    section = _section(raw, "tables", path)
+    section = section_of(raw, "tables", path)
     for name, file in section.items():
         if name not in TABLES:
             near = lookalike(name, TABLES)
@@ -305,57 +330,10 @@ def _tables(raw: Mapping[str, Any], path: Path) -> Mapping[str, str]:
     return MappingProxyType(dict(section))
 
 
-def _section(raw: Mapping[str, Any], key: str, path: Path) -> Mapping[str, Any]:
-    section = raw.get(key, {})
-    if not isinstance(section, Mapping):
-        raise fault(path, expected=f"a section [{key}]", found=repr(section), column=key)
-    return section
-
-
-def _refuse_misspelt(section: Mapping[str, Any], known: Sequence[str], path: Path, prefix: str = "") -> None:
-    """Unknown keys are kept, but one that looks like a known key that is missing would be ignored in silence."""
-    unknown = [key for key in section if key not in known]
-    for key in known:
-        near = lookalike(key, unknown) if key not in section else None
-        if near is not None:
-            where = f"{prefix}.{near}" if prefix else near
-            raise fault(path, expected=f"the key {key}", found=repr(near), column=where)
-
-
-def _number(section: Mapping[str, Any], key: str, where: str, path: Path) -> float:
-    value = section.get(key)
-    if not _is_number(value):
-        found = _missing(key, section) if value is None else repr(value)
-        raise fault(path, expected="a finite number", found=found, column=where)
-    return float(value)
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _vector(section: Mapping[str, Any], key: str, where: str, path: Path) -> FloatArray:
-    value = section.get(key)
-    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
-        found = _missing(key, section) if value is None else repr(value)
-        raise fault(path, expected="three finite numbers", found=found, column=where)
-    return _frozen(np.array(value, dtype=np.float64))
-
-
 def _point(section: Mapping[str, Any], key: str, where: str, path: Path) -> FloatArray:
-    point = _vector(section, key, where, path)
+    point = vector(section, key, where, path)
     distance = float(np.linalg.norm(point))
     if distance > FARTHEST_POINT_M:
         expected = f"a point in the flange frame in m, within {FARTHEST_POINT_M:g} m (is it in millimetres?)"
         raise fault(path, expected=expected, found=f"one {distance:g} away", column=where)
     return point
-
-
-def _missing(key: str, section: Mapping[str, Any]) -> str:
-    near = lookalike(key, list(section))
-    return f"no such key, but {near!r}" if near else "no such key"
-
-
-def _frozen(array: FloatArray) -> FloatArray:
-    array.setflags(write=False)
-    return array

@@ -55,6 +55,7 @@ __all__ = ["FORMAT", "Feature", "Kind", "Touched", "read_touched"]
 Array = npt.NDArray[np.float64]
 Kind = Literal["plane", "sphere", "point"]
 FORMAT = "clampid-touched/1"
+OWN_KEYS = ("touches", "features", "tip_radius_m", "tip_std_m", "start_m", "start_rad")
 FARTHEST_M = 100.0  # of a cell: what is farther is in millimetres
 LARGEST_RADIUS_M = 1.0
 MOST_TURNED = 4 * np.pi  # rad: no joint of an arm turns farther from its zero
@@ -128,7 +129,7 @@ def read_touched(path: Path) -> Touched:
     if not isinstance(name, str):
         raise fault(path, expected="the name of a table", found=repr(name), column="touches")
     known = {"tables": {"poses": name}, "format": CAMPAIGN_FORMAT}
-    header = parse_header({**raw, **known}, path)
+    header = parse_header({**raw, **known}, path, OWN_KEYS)
     if header.instrument.position_std is None:
         raise fault(path, expected="one sigma of a touch in m", found="none", column="instrument.position_std_m")
     if not header.targets:

@@ -4,7 +4,8 @@ Turning a link's far end about the joint before it is the same as an offset of t
 revolute joints has 4 n + 6 independent numbers, far fewer than 6 per link. The choice is made by rank: parameters are
 taken in a fixed order (anchors, base, flange or targets, then link by link), and one that adds nothing new over random
 postures is left at zero, where it costs nothing. Where distances alone are measured, that is all of the base: moving it
-is the same as moving the anchors.
+is the same as moving the anchors. What a campaign states of base and targets is information like what rows would have:
+where the base is known, a motion of link 1 is the robot's own, and is kept.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import numpy as np
 from clampid.effect import Effect
 from clampid.slots import Slot, slots_of
 from clampid.stages.experiment import experiment
-from clampid.stages.rows import Rows
+from clampid.stages.rows import Array, Rows
+from clampid.stages.statements import stated_equations
 
 __all__ = ["independent_geometry"]
 
@@ -50,7 +52,7 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
     trial = experiment(sample, effects, slots)
     _, jacobian = trial.residual(np.zeros(len(slots)))
     size = trial.sizes()
-    columns = (jacobian * size).reshape(-1, len(slots))
+    columns = np.vstack([(jacobian * size).reshape(-1, len(slots)), _stated(rows, slots, size, jacobian)])
     basis = np.zeros((len(columns), 0))
     kept = []
     for k, slot in enumerate(slots):
@@ -64,6 +66,15 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
             basis = np.c_[basis, rest / np.linalg.norm(rest)]
             kept.append(slot)
     return tuple(kept)
+
+
+def _stated(rows: Rows, slots: tuple[Slot, ...], size: Array, jacobian: Array) -> Array:
+    """What is known beforehand, as rows ``(m, P)`` about as large as those measured: which directions, not how well."""
+    at, matrix, _ = stated_equations(rows.constants.get("stated", ()), {slot: k for k, slot in enumerate(slots)})
+    out = np.zeros((len(matrix), len(slots)))
+    out[:, at] = matrix * size[at]
+    length = np.linalg.norm(out, axis=1, keepdims=True)
+    return np.asarray(out / np.where(length > 0, length, 1.0) * np.linalg.norm(jacobian * size) / np.sqrt(len(slots)))
 
 
 def _ordered(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:

@@ -19,6 +19,7 @@ from clampid.fitting.log_springs import rows_by_springs
 from clampid.fitting.mean_norm import compared, mean_norm
 from clampid.fitting.nulls import null_directions
 from clampid.fitting.observability import observability, projected
+from clampid.fitting.open_base import from_likeliest_turn, open_turns, with_open_base
 from clampid.fitting.open_flanks import with_open_flanks
 from clampid.fitting.rest_friction import RestFriction, with_open_friction, with_rest_friction
 from clampid.fitting.solve import Estimate
@@ -86,7 +87,7 @@ class FittedStage:
 
     def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
         """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""
-        estimate = with_kept_friction(estimate)
+        estimate = with_open_base(with_kept_friction(estimate))
         model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, told)
         return replace(self, model=model, estimate=estimate)
 
@@ -120,6 +121,9 @@ def fit_stage(
     clampid.effect.EffectError
         An effect needs something of these rows to begin with that they do not have.
     """
+    if told is None and not start and open_turns(rows):
+        trial = experiment(rows, effects, active_slots(rows, effects, terms))
+        rows = from_likeliest_turn(trial, carried_over(rows, before)[0])
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
 
     weights = last.noise if last is not None and rows.stage == "poses" else None
@@ -161,6 +165,7 @@ def fit_stage(
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)
         universal = compared(estimate, squares)
+    estimate = with_open_base(estimate)
     reference = {}
     if rows.stage == "poses":
         for s in np.unique(rows.session):
@@ -180,6 +185,7 @@ def _model_of(
 ) -> StageModel:
     count, fitted = len(estimate.slots), estimate.experiment.rows
     bad = np.flatnonzero(estimate.outliers)
+    turns, sessions = open_turns(fitted), rows.layout.sessions
     unknown = unknown_frictions(estimate) if rows.stage == "poses" else []
     return StageModel(
         stage=rows.stage,
@@ -190,7 +196,7 @@ def _model_of(
         identified=tuple(bool(b) and k not in unknown for k, b in enumerate(estimate.identified[:count])),
         held_out=tuple(tuple(f) for f in held),
         outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
-        null_directions=null_directions(estimate),
+        null_directions=(*(turn.words(sessions[turn.session]) for turn in turns), *null_directions(estimate)),
         base=base_parameters(estimate),
         by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
         told=told,

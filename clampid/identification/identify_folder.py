@@ -88,6 +88,7 @@ def identify_folder(
         tables=MappingProxyType({}),
         fingerprint=fingerprint(header.raw, files),
         header=header.raw,
+        stated=header.stated,
     )
     parts = [LogPart(campaign, 0, name, table) for name, table in tables.items()]
     catalogue, layout = with_user_effects(user_effects), layout_of([campaign])

@@ -28,7 +28,7 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
 
     robot, n = campaigns[0].robot, campaigns[0].robot.n
     T = np.asarray(robot.transmission)
-    frames = [filled(c.tables["clamped"]) for c in campaigns if "clamped" in c.tables]
+    frames = [filled(c.placed("clamped")) for c in campaigns if "clamped" in c.tables]
     session = np.concatenate(
         [np.full(len(c.tables["clamped"]), s) for s, c in enumerate(campaigns) if "clamped" in c.tables]
     )

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from clampid.chain.chain import Chain, build_chain
 from clampid.effect import WEAK, Effect, Parameter, Stage
 from clampid.slots import Slot, find_parameter, unit_of
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
+from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 
 __all__ = ["HELD", "Experiment", "experiment", "parameter_of"]
@@ -135,7 +137,7 @@ class Experiment:
         precision, mean = np.diag(1.0 / self.prior_std() ** 2), self.start()
         constants, n, count = self.rows.constants, self.rows.robot.n, len(self.slots)
         if self.stage != "clamped":
-            return precision, mean
+            return self._with_statements(precision, mean)
         keys = [(int(s), int(k)) for s, k in constants["offset_keys"]]
         place = {key: count + i for i, key in enumerate(keys)}
         for s, k in keys:
@@ -150,6 +152,16 @@ class Experiment:
             elif constants["kept_sign"][s, k - n]:
                 mean[at] = constants["kept_sign"][s, k - n] * friction
                 precision[at, at] = 1.0 / (ROUGH * friction) ** 2
+        return precision, mean
+
+    def _with_statements(self, precision: Array, mean: Array) -> tuple[Array, Array]:
+        """A prior with what the campaigns state: of independent errors precisions add, and precisions times means."""
+        index = {slot: k for k, slot in enumerate(self.slots)}
+        at, matrix, value = stated_equations(self.rows.constants.get("stated", ()), index)
+        if len(value):
+            weighted = precision[np.ix_(at, at)] @ mean[at] + matrix.T @ value
+            precision[np.ix_(at, at)] += matrix.T @ matrix
+            mean[at] = linalg.solve(precision[np.ix_(at, at)], weighted, assume_a="pos")
         return precision, mean
 
     def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -58,7 +58,7 @@ def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
     """The tables free_air and wrist of campaigns, in order; temperatures that were not read are filled in."""
     out = []
     for s, campaign in enumerate(campaigns):
-        held = {name: campaign.tables[name] for name in LOGS if name in campaign.tables}
+        held = {name: campaign.placed(name) for name in LOGS if name in campaign.tables}
         for name, table in held.items():
             others = [other for key, other in held.items() if key != name]
             whole = campaign.long[name].table if name in campaign.long else LogTable.of(filled(table, others))

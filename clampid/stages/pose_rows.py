@@ -11,6 +11,7 @@ import pandas as pd
 from clampid.slots import Layout
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
 from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.statements import stated_base_pose, statements_of
 from clampid.stages.temperatures import link_recorded, temperatures
 from experiments.campaign import Campaign, Instrument
 from experiments.columns import POSES
@@ -90,13 +91,15 @@ def pose_rows(
     Parameters
     ----------
     base
-        Session → ``(4, 4)``, where the instrument sees the robot's base. Without it that is found from the rows by
-        aligning the nominal robot with what was measured; where that is distances only, it is the base itself.
+        Session → ``(4, 4)``, where the instrument sees the robot's base. Without it that is what the campaign states
+        or, where it does not, found from the rows by aligning the nominal robot with what was measured; where that is
+        distances only, it is the base itself.
     anchors
         Session → anchor → ``(3,)``, where the instrument sees that. Without it they are located from the distances to
         the nominal robot's targets.
     """
     parts: list[Rows] = []
+    references: list[Array | None] = [None] * len(campaigns)
     for s, campaign in enumerate(campaigns):
         reference = None
         for name in (table, "distances") if table == "poses" else (table,):
@@ -105,7 +108,10 @@ def pose_rows(
                 seen = None if anchors is None else anchors[s]
                 parts.append(_one(campaign, s, len(campaigns), layout, name, reference, seen))
                 reference = parts[-1].constants["base_reference"][0]
-    return parts[0] if len(parts) == 1 else join_rows(parts)
+                references[s] = reference if name != "distances" else references[s]
+    rows = parts[0] if len(parts) == 1 else join_rows(parts)
+    stated = statements_of(campaigns, layout, references)
+    return replace(rows, constants={**rows.constants, "stated": stated}) if stated else rows
 
 
 def anchors_of(rows: Rows) -> dict[int, dict[str, Array]]:
@@ -149,12 +155,18 @@ def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, referen
         measured=measured,
         sigma=sigma,
         used=np.ones(measured.shape, dtype=bool),
-        reference=align(points, position) if reference is None else reference,
+        reference=_seen_base(campaign, points, position) if reference is None else reference,
         position=position,
         anchor_way=np.zeros((count, 3)),
         constants={"rotation": rotation, "oriented": np.full(count, rotated), "anchor": np.zeros((count, 3))},
         axes=axes,
     )
+
+
+def _seen_base(campaign: Campaign, points: Array, position: Array) -> Array:
+    """Where the instrument sees the base: as stated, else as the nominal robot's points fit best."""
+    stated = campaign.stated.base
+    return align(points, position) if stated is None else stated_base_pose(stated, points, position)
 
 
 def _read_distances(
@@ -200,8 +212,8 @@ def _one(
     anchors: Mapping[str, Array] | None,
 ) -> Rows:
     robot, n = campaign.robot, campaign.robot.n
-    recorded, own = campaign.tables[table], [t for t in POSES if t in campaign.tables]
-    frame = filled(recorded, (campaign.tables[t] for t in own if t != table))
+    recorded, own = campaign.placed(table), [t for t in POSES if t in campaign.tables]
+    frame = filled(recorded, (campaign.placed(t) for t in own if t != table))
     count = len(frame)
     q = frame[[f"q{i + 1}_rad" for i in range(n)]].to_numpy(float)
     direction = frame[[f"dir{i + 1}" for i in range(n)]].to_numpy(float)
@@ -325,7 +337,10 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
         table=np.concatenate([p.table for p in parts]),
         row=np.concatenate([p.row for p in parts]),
         session=np.concatenate([p.session for p in parts]),
-        constants={k: np.concatenate([p.constants[k] for p in parts]) for k in first.constants},
+        constants={
+            k: np.concatenate([p.constants[k] for p in parts]) if k in first.per_row else v
+            for k, v in first.constants.items()
+        },
         per_row=first.per_row,
     )
 

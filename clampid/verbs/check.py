@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -49,6 +50,8 @@ def check(
     out.say(f"{holds['campaign']}: {holds['robot']}, {holds['joints']} joints, measured by {holds['instrument']}")
     rows = [(name, f"{table['rows']}", _contents(table)) for name, table in holds["tables"].items()]
     out.table("", ("table", "rows", "what it holds"), rows, left=3)
+    for line in _stated(read):
+        out.say(f"known beforehand: {line}")
     for stage, part in stages.items():
         out.say(f"{stage}: standard set {', '.join(part['standard'])}")
         asked = [name for name in part["only_asked"] if name not in part["standard"]]
@@ -97,6 +100,29 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
     if not found:
         raise CallError(f"--iso9283: expected a table poses or verification, {campaign.name} has none")
     return found
+
+
+def _stated(campaign: Campaign) -> Iterator[str]:
+    """What is known beforehand, in words."""
+    from clampid.display import readable
+
+    stated = campaign.stated
+    if stated.base is not None:
+        known = [
+            f"{name} to {readable(std, unit)}" if math.isfinite(std) else f"{name} not known"
+            for names, stds, unit in (
+                ("xyz", stated.base.position_std, "m"),
+                (("roll", "pitch", "yaw"), stated.base.rpy_std, "rad"),
+            )
+            for name, std in zip(names, stds.tolist(), strict=True)
+        ]
+        yield f"base in the instrument's frame, {', '.join(known)}"
+    for name, target_std in stated.targets_std.items():
+        yield f"target {name} to {', '.join(readable(s, 'm') for s in dict.fromkeys(target_std.tolist()))}"
+    for d in stated.distances:
+        yield f"{d.between[0]} to {d.between[1]}: {1e3 * d.value:.10g} mm, to {readable(d.std, 'm')}"
+    for name, sensor in stated.sensors.items():
+        yield f"sensor {name}: " + ("not used" if sensor.at == "none" else f"at {sensor.at}, weight {sensor.weight:g}")
 
 
 def _contents(table: Mapping[str, Any]) -> str:

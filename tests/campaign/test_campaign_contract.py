@@ -262,7 +262,7 @@ def test_header_faults(tmp_path: Path, wrong: dict[str, object], key: str, words
         ('format = "clampid-campaign/1"', "", "key format: expected"),
         ('robot = "kuka_kr20_r1810"', "", "key robot: expected a bundled robot"),
         ("[tables]", "[tables", "expected TOML"),
-        ("[tables]", "[other]", "expected at least one of free_air"),
+        ("[tables]", "[other]", "the unknown key 'other'"),
     ],
 )
 def test_header_text_faults(tmp_path: Path, old: str, new: str, words: str) -> None:

@@ -76,13 +76,12 @@ def test_toml_survives(raw: dict[str, object]) -> None:
 
 
 def test_defaults_of_a_bare_header(tmp_path: Path) -> None:
-    header = {"robot": "kuka_kr20_r1810", "gravity_m_s2": np.array([0.0, 0.0, -9.81]), "note": "kept"}
+    header = {"robot": "kuka_kr20_r1810", "gravity_m_s2": np.array([0.0, 0.0, -9.81])}
     campaign = read_campaign(write(tmp_path / "c", {"free_air": make_tables()["free_air"]}, header))
     assert campaign.tool.mass == 0.0
     assert not campaign.tool.com.any()
     assert campaign.instrument.position_std is None
     assert not campaign.targets
-    assert campaign.header["note"] == "kept"
 
 
 def test_tables_of_both_kinds_and_names(tmp_path: Path) -> None:
