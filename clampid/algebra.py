@@ -39,6 +39,7 @@ __all__ = [
     "sin",
     "sliding",
     "tanh",
+    "turned_by",
     "turning",
     "winding",
     "within",
@@ -116,6 +117,11 @@ def across_rows(vectors: Any, axes: Any) -> Any:
 def norms(vectors: Any) -> Any:
     """Lengths ``(n,)`` of the rows of ``(n, 3)``."""
     return ca.sqrt(ca.sum2(vectors**2))
+
+
+def turned_by(angle: Any) -> Any:
+    """An angle less whole turns: within half a turn to either side, rad."""
+    return ca.atan2(ca.sin(angle), ca.cos(angle))
 
 
 def within(value: Any, lower: Any, upper: Any) -> Any:
