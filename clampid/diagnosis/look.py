@@ -114,8 +114,8 @@ def look_at(
     events = event_scores(estimate, space, effects)
     named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
     named += events
-    local, local_null = scan(estimate, space, effects, flips, seed)
-    named, named_null = named + local, Flips(np.maximum(named_null.maxima, local_null.maxima))
+    local = scan(estimate, space, effects, flips, seed)
+    named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
     robot = estimate.experiment.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]

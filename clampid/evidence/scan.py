@@ -1,10 +1,16 @@
 """Effects that sit somewhere along a joint's angle and are nothing elsewhere, tried at every place that poses visited.
 
 A place's column is what the joint's angle does to the measurement times the effect's shape about that place, so that
-the effect is evaluated once and a place costs a sparse product. All places of all joints are in the dictionary: the
-null takes their maximum along, over the very flips that the other candidates have, and of each joint the best place
-becomes a candidate that pays, beside its amplitude, for having been chosen among all of that joint's places. A place
-needs visits that tell it: what one visit shows is that visit's own.
+the effect is evaluated once and a place costs a sparse product. Of each joint the best place becomes a candidate, its
+shape refined between the places tried, which pays for its shapes as for amplitudes. A place needs visits that tell it:
+what one visit shows is that visit's own.
+
+What such an effect moves are a few visits, and flipping the signs of a dozen that all are far off leaves sums as large
+as theirs far too often. The null is therefore that any visit may have any other's error: what each visit says of a
+joint's angle, in units of its own error, is exchanged at random among the visits. The largest over all places of all
+joints follows Gumbel's law of extremes, fitted to the exchanges by its mean and variance. The p-value of a candidate is
+that of this maximum, and a single test more in the dictionary of named effects. Sources: Fisher, The Design of
+Experiments, 1935, for the exchange; Gumbel, Statistics of Extremes, 1958.
 """
 
 from __future__ import annotations
@@ -17,12 +23,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy import sparse
+from scipy import optimize, sparse
 
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
-from clampid.evidence.score import WEAK, Flips, Scored, Space, flip_signs, score, space_of, tails_of
+from clampid.evidence.score import WEAK, Scored, Space, score, space_of
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
@@ -39,60 +45,61 @@ STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to plac
 
 @dataclass(frozen=True)
 class _Tried:
-    """Every place of one joint: values of its shapes, whitened columns ``(M, C)``, and their scores.
+    """Every place of one joint.
 
     Attributes
     ----------
-    explained, log_p
+    shapes
+        Values of the effect's shapes at each.
+    explained
         ``(C,)``: as of :class:`clampid.evidence.score.Scored`.
-    parts
-        ``(U, C)``: each unit's in the null.
-    mean, variance
-        ``(C,)``: moments of what is explained in the null.
+    weight, says
+        ``(V, C)`` of unit length, and ``(V,)``: how much each visit sees of each place, and what it says of the joint's
+        angle, in units of what all visits say, rms.
+    levers
+        Whitened effect of the joint's angle.
     """
 
     effect: Effect
     joint: int
     shapes: tuple[Mapping[str, float], ...]
-    columns: sparse.csc_matrix
     explained: Array
-    parts: Array
-    mean: Array
-    variance: Array
+    weight: sparse.csc_matrix
+    says: Array
+    levers: Whitened
+
+    def statistic(self, says: Array) -> Array:
+        """What each place explains of that ``(..., V)``: ``(..., C)``, of mean one where nothing is there."""
+        return np.asarray(says @ self.weight) ** 2
 
 
-def scan(
-    estimate: Estimate, space: Space, effects: Mapping[str, Effect], flips: int, seed: int
-) -> tuple[list[Scored], Flips]:
-    """Each scanned effect at the best place of each joint that lacks it, and the maxima of all places in the null.
-
-    Parameters
-    ----------
-    flips, seed
-        Those of the named candidates: the same signs.
-    """
+def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchanges: int, seed: int) -> list[Scored]:
+    """Each scanned effect at the best place of each joint that lacks it; p-values are of all places of all joints."""
     tried = _all_places(estimate, space, effects)
     if not tried:
-        return [], Flips(np.zeros(flips))
-    signs = flip_signs(space, flips, seed)
-    maxima = np.zeros(flips)
+        return []
+    rng, maxima = np.random.default_rng(seed), np.zeros(exchanges)
+    for t in tried:
+        order = np.argsort(rng.random((exchanges, len(t.says))), axis=1)
+        maxima = np.maximum(maxima, t.statistic(t.says[order]).max(axis=1))
+    spread = max(float(np.std(maxima)) * np.sqrt(6.0) / np.pi, 1e-9)
+    middle = float(np.mean(maxima)) - np.euler_gamma * spread
     found = []
     for t in tried:
-        flipped = (signs @ t.parts) ** 2
-        maxima = np.maximum(maxima, -tails_of(t.mean, t.variance, flipped).min(axis=1))
-        s = score(space, [_candidate(estimate, t, int(np.argmax(t.explained)))])[0]
-        chosen = 2.0 * float(np.log(len(t.shapes)))
-        found.append(replace(s, cost=s.cost + chosen, bic=s.bic - chosen))
-    return found, Flips(maxima)
+        best = _refined(estimate, space, t)
+        s = score(space, [best])[0]
+        off = (float(t.statistic(t.says).max()) - middle) / spread
+        log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
+        chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
+        found.append(replace(s, log_p=min(log_p, 0.0), cost=s.cost + chosen, bic=s.bic - chosen))
+    return found
 
 
 def place_of(estimate: Estimate, effect: Effect, place: str) -> dict[Slot, float]:
     """Shapes of an effect at the likeliest place of a joint, which an estimate leaves out; empty where none shows it."""
-    tried = _all_places(estimate, space_of(estimate), {effect.name: effect}, (place,))
-    if not tried:
-        return {}
-    best = tried[0].shapes[int(np.argmax(tried[0].explained))]
-    return {Slot(effect.name, name, place): value for name, value in best.items()}
+    space = space_of(estimate)
+    tried = _all_places(estimate, space, {effect.name: effect}, (place,))
+    return dict(_refined(estimate, space, tried[0]).shapes) if tried else {}
 
 
 def _all_places(
@@ -169,32 +176,70 @@ def _places(
     able = np.flatnonzero(left > WEAK * np.maximum(gram, 1e-300))
     if not len(able):
         return None
-    D, absorbed, left = D[:, able], absorbed[able], left[able]
-    size = space.scale * np.sqrt(left)
-    parts = np.asarray((space.by_unit.over(0, space.rows) @ D).todense()) - space.basis_by_unit @ absorbed.T
-    parts[space.drawn] = -(space.told[:, None] * space.basis[space.rows :]) @ absorbed.T
-    parts = parts / size
-    squares = parts**2
-    mean = squares.sum(axis=0)
-    variance = 2.0 * (mean**2 - np.sum(squares[~space.drawn] ** 2, axis=0))
-    explained = np.asarray((D.T @ space.residual[: space.rows]) / size) ** 2
-    return _Tried(effect, j, tuple(shapes[k] for k in able), D, explained, parts, mean, variance)
+    explained = np.asarray(D[:, able].T @ space.residual[: space.rows]) ** 2 / (space.scale**2 * left[able])
+    weight, says = _by_visit(space, visit[levers.entry], lever, D[:, able])
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, says, levers)
 
 
-def _candidate(estimate: Estimate, tried: _Tried, best: int) -> Candidate:
-    """One place as a candidate."""
+def _by_visit(space: Space, visit: Array, lever: Array, D: sparse.csc_matrix) -> tuple[sparse.csc_matrix, Array]:
+    """Of the visits that see a joint's angle, the weights and what they say, as :class:`_Tried` has them."""
+    count = int(visit.max(initial=-1)) + 1
+    sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
+    able = sees > 1e-9 * sees.max(initial=0.0)
+    says = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
+    says /= max(float(np.sqrt(np.mean(says**2))), 1e-300)
+    member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
+    weight = sparse.diags(1.0 / sees[able]) @ (member @ D)[able]
+    length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())
+    return (weight @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc(), says
+
+
+def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
+    """The best place with the shapes, between those tried, at which it explains most; bounds of shapes hold."""
+    at = dict(tried.shapes[int(np.argmax(tried.explained))])
+    bounds = {name: tried.effect.by_name[name].bounds for name in at}
+    step = {name: 0.25 * tried.effect.by_name[name].size for name in at} | {str(tried.effect.scanned): 0.02}
+
+    def worse(x: Array) -> float:
+        shapes = dict(zip(at, map(float, x), strict=True))
+        if any(not bounds[name][0] <= value <= bounds[name][1] for name, value in shapes.items()):
+            return 0.0
+        c = _column(estimate, tried, shapes)
+        own = space.basis[: space.rows].T @ c
+        left = float(c @ c - own @ own)
+        return -(float(c @ space.residual[: space.rows]) ** 2) / left if left > WEAK * float(c @ c) > 0.0 else 0.0
+
+    start = np.array(list(at.values()))
+    simplex = np.vstack([start, *(start + step[name] * np.eye(len(at))[k] for k, name in enumerate(at))])
+    options = {"initial_simplex": simplex, "maxfev": 30 * len(at), "xatol": 1e-4, "fatol": 0.1}
+    best = optimize.minimize(worse, start, method="Nelder-Mead", options=options)
+    found = best.x if best.fun <= worse(start) else start
+    return _candidate(estimate, tried, dict(zip(at, map(float, found), strict=True)))
+
+
+def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Array:
+    """The whitened column ``(M,)`` of a joint's effect with some shapes."""
+    q = ca.DM(estimate.experiment.rows.signals["q"][:, tried.joint])
+    amplitude = next(p.name for p in tried.effect.parameters if not p.shape)
+    p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
+    values = np.asarray(tried.effect.acts["joint_angle"](p, SimpleNamespace(q=q)), dtype=float).ravel()
+    return np.asarray(tried.levers.jacobian[:, tried.joint] * values[tried.levers.entry])
+
+
+def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Candidate:
+    """A joint's effect with some shapes as a candidate."""
     effect, place, white = tried.effect, f"joint{tried.joint + 1}", estimate.whitened
     amplitude = next(p for p in effect.parameters if not p.shape)
     slot = Slot(effect.name, amplitude.name, place)
-    parameter = parameter_of(slot, estimate.experiment.effects, estimate.experiment.rows.robot)
-    column = np.asarray(tried.columns[:, best].todense())
+    parameter = parameter_of(slot, {effect.name: effect}, estimate.experiment.rows.robot)
+    column = _column(estimate, tried, shapes)[:, None]
     pieces = tuple((start, column[start:stop]) for start, stop in channel_starts(white))
     return Candidate(
         name=effect.name,
         family=effect.family,
         terms=(Term(effect.name, place),),
         slots=(slot,),
-        shapes={Slot(effect.name, name, place): value for name, value in tried.shapes[best].items()},
+        shapes={Slot(effect.name, name, place): value for name, value in shapes.items()},
         columns=Columns(pieces, 1),
         depends_on=(),
         places=(place,),

@@ -38,12 +38,10 @@ __all__ = [
     "explained_together",
     "flip_maxima",
     "flip_moments",
-    "flip_signs",
     "log_tail",
     "score",
     "space_of",
     "tail_of",
-    "tails_of",
 ]
 
 ABSORBED = 1e-6
@@ -238,14 +236,6 @@ def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
     return log_tail(np.asarray(explained) * (2.0 * mean / variance), 2.0 * mean**2 / variance)
 
 
-def tails_of(mean: Array, variance: Array, explained: Array) -> Array:
-    """:func:`tail_of` for many candidates ``(C,)`` and many flips ``(flips, C)`` at once."""
-    varies = variance > 1e-9 * mean**2
-    safe_mean, safe = np.where(varies, mean, 1.0), np.where(varies, variance, 1.0)
-    tails = log_tail(explained * (2.0 * safe_mean / safe), 2.0 * safe_mean**2 / safe)
-    return np.where(varies, tails, 0.0)
-
-
 def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     """The residual and absorbed span of an estimate; ``unit`` ``(N,)``: what the null flips, else the rows' own."""
     white = estimate.whitened
@@ -305,16 +295,16 @@ def _opened(estimate: Estimate) -> Array:
     return precision
 
 
-def log_tail(x: Array | float, freedom: Array | float) -> Array:
+def log_tail(x: Array | float, freedom: float) -> Array:
     """Natural logarithm of the chi-square tail, also where the tail itself is too small for a number."""
     value = np.asarray(x, dtype=float)
-    a, half = np.asarray(freedom) / 2.0, np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
+    a, half = freedom / 2.0, np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
     tail = gammaincc(a, half)
     tiny = tail < TINY
     tail_or_one = np.where(tiny, 1.0, tail)
     near = np.where(half < a, np.log1p(-gammainc(a, np.minimum(half, a))), np.log(tail_or_one))
     # Leading term of its expansion, summed as a geometric series; where the tail is tiny, half is well above a.
-    far = a * np.log(half) - half - gammaln(a) - np.log(np.where(tiny, half - a + 1.0, 1.0))
+    far = a * np.log(half) - half - float(gammaln(a)) - np.log(np.where(tiny, half - a + 1.0, 1.0))
     return np.asarray(np.where(tiny, far, near))
 
 
@@ -451,20 +441,14 @@ class Flips:
         return Flips(np.maximum(self.maxima, drawn.max(axis=1, initial=0.0)))
 
 
-def flip_signs(space: Space, flips: int, seed: int) -> Array:
-    """What each unit is multiplied by in each flip ``(flips, U)``: a sign, or for what a prior says a normal number."""
-    rng = np.random.default_rng(seed)
-    signs = rng.choice([-1.0, 1.0], size=(flips, space.by_unit.groups))
-    signs[:, space.drawn] = rng.normal(size=(flips, int(space.drawn.sum())))
-    return signs
-
-
 def flip_maxima(space: Space, scored: Sequence[Scored], flips: int, seed: int) -> Flips:
     """Sign-flip null over a dictionary, with draws of what a prior says: one matrix product."""
     chosen = [s for s in scored if s.freedom]
     if not chosen:
         return Flips(np.zeros(flips))
-    signs = flip_signs(space, flips, seed)
+    rng = np.random.default_rng(seed)
+    signs = rng.choice([-1.0, 1.0], size=(flips, len(chosen[0].parts)))
+    signs[:, space.drawn] = rng.normal(size=(flips, int(space.drawn.sum())))
     amplitude = signs @ np.hstack([s.parts for s in chosen])
     kept, starts = np.concatenate([s.kept for s in chosen]), np.cumsum([0, *(s.freedom for s in chosen[:-1])])
     explained = np.add.reduceat(amplitude**2 * kept, starts, axis=1) / space.scale**2
