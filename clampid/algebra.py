@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
+from math import pi
 from typing import Any
 
 import casadi as ca
@@ -31,6 +32,7 @@ __all__ = [
     "interleave",
     "log",
     "norms",
+    "pi",
     "powers",
     "products",
     "rows",

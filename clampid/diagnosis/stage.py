@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
-from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
@@ -22,16 +21,18 @@ from clampid.diagnosis.entries import (
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.pruning import Refit
+from clampid.diagnosis.remains import remains_of
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Undecided
+from clampid.diagnosis.trial import Bench, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Scored
 from clampid.fitting.accuracy import counted, noise_floor
+from clampid.fitting.fit import agreeing_rows
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
@@ -135,11 +136,15 @@ def _looked_through(
         wrong = np.any(verification.used & ~held.rows.used, axis=1)
         result.outliers += listed_outliers(verification, held.residual, wrong)
     excess = result.after > FAR_OFF * (floor.most if stage == "poses" else 1.0)
-    if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, tested, seed)):
+    left = remains_of(look, fitted.estimate, held, tested, seed)
+    if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
         _unknown(result, look, fitted.estimate, seed)
+    elif left is not None and not left.matters:
+        result.remains.append(left)
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
+    result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.experiment.rows)
     result.omission, result.fitted, result.look = omission_of(first, fitted.estimate), fitted, look
     _in_words(result, look, floor.source, first.experiment.rows, effects)
     return result
@@ -171,6 +176,7 @@ def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effec
         result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free)
     result.one_sided = one_sided(rows)
     said = one_sided_words(result.one_sided, rows, effects)
+    result.warnings += [found.sentence for found in result.agreeing]
     result.warnings += [said] if said else []
     result.summary = " ".join([summary_of(result), *result.warnings])
 
@@ -208,16 +214,3 @@ def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) 
     result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
     if look.fires and look.probe is not None:
         result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
-
-
-def _something_left(look: Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:
-    """Whether a probe fires, and brings something on rows that no fit has seen.
-
-    Which probe is first without a fifth of the rows is not asked: of an error of several joints, each part of the rows
-    may show another joint's share best.
-    """
-    if not look.fires or look.probe is None:
-        return False
-    if verification is None:
-        return cross_fitted_p(estimate, look.probe, seed) <= HELD_OUT_RATE
-    return probe_held_out_p(estimate, verification, look.probe.candidate, seed) <= HELD_OUT_RATE

@@ -1,17 +1,16 @@
 """Angle error over a few degrees of a joint: a damaged tooth, a dent in a bearing's ring, dirt on an encoder's disc.
 
 It comes again with every turn of the joint and is nothing elsewhere, so that harmonics of the revolution say it badly:
-a bump of 15 degrees takes two dozen of them at every joint. Where it sits is not known beforehand: diagnosis tries every
-place that poses visited, and a fit begins at the likeliest one. Whatever the true shape, a bump has a height, a middle
-and a width; the raised cosine is the smooth one of them that ends.
+a bump of 15 degrees takes two dozen of them. Where it sits is not known beforehand: diagnosis tries every place that
+poses visited, and a fit begins at the likeliest one. Whatever the true shape, a bump has a height, a middle and a
+width; the raised cosine is the smooth one of them that ends.
 """
 
 from __future__ import annotations
 
-from math import pi
 from typing import Any
 
-from clampid.algebra import cos, turned_by, within
+from clampid.algebra import cos, pi, turned_by, within
 from clampid.effect import Effect, Parameter
 
 

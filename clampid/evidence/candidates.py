@@ -97,7 +97,7 @@ def label_of(name: str, places: Sequence[str]) -> str:
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
-    """Every effect that acts in this stage, at every place where it is not active yet; no events, and none that are scanned.
+    """Every effect that acts in this stage, at every place where it is not active yet; no events, none scanned.
 
     What refines another effect is looked for where that is: a spring that hardens where there is a spring.
     """

@@ -7,10 +7,10 @@ what one visit shows is that visit's own.
 
 What such an effect moves are a few visits, and flipping the signs of a dozen that all are far off leaves sums as large
 as theirs far too often. The null is therefore that any visit may have any other's error: what each visit says of a
-joint's angle, in units of its own error, is exchanged at random among the visits. The largest over all places of all
-joints follows Gumbel's law of extremes, fitted to the exchanges by its mean and variance. The p-value of a candidate is
-that of this maximum, and a single test more in the dictionary of named effects. Sources: Fisher, The Design of
-Experiments, 1935, for the exchange; Gumbel, Statistics of Extremes, 1958.
+joint's angle, in standard deviations and three of these at most, is exchanged at random among the visits. The largest
+over all places of all joints follows Gumbel's law of extremes, fitted to the exchanges by its mean and variance. The
+p-value of a candidate is that of this maximum, and a single test more in the dictionary of named effects. Sources:
+Fisher, The Design of Experiments, 1935, for the exchange; Gumbel, Statistics of Extremes, 1958.
 """
 
 from __future__ import annotations
@@ -29,17 +29,19 @@ from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
 from clampid.evidence.score import WEAK, Scored, Space, score, space_of
-from clampid.fitting.noise import Whitened
+from clampid.fitting.noise import NORMAL, Whitened
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages import poses
 from clampid.stages.experiment import parameter_of
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Integers
 
 __all__ = ["FEWEST_VISITS", "place_of", "scan"]
 
-FEWEST_VISITS = 4  # that show half of a bump or more: a height, a middle and a width, and one that may contradict them
+FEWEST_VISITS = 4  # that show a bump: a height, a middle and a width, and one that may contradict them
+INSIDE = 0.1  # of its height, which a visit must see of a bump to count
 TABLE = 3600  # angles a turn at which a shape is tabulated
+FARTHEST = 3.0  # standard deviations that a visit counts for in the null: three of which one is wrong are no bump
 STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to place: at most a tenth of it is missed
 
 
@@ -55,7 +57,7 @@ class _Tried:
         ``(C,)``: as of :class:`clampid.evidence.score.Scored`.
     weight, says
         ``(V, C)`` of unit length, and ``(V,)``: how much each visit sees of each place, and what it says of the joint's
-        angle, in units of what all visits say, rms.
+        angle, in standard deviations of what all visits say (by their median), :data:`FARTHEST` at most.
     levers
         Whitened effect of the joint's angle.
     """
@@ -96,7 +98,7 @@ def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchan
 
 
 def place_of(estimate: Estimate, effect: Effect, place: str) -> dict[Slot, float]:
-    """Shapes of an effect at the likeliest place of a joint, which an estimate leaves out; empty where none shows it."""
+    """Shapes of an absent effect at the likeliest place of a joint; empty where no place shows it."""
     space = space_of(estimate)
     tried = _all_places(estimate, space, {effect.name: effect}, (place,))
     return dict(_refined(estimate, space, tried[0]).shapes) if tried else {}
@@ -129,11 +131,11 @@ def _all_places(
 
 
 def _tables(effect: Effect) -> list[tuple[Mapping[str, float], Array]]:
-    """What a unit of the amplitude is over a turn ``(TABLE,)`` from its middle on, for each value of the other shapes."""
+    """What a unit of the amplitude is over a turn ``(TABLE,)`` from its middle on, by values of the other shapes."""
     shapes = [p for p in effect.parameters if p.shape and p.name != effect.scanned]
     amplitude = next(p for p in effect.parameters if not p.shape)
     angle = ca.DM(np.arange(TABLE) * 2.0 * np.pi / TABLE)
-    out = []
+    out: list[tuple[Mapping[str, float], Array]] = []
     for values in product(*(p.grid for p in shapes)):
         chosen = dict(zip((p.name for p in shapes), values, strict=True))
         p: Any = SimpleNamespace(**{amplitude.name: 1.0, str(effect.scanned): 0.0, **chosen})
@@ -160,9 +162,10 @@ def _places(
     shapes: list[Mapping[str, float]] = []
     functions = []
     for chosen, table in tables:
-        half = np.abs(table) > 0.5 * np.abs(table).max()
-        for k in range(0, TABLE, max(1, int(STEP * half.sum()))):
-            near = seen & half[(at - k) % TABLE]
+        size = np.abs(table) / np.abs(table).max()
+        inside = size > INSIDE
+        for k in range(0, TABLE, max(1, int(STEP * np.count_nonzero(size > 0.5)))):
+            near = seen & inside[(at - k) % TABLE]
             if len(np.unique(visit[near])) >= FEWEST_VISITS:
                 middle = float(np.remainder(2.0 * np.pi * k / TABLE + np.pi, 2.0 * np.pi) - np.pi)
                 shapes.append({str(effect.scanned): middle, **chosen})
@@ -181,13 +184,13 @@ def _places(
     return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, says, levers)
 
 
-def _by_visit(space: Space, visit: Array, lever: Array, D: sparse.csc_matrix) -> tuple[sparse.csc_matrix, Array]:
+def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix) -> tuple[sparse.csc_matrix, Array]:
     """Of the visits that see a joint's angle, the weights and what they say, as :class:`_Tried` has them."""
     count = int(visit.max(initial=-1)) + 1
     sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
     able = sees > 1e-9 * sees.max(initial=0.0)
     says = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
-    says /= max(float(np.sqrt(np.mean(says**2))), 1e-300)
+    says = np.clip(says / max(NORMAL * float(np.median(np.abs(says))), 1e-300), -FARTHEST, FARTHEST)
     member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
     weight = sparse.diags(1.0 / sees[able]) @ (member @ D)[able]
     length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())

@@ -62,6 +62,23 @@ class Agreement:
     p: float
     visits: int
 
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        where = f"in {self.variable}"
+        if self.variable in ("target", "session"):
+            where = f"of {self.variable} {self.label}"
+        elif self.label:
+            where = f"in the approach {self.label} of joint {self.variable.removeprefix('dir')}"
+        elif self.variable.startswith(("q", "motor")):
+            where += f" ({np.degrees(self.low):.4g} to {np.degrees(self.high):.4g} degrees)"
+        else:
+            where += f" ({self.low:.4g} to {self.high:.4g}, SI)"
+        return (
+            f"{int(self.rows.sum())} rows of {self.visits} visits are as far off as outliers are and agree {where}: "
+            f"they are none, and stay in the fit (by chance in {100 * self.p:.2g} % of clean tables)."
+        )
+
     def to_json(self) -> dict[str, Any]:
         """For programs."""
         span = {} if np.isnan(self.low) else {"low": self.low, "high": self.high}
@@ -82,7 +99,8 @@ def agreement(rows: Rows, bad: Bools, size: Array) -> list[Agreement]:
     size
         ``(N,)``: how far they are off. One that is much farther off than those it agrees with is wrong beside.
     """
-    left, found = bad.copy(), []
+    left = bad.copy()
+    found: list[Agreement] = []
     while True:
         best = _clearest(rows, left)
         if best is None or best.p > RATE:
@@ -126,7 +144,7 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
         of = np.bincount(visit, row[known], minlength=V) > 0
         hit = np.bincount(visit, (bad & row)[known], minlength=V) > 0
         k = int(hit.sum())
-        if k < FEWEST or of.all() and name != "target":
+        if k < FEWEST or (of.all() and name != "target"):
             continue
         p = _of_target(rows, bad, member) if name == "target" else float(stats.hypergeom.sf(k - 1, V, K, int(of.sum())))
         found.append(Agreement(bad & member, name, float("nan"), float("nan"), label, p, k))
@@ -178,7 +196,7 @@ def _categories(rows: Rows) -> Iterator[tuple[str, str, Bools]]:
 
 def _counts(K: int) -> list[int]:
     """How many bad visits stretches hold that are tried: every number up to twelve, then every fourth part more."""
-    out = [k for k in range(FEWEST, min(K, 12) + 1)]
+    out = list(range(FEWEST, min(K, 12) + 1))
     while out and out[-1] < K:
         out.append(min(K, int(np.ceil(1.25 * out[-1]))))
     return out

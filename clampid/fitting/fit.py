@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg, stats
 
-from clampid.fitting.agreeing import agreement
+from clampid.fitting.agreeing import Agreement, agreement
 from clampid.fitting.held_motors import other_crossings
 from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
 from clampid.fitting.solve import Estimate, FitError, holding, prior_of, solve, start_of
@@ -19,7 +19,16 @@ from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows, lengths
 
-__all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit", "outlying", "without_outlying"]
+__all__ = [
+    "OUTLIER_PASSES",
+    "OUTLIER_RATE",
+    "OUTLIER_SHARE",
+    "again",
+    "agreeing_rows",
+    "fit",
+    "outlying",
+    "without_outlying",
+]
 
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
@@ -87,6 +96,15 @@ def fit(
     if experiment.stage == "poses":
         estimate = with_repeatability(without_unknown_friction(estimate))
     return replace(estimate, outliers=rejected)
+
+
+def agreeing_rows(estimate: Estimate) -> list[Agreement]:
+    """Rows of poses that are as far off as outliers are, but agree, so that they are none; of other stages none."""
+    rows = estimate.experiment.rows
+    bad = estimate.outliers | outlying(rows, estimate.residual)
+    if rows.stage != "poses" or bad.mean() > AGREEING_SHARE:
+        return []
+    return agreement(rows, bad, lengths(estimate.residual))
 
 
 def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
