@@ -99,7 +99,6 @@ def _looked_through(
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(*counted(fitted.estimate, verification))
-    result.outliers = outliers_of(fitted.estimate)
     bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for))
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     held = bench.held_out(fitted)
@@ -132,6 +131,7 @@ def _looked_through(
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused, *considered_of(look.named, look.named_null)]
     tested = None if verification is None else held.rows
+    result.outliers = outliers_of(fitted.estimate)  # of the last fit: what the first lacked moved rows, too
     if verification is not None:
         wrong = np.any(verification.used & ~held.rows.used, axis=1)
         result.outliers += listed_outliers(verification, held.residual, wrong)
