@@ -78,7 +78,10 @@ def fit(
     estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
     whole, agreed = experiment.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
-        bad = rejected | (outlying(experiment.rows, estimate.residual) & ~agreed)
+        if experiment.stage == "poses":  # a wrong row may have pulled others off that are right
+            bad = outlying(whole, estimate.residual) & ~agreed
+        else:
+            bad = rejected | outlying(experiment.rows, estimate.residual)
         if bad.mean() <= AGREEING_SHARE:
             agreed |= _agreeing(whole, bad, estimate.residual)
             bad &= ~agreed
