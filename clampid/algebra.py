@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
+from math import pi
 from typing import Any
 
 import casadi as ca
@@ -32,6 +33,7 @@ __all__ = [
     "log",
     "norm",
     "norms",
+    "pi",
     "powers",
     "products",
     "rows",
@@ -40,6 +42,7 @@ __all__ = [
     "sin",
     "sliding",
     "tanh",
+    "turned_by",
     "turning",
     "winding",
     "within",
@@ -122,6 +125,11 @@ def across_rows(vectors: Any, axes: Any) -> Any:
 def norms(vectors: Any) -> Any:
     """Lengths ``(n,)`` of the rows of ``(n, 3)``."""
     return ca.sqrt(ca.sum2(vectors**2))
+
+
+def turned_by(angle: Any) -> Any:
+    """An angle less whole turns: within half a turn to either side, rad."""
+    return ca.atan2(ca.sin(angle), ca.cos(angle))
 
 
 def within(value: Any, lower: Any, upper: Any) -> Any:

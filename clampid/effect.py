@@ -292,6 +292,10 @@ class Effect:
         Its shape parameter that says when, in ``sweep_progress``, of an effect that happens once. It shows in the sweep
         in which it happens, and like the posture at which that was clamped its amplitudes are that sweep's own: no
         other sweep tells them. Diagnosis tries every time; a fit begins at the likeliest.
+    scanned
+        Its shape parameter that says where, along the angle of its joint, an effect on that angle sits that is nothing
+        elsewhere. Diagnosis tries every place that poses visited (:mod:`clampid.evidence.scan`), with every value of
+        its other shapes; a fit begins at the likeliest.
     caveat
         What standard errors of its parameters leave out, for people.
     known_within
@@ -331,6 +335,7 @@ class Effect:
     sized_by: str | None = None
     aligns: str | None = None
     event: str | None = None
+    scanned: str | None = None
     meaning: str = field(default="")
     caveat: str = field(default="")
     known_within: Within | None = None
@@ -344,6 +349,11 @@ class Effect:
             raise EffectError(
                 f"effect {self.name}: known_within: expected a signal that it needs and parameters per joint or link, "
                 f"found {self.known_within!r}, needs {', '.join(self.needs)}, parameters per {self.per}"
+            )
+        if self.scanned is not None and (self.per != "joint" or tuple(self.acts) != ("joint_angle",)):
+            raise EffectError(
+                f"effect {self.name}: scanned: expected an effect per joint on joint_angle alone, found one per "
+                f"{self.per} on {', '.join(self.acts)}"
             )
         for kind, found, known in (
             ("family", (self.family,), (*FAMILIES, self.name)),

@@ -8,7 +8,7 @@ one-sided sign flip says whether that is more than chance.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -23,17 +23,26 @@ from clampid.stages.pose_rows import join_rows
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = [
-    "cross_fitted_p",
+    "Fall",
+    "cross_fitted_fall",
     "event_p",
     "first_without_parts",
     "held_out_p",
-    "probe_held_out_p",
+    "probe_held_out_fall",
     "same_effect",
     "stability",
 ]
 
 FOLDS = 5
 FLIPS = 999
+
+
+@dataclass(frozen=True)
+class Fall:
+    """By what share of themselves whitened squared errors of rows not fitted fall, and the one-sided p of that."""
+
+    p: float
+    share: float
 
 
 def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, seed: int) -> list[Scored]:
@@ -89,8 +98,8 @@ def held_out_p(before: Array, after: Array, unit: Integers, seed: int) -> float:
     return float((1 + np.sum(signs @ fall >= total)) / (FLIPS + 1))
 
 
-def probe_held_out_p(estimate: Estimate, verification: Rows, probe: Candidate, seed: int) -> float:
-    """One-sided p of what a pose probe, fitted along in one linear step, brings on a verification table."""
+def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate, seed: int) -> Fall:
+    """What a pose probe, fitted along in one linear step, brings on a verification table."""
     rows = estimate.experiment.rows
     both = join_rows([rows, verification])
     joined = estimate.experiment.with_rows(both)
@@ -101,7 +110,7 @@ def probe_held_out_p(estimate: Estimate, verification: Rows, probe: Candidate, s
     stand_in = replace(estimate, experiment=joined, noise=noise, residual=residual, whitened=white)
     found = next((p for p in probes(stand_in) if p.label == probe.label), None)
     if found is None:
-        return 1.0
+        return Fall(1.0, 0.0)
     found = replace(found, prior=probe.prior)
     D = found.columns.dense(len(white.residual))
     fit = white.entry < len(rows)
@@ -116,7 +125,12 @@ def probe_held_out_p(estimate: Estimate, verification: Rows, probe: Candidate, s
     after = np.linalg.lstsq(A, np.r_[start, D[fit].T @ r[fit]], rcond=None)[0]
     test = ~fit
     squares_before, squares_after = (r - J @ before)[test] ** 2, (r - wide @ after)[test] ** 2
-    return held_out_p(squares_before, squares_after, both.unit[white.entry[test]], seed)
+    return _fall(squares_before, squares_after, both.unit[white.entry[test]], seed)
+
+
+def _fall(before: Array, after: Array, unit: Integers, seed: int) -> Fall:
+    """What squared errors ``(N,)`` fall by from before to after."""
+    return Fall(held_out_p(before, after, unit, seed), float(np.sum(before - after) / max(np.sum(before), 1e-300)))
 
 
 def _assumed(candidate: Candidate) -> Array:
@@ -125,8 +139,8 @@ def _assumed(candidate: Candidate) -> Array:
     return np.zeros((width, width)) if candidate.prior is None else np.diag(1.0 / candidate.prior**2)
 
 
-def cross_fitted_p(estimate: Estimate, s: Scored, seed: int) -> float:
-    """One-sided p of what a candidate brings where it is fitted on the other four fifths of the units.
+def cross_fitted_fall(estimate: Estimate, s: Scored, seed: int) -> Fall:
+    """What a candidate brings where it is fitted on the other four fifths of the units.
 
     Linear in all parameters about the estimate; for stages that have no verification table.
     """
@@ -153,11 +167,11 @@ def event_p(estimate: Estimate, name: str, seed: int) -> float:
     at = np.where(np.arange(count) < first, estimate.theta[order], 0.0)
     moment = J.T @ residual + precision @ (estimate.prior_mean[order] - at)
     unit = estimate.experiment.rows.unit[white.entry]
-    return _cross_fitted(J, residual, precision, moment, unit, first, seed)
+    return _cross_fitted(J, residual, precision, moment, unit, first, seed).p
 
 
-def _cross_fitted(J: Array, r: Array, precision: Array, moment: Array, unit: Integers, first: int, seed: int) -> float:
-    """One-sided p of what the columns from ``first`` on bring, units ``(M,)`` predicted by the other four fifths."""
+def _cross_fitted(J: Array, r: Array, precision: Array, moment: Array, unit: Integers, first: int, seed: int) -> Fall:
+    """What the columns from ``first`` on bring, units ``(M,)`` predicted by the other four fifths."""
     names = np.unique(unit)
     part = (np.random.default_rng(seed).permutation(len(names)) % FOLDS)[np.searchsorted(names, unit)]
     gram = J.T @ J + precision
@@ -170,4 +184,4 @@ def _cross_fitted(J: Array, r: Array, precision: Array, moment: Array, unit: Int
         full = np.linalg.lstsq(A, b, rcond=None)[0]
         before[test] = (r[test] - J[test, :first] @ null) ** 2
         after[test] = (r[test] - J[test] @ full) ** 2
-    return held_out_p(before, after, unit, seed)
+    return _fall(before, after, unit, seed)

@@ -14,6 +14,7 @@ from clampid.diagnosis.probes import probes
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
+from clampid.evidence.scan import scan
 from clampid.evidence.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
 from clampid.fitting.solve import Estimate
 from clampid.stages.experiment import parameter_of
@@ -114,6 +115,8 @@ def look_at(
     events = event_scores(estimate, space, effects)
     named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
     named += events
+    local = scan(estimate, space, effects, flips, seed)
+    named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
     robot = estimate.experiment.rows.robot
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]

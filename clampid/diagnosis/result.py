@@ -10,7 +10,9 @@ from clampid.diagnosis.above import OneSided
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan, NextPoses
+from clampid.diagnosis.remains import Remains
 from clampid.effect import Stage
+from clampid.fitting.agreeing import Agreement
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 
@@ -45,7 +47,9 @@ class StageDiagnosis:
     """What was found in one stage; :meth:`to_json` gives the contract's form.
 
     ``steps``: what was confirmed, one after the other, each on top of those before it. ``look``: the last one, at what
-    the fit with them leaves. ``folds``: which parts of runs were held out, where these were not whole.
+    the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with each
+    other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts of
+    runs were held out, where these were not whole.
     """
 
     stage: Stage
@@ -58,7 +62,10 @@ class StageDiagnosis:
     considered: list[dict[str, Any]] = field(default_factory=list)
     depends_on: list[str] = field(default_factory=list)
     shape: dict[str, Any] | None = None
+    remains: list[Remains] = field(default_factory=list)
+    agreeing: list[Agreement] = field(default_factory=list)
     outliers: list[dict[str, Any]] = field(default_factory=list)
+    rows: int = 0
     next_measurement: str | None = None
     next_plan: NextPlan | None = None
     next_poses: NextPoses | None = None
@@ -96,6 +103,8 @@ class StageDiagnosis:
             "considered": self.considered,
             "depends_on": self.depends_on,
             "shape": self.shape,
+            "notes": [found.to_json(self.unit) for found in self.remains],
+            "agreeing": [found.to_json() for found in self.agreeing],
             "outliers": self.outliers,
             "warnings": self.warnings,
             "next_measurement": self.next_measurement,

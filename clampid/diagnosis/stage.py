@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
-from clampid.diagnosis.confirm import cross_fitted_p, probe_held_out_p
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
@@ -23,16 +22,18 @@ from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.pruning import Refit
+from clampid.diagnosis.remains import remains_of
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, Tried, Undecided
+from clampid.diagnosis.trial import Bench, HeldOut, Tried, Undecided
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate, label_of
 from clampid.evidence.score import Scored
 from clampid.fitting.accuracy import counted, noise_floor
+from clampid.fitting.fit import agreeing_rows
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
@@ -105,7 +106,6 @@ def _looked_through(
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(*counted(fitted.estimate, verification))
-    result.outliers = outliers_of(fitted.estimate)
     bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for), folds)
     result.folds = folds
     result.noise_floor = floor.norm if stage == "poses" else 1.0
@@ -143,18 +143,28 @@ def _looked_through(
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused, *considered_of(look.named, look.named_null)]
     tested = None if verification is None else held.rows
-    if verification is not None:
-        wrong = np.any(verification.used & ~held.rows.used, axis=1)
-        result.outliers += listed_outliers(verification, held.residual, wrong)
+    result.outliers = _rejected(fitted.estimate, verification, held)
     excess = result.after > FAR_OFF * (floor.most if stage == "poses" else 1.0)
-    if result.verdict != "ambiguous" and (excess or _something_left(look, fitted.estimate, tested, seed)):
+    left = remains_of(look, fitted.estimate, held, tested, seed)
+    if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
         _unknown(result, look, fitted.estimate, seed)
+    elif left is not None and not left.matters:
+        result.remains.append(left)
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
+    result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.experiment.rows)
     result.omission, result.fitted, result.look = omission_of(first, fitted.estimate), fitted, look
     _in_words(result, look, floor.source, first.experiment.rows, effects)
     return result
+
+
+def _rejected(estimate: Estimate, verification: Rows | None, held: HeldOut) -> list[dict[str, Any]]:
+    """The rows that the last fit, and the table verification, are without: what the first fit lacked moved rows, too."""
+    if verification is None:
+        return outliers_of(estimate)
+    wrong = np.any(verification.used & ~held.rows.used, axis=1)
+    return [*outliers_of(estimate), *listed_outliers(verification, held.residual, wrong)]
 
 
 def _on_trial(look: Look, refused: Sequence[Tried] = ()) -> list[Candidate]:
@@ -189,6 +199,7 @@ def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effec
         result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free)
     result.one_sided = one_sided(rows)
     said = one_sided_words(result.one_sided, rows, effects)
+    result.warnings += [found.sentence for found in result.agreeing]
     result.warnings += [said] if said else []
     judged = [] if result.folds is None else [result.folds.sentence]
     result.summary = " ".join([summary_of(result), *judged, *result.warnings])
@@ -227,16 +238,3 @@ def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) 
     result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
     if look.fires and look.probe is not None:
         result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
-
-
-def _something_left(look: Look, estimate: Estimate, verification: Rows | None, seed: int) -> bool:
-    """Whether a probe fires, and brings something on rows that no fit has seen.
-
-    Which probe is first without a fifth of the rows is not asked: of an error of several joints, each part of the rows
-    may show another joint's share best.
-    """
-    if not look.fires or look.probe is None:
-        return False
-    if verification is None:
-        return cross_fitted_p(estimate, look.probe, seed) <= HELD_OUT_RATE
-    return probe_held_out_p(estimate, verification, look.probe.candidate, seed) <= HELD_OUT_RATE

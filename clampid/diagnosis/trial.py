@@ -75,6 +75,11 @@ class HeldOut:
         white = noise.whiten(self.rows, self.residual, np.zeros((*self.residual.shape, 0)))
         return np.asarray(np.bincount(white.entry, white.residual**2, minlength=len(self.rows)), dtype=float)
 
+    def exceed(self, other: HeldOut) -> bool:
+        """Whether these errors are larger than another model's, squares over the rows that count in both."""
+        both = (self.rows.used & other.rows.used).any(axis=1)
+        return bool(np.sum((self.squares - other.squares)[both]) > 0.0)
+
     def p_above(self, other: HeldOut, noise: Noise, seed: int) -> float:
         """One-sided p of how far these errors lie above another model's on the same rows.
 
@@ -226,9 +231,9 @@ class Bench:
         if known is not None:
             best, rivals = known, []
         if rivals:
-            return Undecided([best, *rivals], look)
+            return self._undecided(best, rivals, look, fitted, held)
         step = step_towards(fitted.estimate, best)
-        if step is not None and step.falls and step.linear and best.assumed <= MOSTLY:
+        if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
             new = held_out(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
             p_held = held.p_above(new, new.noise, self.seed)
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
@@ -241,6 +246,39 @@ class Bench:
         if known is None:
             others += self._not_linear(look, fitted, best, step, refused)
         return self._judged([self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)], look, held)
+
+    def _undecided(
+        self, best: Scored, rivals: Sequence[Scored], look: Look, fitted: FittedStage, held: HeldOut
+    ) -> Tried | Undecided:
+        """Candidates that explain the same, if any of them lowers the error of rows that no fit has seen.
+
+        What raises it is not missing, whatever else it looks like. That any of them does is asked at one rate, not
+        shared out: look-alikes lower the same errors.
+        """
+        refusal: Tried | None = None
+        for s in (best, *rivals):
+            step = step_towards(fitted.estimate, s)
+            if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
+                trial, kept = fitted, list[Term]()
+                new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
+                p, falls = self._confirmed(held, new)
+            else:  # one step is not the fit: only this tells
+                _, trial, kept, new = self._fitted_along(s, step, fitted)
+                p, falls = _falls(s, trial.estimate, held, new, self.seed)
+            if falls:
+                return Undecided([best, *rivals], look)
+            refusal = refusal or Tried(s, look, trial, kept, new, p, 0.0, NO_FALL)
+        return refusal or Undecided([best, *rivals], look)
+
+    def _plain(self, s: Scored) -> bool:
+        """Whether rows that are not fitted tell of it wherever they are."""
+        effect = self.effects[s.candidate.name]
+        return effect.event is None and effect.scanned is None
+
+    def _confirmed(self, held: HeldOut, new: HeldOut) -> tuple[float, bool]:
+        """One-sided p of the fall of the held-out error, and whether it falls at all and that is no chance."""
+        p = held.p_above(new, new.noise, self.seed)
+        return p, p <= HELD_OUT_RATE and held.exceed(new)
 
     def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
@@ -364,14 +402,22 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
 def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
     """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
 
-    No other sweep tells of an event; other blocks of its own do.
+    No other sweep tells of an event; other blocks of its own do. Of what shows within a few degrees of one joint a
+    verification table may have no row; other visits there do, and it must not raise that table's error.
+
+    The errors as they are printed are to fall as well: whitened errors of a log see what is brief, and alone they would
+    call missing what raises the error that everybody reads.
 
     What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
     error that the model without it reaches, too; it must not raise it.
     """
-    if trial.experiment.effects[best.candidate.name].event is not None:
-        p = event_p(trial, best.candidate.name, seed)
+    effect = trial.experiment.effects[best.candidate.name]
+    if effect.event is not None:
+        p = event_p(trial, effect.name, seed)
         return p, p <= HELD_OUT_RATE
+    if effect.scanned is not None:
+        p = event_p(trial, effect.name, seed)
+        return p, p <= HELD_OUT_RATE and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
     p = held.p_above(new, new.noise, seed)
     told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
-    return p, p <= HELD_OUT_RATE or told
+    return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told

@@ -16,6 +16,10 @@ from clampid.stages.rows import Array, Bools, Rows, lengths
 __all__ = ["listed_outliers", "omission_of", "outliers_of", "summary_of"]
 
 
+FEW_OUTLIERS = 3  # each table of a clean campaign has one with a chance of 1 %, and this many once in a million
+"""From this many rejected rows on the verdict says so."""
+
+
 def outliers_of(estimate: Estimate) -> list[dict[str, Any]]:
     """The rows that the fit has rejected, and the size of their residual: m of a point, Nm over all motors."""
     return listed_outliers(estimate.experiment.rows, estimate.residual, estimate.outliers)
@@ -52,7 +56,21 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
 
 
 def summary_of(result: StageDiagnosis) -> str:
-    """The verdict in a sentence or two."""
+    """The verdict in a sentence or two, what is left at the noise floor, and how many rows were dropped."""
+    notes = [found.sentence(result.unit, result.noise_floor) for found in result.remains]
+    return " ".join([_verdict(result), *notes, *_dropped(result)])
+
+
+def _dropped(result: StageDiagnosis) -> list[str]:
+    """How many rows were rejected, where they are more than a clean table shows by chance."""
+    count = len(result.outliers)
+    if count < FEW_OUTLIERS:
+        return []
+    of = f" of {result.rows}" if result.rows >= count else ""
+    return [f"{count} rows{of} were rejected as outliers and count nowhere."]
+
+
+def _verdict(result: StageDiagnosis) -> str:
 
     def shown(x: float) -> str:
         return error_text(x, result.unit) + ("" if result.unit == "m" else " of the motors' noise")

@@ -97,7 +97,7 @@ def label_of(name: str, places: Sequence[str]) -> str:
 
 
 def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Term]:
-    """Every effect that acts in this stage, at every place where it is not active yet; no events.
+    """Every effect that acts in this stage, at every place where it is not active yet; no events, none scanned.
 
     What refines another effect is looked for where that is: a spring that hardens where there is a spring.
     """
@@ -105,7 +105,9 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     layout = estimate.experiment.rows.layout
     out = []
     for effect in effects.values():
-        if estimate.experiment.stage not in effect.stages or effect.aligns is not None or effect.event is not None:
+        if estimate.experiment.stage not in effect.stages or effect.aligns is not None:
+            continue
+        if effect.event is not None or effect.scanned is not None:
             continue
         if effect.asked:
             continue

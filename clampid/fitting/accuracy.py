@@ -37,11 +37,14 @@ class Floor:
     ----------
     repeats
         Of poses: by how much a robot of that size may come back beside its place, rms in m, where no returns say.
+    freedom
+        Of poses: degrees of freedom of the returns that say so, the fewest of points and distances; 0: none.
     """
 
     sigma: Array
     source: Literal["replicates", "instrument", "log", "regression"]
     repeats: float = 0.0
+    freedom: int = 0
 
     @property
     def norm(self) -> float:
@@ -97,21 +100,25 @@ def _pose_floor(rows: Rows) -> Floor:
     """That of points and of distances, each from its own returns where there are enough, by their shares of rows."""
     kinds = [(~rows.ranged, [0, 1, 2]), (rows.ranged, [6])]
     variances, sources, repeats = [], [], 0.0
+    freedom: list[int] = []
     for mine, channels in kinds:
         if not mine.any() and channels == [6]:
             continue
-        spread = _returns(rows, mine, channels)
-        sources.append("instrument" if spread is None else "replicates")
-        if spread is None:
+        returns = _returns(rows, mine, channels)
+        sources.append("instrument" if returns is None else "replicates")
+        freedom.append(0 if returns is None else returns[1])
+        if returns is not None:
+            spread = returns[0]
+        else:
             repeats += float(np.mean(mine)) * len(channels) / 3.0 * (REPEATS * rows.robot.stretched) ** 2
             spread = np.sqrt(np.mean(rows.sigma[mine][:, channels] ** 2, axis=0)) if mine.any() else np.zeros(3)
         variances.append(np.mean(mine) * spread**2)
     source: Literal["replicates", "instrument"] = "instrument" if "instrument" in sources else "replicates"
-    return Floor(np.sqrt(np.concatenate(variances)), source, float(np.sqrt(repeats)))
+    return Floor(np.sqrt(np.concatenate(variances)), source, float(np.sqrt(repeats)), min(freedom))
 
 
-def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> Array | None:
-    """Pooled standard deviation of channels of some rows ``(N,)`` over comparable returns; None if too few."""
+def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, int] | None:
+    """Pooled standard deviation of channels of some rows ``(N,)`` over returns, degrees of freedom; None if too few."""
     place = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["anchor_is"]]
     warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
     told = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
@@ -123,7 +130,7 @@ def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> Array | None:
     for members in returns:
         x = measured[members]
         squares += ((x - x.mean(axis=0)) ** 2).sum(axis=0)
-    return np.sqrt(squares / freedom)
+    return np.sqrt(squares / freedom), freedom
 
 
 def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:

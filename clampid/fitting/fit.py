@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import linalg, stats
 
+from clampid.fitting.agreeing import Agreement, agreement
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.held_motors import other_crossings
 from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
@@ -17,15 +18,25 @@ from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.experiment import Experiment
-from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows
+from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows, lengths
 from clampid.stages.statements import about
 
-__all__ = ["OUTLIER_PASSES", "OUTLIER_RATE", "OUTLIER_SHARE", "again", "fit", "outlying", "without_outlying"]
+__all__ = [
+    "OUTLIER_PASSES",
+    "OUTLIER_RATE",
+    "OUTLIER_SHARE",
+    "again",
+    "agreeing_rows",
+    "fit",
+    "outlying",
+    "without_outlying",
+]
 
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
 BEYOND = 1.5  # of the farthest row that a fit has kept
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
+AGREEING_SHARE = 2.0 * OUTLIER_SHARE  # of what would be rejected, while it is asked whether most of it agrees
 CROSSING_PASSES = 2
 BAR_PASSES, BAR_MOVED = 3, 0.1  # standard errors of a certified distance
 FIRST = 0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
@@ -43,7 +54,8 @@ def fit(
     """Fit the experiment's slots to its rows.
 
     Weighted first by what the instrument states, then by what the residual shows, in two rounds; in between, rows
-    whose residual a clean table would show with a chance of 1 % are rejected, in at most three passes.
+    whose residual a clean table would show with a chance of 1 % are rejected, in at most three passes; but for rows of
+    poses that agree with each other (:mod:`clampid.fitting.agreeing`).
 
     Parameters
     ----------
@@ -67,12 +79,19 @@ def fit(
     model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
     estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
+    whole, agreed = experiment.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
-        bad = outlying(experiment.rows, estimate.residual) & ~rejected
-        if not bad.any() or (bad | rejected).mean() > OUTLIER_SHARE:
+        if experiment.stage == "poses":  # a wrong row may have pulled others off that are right
+            bad = outlying(whole, estimate.residual) & ~agreed
+        else:
+            bad = rejected | outlying(experiment.rows, estimate.residual)
+        if bad.mean() <= AGREEING_SHARE:
+            agreed |= _agreeing(whole, bad, estimate.residual)
+            bad &= ~agreed
+        if bad.mean() > OUTLIER_SHARE or np.array_equal(bad, rejected):
             break
-        rejected |= bad
-        experiment = experiment.with_rows(experiment.rows.without(bad))
+        rejected = bad
+        experiment = experiment.with_rows(whole.without(rejected))
         estimate = solve(experiment, estimate.theta, model, precision, mean)
     if noise is None:
         for _ in range(1 if experiment.stage == "poses" and weights is None else 2):
@@ -109,6 +128,24 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
         mean = np.where(experiment.held(), estimate.theta, mean)
         estimate = solve(experiment, estimate.theta, estimate.noise, precision, mean)
     return estimate
+
+
+def agreeing_rows(estimate: Estimate) -> list[Agreement]:
+    """Rows of poses that are as far off as outliers are, but agree, so that they are none; of other stages none."""
+    rows = estimate.experiment.rows
+    bad = estimate.outliers | outlying(rows, estimate.residual)
+    if rows.stage != "poses" or bad.mean() > AGREEING_SHARE:
+        return []
+    return agreement(rows, bad, lengths(estimate.residual))
+
+
+def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
+    """Which of the rows that would be rejected agree with each other, so that a model may say what moves them."""
+    out = np.zeros(len(rows), dtype=bool)
+    if rows.stage == "poses":
+        for found in agreement(rows, bad, lengths(residual)):
+            out |= found.rows
+    return out
 
 
 def again(estimate: Estimate, experiment: Experiment, none: Sequence[int]) -> Estimate:

@@ -12,6 +12,7 @@ from clampid.effect import Effect, EffectError
 from clampid.evidence.alignment import Alignment, alignment_of
 from clampid.evidence.events import time_of
 from clampid.evidence.of_size import sized
+from clampid.evidence.scan import place_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import Layout, Slot, Term
 
@@ -28,6 +29,8 @@ def begun(
     fit_terms: FitTerms,
 ) -> tuple[tuple[Term, ...], dict[Slot, float]]:
     """Terms and start values with which a fit can begin.
+
+    An effect that sits somewhere along a joint's angle gets its likeliest place there.
 
     An event whose amplitudes have no start value yet gets the time at which it is likeliest, whatever time is given.
 
@@ -68,6 +71,7 @@ def begun(
         terms = (*rest, *(Term(name, p) for p in shared), *(Term(effect.aligns, p) for p in own))
         start |= estimate.values() | found.values(effect)
     start |= _times(terms, effects, start, fit_terms)
+    start |= _middles(terms, effects, layout, start, fit_terms)
     return terms, start | _sizes(terms, effects, start, fit_terms)
 
 
@@ -98,6 +102,27 @@ def _times(
     for k, term in enumerate(new):
         without = [t for t in terms if t not in new[k:]]
         found |= time_of(fit_terms(without, {**start, **found}), effects[term.effect])
+    return found
+
+
+def _middles(
+    terms: Sequence[Term],
+    effects: Mapping[str, Effect],
+    layout: Layout,
+    start: Mapping[Slot, float],
+    fit_terms: FitTerms,
+) -> dict[Slot, float]:
+    """Where effects sit along a joint's angle that have no start value yet, one joint after the other."""
+    found: dict[Slot, float] = {}
+    known = {(slot.effect, slot.place) for slot in start if effects[slot.effect].scanned == slot.parameter}
+    scanned = [t for t in dict.fromkeys(terms) if effects[t.effect].scanned is not None]
+    every = [Term(t.effect, p) for t in scanned for p in ([t.place] if t.place else layout.allowed(effects[t.effect]))]
+    new = [t for t in every if (t.effect, t.place) not in known]
+    rest = [t for t in terms if t not in scanned]
+    for k, term in enumerate(new):
+        before = [t for t in every if t not in new[k:]]
+        without = fit_terms([*rest, *before], {**start, **found})
+        found |= place_of(without, effects[term.effect], str(term.place))
     return found
 
 

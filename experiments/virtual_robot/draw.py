@@ -174,6 +174,7 @@ def _draw_drive(robot: RobotDescription, rng: np.random.Generator) -> Drive:
         disc=np.zeros((n, DISC_MARKS)),
         disc_turn=np.zeros(n),
         disc_sense=np.ones(n),
+        tooth=np.tile([0.0, 0.0, 1.0], (n, 1)),
         rotor=3e-4 * (rated * ratio / rated[0] / ratio[0]) ** 0.5 * rng.uniform(0.7, 1.3, n),
     )
 

@@ -35,7 +35,7 @@ def gear_output(drive: Drive, motor: Array, zero: Array) -> Array:
     """Return the joint angles that unloaded gears give, rad, (N, n), from motor angles, rad, (N, n)."""
     q = motor @ drive.transmission + zero
     periodic = _twice(drive.eccentricity, q) + _twice(drive.resolver, motor)
-    return np.asarray(q + periodic + _disc_error(drive, q), dtype=float)
+    return np.asarray(q + periodic + _disc_error(drive, q) + _tooth_error(drive, q), dtype=float)
 
 
 def _twice(e: Array, angle: Array) -> Array:
@@ -52,6 +52,13 @@ def _disc_error(drive: Drive, q: Array) -> Array:
     part = turns - before
     left, right = drive.disc[joint, before % marks], drive.disc[joint, (before + 1) % marks]
     return np.asarray(drive.disc_sense * (left + part * (right - left)), dtype=float)
+
+
+def _tooth_error(drive: Drive, q: Array) -> Array:
+    """Return by how much damaged teeth turn the joints, rad, (N, n): while such a tooth is in mesh, else nothing."""
+    height, middle, width = drive.tooth.T
+    away = np.abs(np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi) / width  # in mesh below 1/2
+    return np.asarray(np.where(away < 0.5, height * np.cos(np.pi * np.minimum(away, 0.5)) ** 2, 0.0), dtype=float)
 
 
 def nonlinear_yield(drive: Drive, tau: Array) -> Array:

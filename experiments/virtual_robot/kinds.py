@@ -27,6 +27,7 @@ from experiments.virtual_robot.hidden_drive import (
     hide_resolver,
     hide_reversal,
     hide_soft,
+    hide_tooth,
 )
 from experiments.virtual_robot.hidden_elsewhere import (
     hide_balancer,
@@ -167,6 +168,7 @@ KINDS: dict[str, Kind] = {
     "motor_eccentricity": Kind(hide_resolver, "joint", ("clamped", *POSES), _inner),
     "encoder_disc": Kind(hide_disc, "joints", POSES),
     "different_encoder_discs": Kind(hide_discs, "joints", POSES),
+    "damaged_tooth": Kind(hide_tooth, "joint", POSES, _inner),
     "thermal_expansion": Kind(hide_expansion, "link", POSES, _long),
     "payload": Kind(hide_payload, "tool", EVERYWHERE),
     "stribeck_friction": Kind(hide_stribeck, "joint", TORQUES),

@@ -72,6 +72,7 @@ class Drive:
     disc: Array  # (n, marks) rad by which each encoder's disc is off at equal angles all round
     disc_turn: Array  # (n,) rad by which each drive's disc is turned
     disc_sense: Array  # (n,) ±1, on which of its sides it is read
+    tooth: Array  # (n, 3) rad: how far a damaged tooth turns the joint, the joint angle in its middle, its whole width
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue
 from clampid.diagnosis.alongside import step_towards
 from clampid.diagnosis.look import rivals_of
-from clampid.diagnosis.trial import Tried
+from clampid.diagnosis.remains import CLEARLY, above_the_floor
+from clampid.diagnosis.trial import Tried, Undecided
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored, canonical, score, space_of
@@ -221,3 +222,34 @@ def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campai
     assert uphill is not None
     assert not uphill.falls
     assert not uphill.linear
+
+
+def test_look_alikes_of_which_none_lowers_the_error_of_other_rows_are_no_tie(simulated: Callable[..., Campaign]):
+    """They are refused with their sizes; a true one among them makes it a tie."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
+    model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
+    opened = reopen(model, campaign)
+    fitted = opened.refit("poses")
+    bench = bench_of(opened, fitted, refits(opened))
+    held, look = bench.held_out(fitted), bench.look(fitted, 0)
+    able = [s for s in look.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
+    joints = {s.candidate.places: s for s in able}
+    false = [joints["joint4",], joints["joint6",]]
+    refused = bench._undecided(false[0], false[1:], look, fitted, held)
+    assert isinstance(refused, Tried)
+    assert refused.reason
+    entry = refused.refusal(dict(opened.effects), held.rms)
+    assert entry["parameters"]
+    tie = bench._undecided(false[0], [joints["joint2",]], look, fitted, held)
+    assert isinstance(tie, Undecided)
+
+
+@pytest.mark.parametrize("times", [0.9, 1.05, 1.5])
+def test_an_error_is_above_the_floor_only_where_that_is_no_chance(simulated: Callable[..., Campaign], times: float):
+    """The floor as returns of 30 degrees of freedom tell it: 5 % more may be chance, half as much more is none."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",))
+    opened = reopen(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+    fitted = opened.refit("poses")
+    held = bench_of(opened, fitted, refits(opened)).held_out(fitted)
+    floor = replace(held.floor, sigma=np.full(3, held.rms / times / 3**0.5), source="replicates", freedom=30)
+    assert above_the_floor(replace(held, floor=floor), CLEARLY) == (times > 1.4)

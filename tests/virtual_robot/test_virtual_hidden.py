@@ -49,6 +49,7 @@ FAINT = {
     "torque_ripple": 0.1,
     "gravity_compensator": 0.0,
     "asymmetric_friction": 0.0,
+    "damaged_tooth": 0.0,
 }
 
 

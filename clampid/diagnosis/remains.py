@@ -1,0 +1,127 @@
+"""What a probe still finds in a fit's residual: structure that matters, or a note.
+
+A probe that fires, and lowers the error of rows that no fit has seen, has found something that is there. Whether a
+verdict has to say so is a matter of size. It matters where the held-out error is clearly above the noise floor (one
+sided, :data:`CLEARLY`, both known only so well as units of noise and returns tell them), or where the probe lowers it
+by at least what a diagnosis promises to find (:data:`MATTERS`). Else it is a note with its size: the held-out error is
+the noise floor's with it or without it.
+
+The floor of poses comes from returns and from the instrument, which no model has shaped: an error at or below it has
+no room for anything that matters. A log's is taken from what a fit leaves and may hold some of what the fit lacks, so
+that there the probe's size decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from clampid.diagnosis.confirm import Fall, cross_fitted_fall, probe_held_out_fall
+from clampid.diagnosis.drift import blocks_of_visits
+from clampid.diagnosis.entries import variables_of
+from clampid.diagnosis.look import Look
+from clampid.diagnosis.trial import HELD_OUT_RATE, HeldOut
+from clampid.display import error_text
+from clampid.fitting.solve import Estimate
+from clampid.stages.rows import Rows
+
+__all__ = ["CLEARLY", "MATTERS", "Remains", "above_the_floor", "remains_of"]
+
+CLEARLY = 0.05  # chance that an error at the floor is said to be above it
+MATTERS = 0.4  # noise floors, rms: from this size on what is missing is found in 95 % (DIAGNOSIS' acceptance)
+
+
+@dataclass(frozen=True)
+class Remains:
+    """Structure that a probe finds.
+
+    Attributes
+    ----------
+    depends_on
+        Recorded variables.
+    where
+        The joint, frame or motor.
+    size
+        rms of what the probe takes from the held-out error, in the stage's unit.
+    p
+        One-sided, of that fall.
+    matters
+        Whether the verdict is to say so.
+    """
+
+    depends_on: tuple[str, ...]
+    where: tuple[str, ...]
+    size: float
+    p: float
+    matters: bool
+
+    def to_json(self, unit: str) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "depends_on": list(self.depends_on),
+            "where": list(self.where),
+            "size": self.size,
+            "unit": unit,
+            "p_held_out": self.p,
+        }
+
+    def sentence(self, unit: str, floor: float) -> str:
+        """For people, where it does not matter."""
+        size = error_text(self.size, unit)
+        return (
+            f"At the noise floor a pattern of {size} rms is left that depends on {', '.join(self.depends_on)}; too "
+            f"small beside the floor of {error_text(floor, unit)} to change the verdict."
+        )
+
+
+def remains_of(look: Look, estimate: Estimate, held: HeldOut, verification: Rows | None, seed: int) -> Remains | None:
+    """What the best probe of a look finds, if it fires and lowers the error of rows that no fit has seen; else None.
+
+    Which probe is first without a fifth of the rows is not asked: of an error of several joints, each part of the rows
+    may show another joint's share best.
+    """
+    if not look.fires or look.probe is None:
+        return None
+    fall: Fall
+    if verification is None:
+        fall = cross_fitted_fall(estimate, look.probe, seed)
+    else:
+        fall = probe_held_out_fall(estimate, verification, look.probe.candidate, seed)
+    if fall.p > HELD_OUT_RATE:
+        return None
+    size = float(np.sqrt(max(fall.share, 0.0))) * held.rms
+    poses = estimate.experiment.stage == "poses"
+    floor = held.floor.norm if poses else 1.0
+    large = size >= MATTERS * floor and not (poses and held.rms <= floor)
+    found = variables_of(look)
+    return Remains(tuple(found), look.probe.candidate.places, size, fall.p, large or above_the_floor(held, CLEARLY))
+
+
+def above_the_floor(held: HeldOut, rate: float) -> bool:
+    """Whether a held-out error is above the noise floor by more than chance, at that rate.
+
+    The mean square's variance is that of the units' sums (visits, blocks of a log); the floor's is that of its returns,
+    or, of a log, that of as many rows. Where only the instrument's maker says what the floor is, the robot's usual
+    repeatability comes on top.
+    """
+    squares, (counts, width) = held.squares, _counted(held)
+    _, unit = np.unique(blocks_of_visits(held.rows, held.block), return_inverse=True)
+    total, number = np.bincount(unit, squares), np.bincount(unit, counts)
+    mean = float(total.sum() / max(number.sum(), 1.0))
+    variance = float(np.sum((total - mean * number) ** 2)) / max(float(number.sum()), 1.0) ** 2
+    if held.rows.stage != "poses":
+        return bool(mean - 1.0 > stats.norm.isf(rate) * np.sqrt(2.0 * variance))
+    floor = held.floor
+    level = floor.norm**2 if floor.source == "replicates" else floor.most**2
+    known = 2.0 * level**2 / (width * floor.freedom) if floor.freedom else 0.0
+    return bool(mean - level > stats.norm.isf(rate) * np.sqrt(variance + known))
+
+
+def _counted(held: HeldOut) -> tuple[np.ndarray, int]:
+    """How many errors each row has ``(N,)``, and of how many coordinates a pose's is."""
+    if held.rows.stage == "poses":
+        return held.rows.used.any(axis=1).astype(float), 3
+    return held.rows.used.sum(axis=1).astype(float), 1

@@ -1,0 +1,49 @@
+"""Angle error over a few degrees of a joint: a damaged tooth, a dent in a bearing's ring, dirt on an encoder's disc.
+
+It comes again with every turn of the joint and is nothing elsewhere, so that harmonics of the revolution say it badly:
+a bump of 15 degrees takes two dozen of them. Where it sits is not known beforehand: diagnosis tries every place that
+poses visited, and a fit begins at the likeliest one. Whatever the true shape, a bump has a height, a middle and a
+width; the raised cosine is the smooth one of them that ends.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import cos, pi, turned_by, within
+from clampid.effect import Effect, Parameter
+
+
+def error(p: Any, x: Any) -> Any:
+    """Dq = h (1 + cos(2 pi d / w)) / 2 where d, by how much the joint has turned from the middle, is below w / 2."""
+    d = turned_by(x.q - p.middle)
+    return 0.5 * p.height * (1.0 + cos(2.0 * pi * d / p.width)) * within(d, -0.5 * p.width, 0.5 * p.width)
+
+
+EFFECT = Effect(
+    name="local_angle_error",
+    family="gear_eccentricity",
+    acts={"joint_angle": error},
+    parameters=(
+        Parameter("height", "rad", 2e-4, "joint", (-0.05, 0.05), "angle error in the middle"),
+        Parameter("middle", "rad", pi, "joint", meaning="joint angle where it is largest", shape=True, grid=(0.0,)),
+        Parameter(
+            "width",
+            "rad",
+            0.13,
+            "joint",
+            (0.035, 1.05),
+            "from where it begins to where it ends",
+            shape=True,
+            grid=(0.26, 0.13, 0.52),
+        ),
+    ),
+    needs=("q",),
+    stages=("poses",),
+    equation="dq = h (1 + cos(2 pi d / w)) / 2 for |d| < w / 2, else 0; d = q - c, whole turns apart",
+    source=("UniversalModel",),
+    tried="places",
+    tried_on="revolute",
+    scanned="middle",
+    meaning="periodic in the joint's angle, over a few degrees only",
+)

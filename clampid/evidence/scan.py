@@ -1,0 +1,251 @@
+"""Effects that sit somewhere along a joint's angle and are nothing elsewhere, tried at every place that poses visited.
+
+A place's column is what the joint's angle does to the measurement times the effect's shape about that place, so that
+the effect is evaluated once and a place costs a sparse product. Of each joint the best place becomes a candidate, its
+shape refined between the places tried, which pays for its shapes as for amplitudes. A place needs visits that tell it:
+what one visit shows is that visit's own.
+
+What such an effect moves are a few visits, and flipping the signs of a dozen that all are far off leaves sums as large
+as theirs far too often. The null is therefore that any visit may have any other's error: what each visit says of a
+joint's angle, in standard deviations and three of these at most, is exchanged at random among the visits. The largest
+over all places of all joints follows Gumbel's law of extremes, fitted to the exchanges by its mean and variance. The
+p-value of a candidate is that of this maximum, and a single test more in the dictionary of named effects. Sources:
+Fisher, The Design of Experiments, 1935, for the exchange; Gumbel, Statistics of Extremes, 1958.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy import optimize, sparse
+
+from clampid.effect import Effect
+from clampid.evidence.candidates import Candidate
+from clampid.evidence.columns import Columns, channel_starts
+from clampid.evidence.score import WEAK, Scored, Space, score, space_of
+from clampid.fitting.noise import NORMAL, Whitened
+from clampid.fitting.solve import Estimate
+from clampid.slots import Slot, Term
+from clampid.stages import poses
+from clampid.stages.experiment import parameter_of
+from clampid.stages.rows import Array, Integers
+
+__all__ = ["FEWEST_VISITS", "place_of", "scan"]
+
+FEWEST_VISITS = 4  # that show a bump: a height, a middle and a width, and one that may contradict them
+INSIDE = 0.1  # of its height, which a visit must see of a bump to count
+TABLE = 3600  # angles a turn at which a shape is tabulated
+FARTHEST = 3.0  # standard deviations that a visit counts for in the null: three of which one is wrong are no bump
+STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to place: at most a tenth of it is missed
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Every place of one joint.
+
+    Attributes
+    ----------
+    shapes
+        Values of the effect's shapes at each.
+    explained
+        ``(C,)``: as of :class:`clampid.evidence.score.Scored`.
+    weight, says
+        ``(V, C)`` of unit length, and ``(V,)``: how much each visit sees of each place, and what it says of the joint's
+        angle, in standard deviations of what all visits say (by their median), :data:`FARTHEST` at most.
+    levers
+        Whitened effect of the joint's angle.
+    """
+
+    effect: Effect
+    joint: int
+    shapes: tuple[Mapping[str, float], ...]
+    explained: Array
+    weight: sparse.csc_matrix
+    says: Array
+    levers: Whitened
+
+    def statistic(self, says: Array) -> Array:
+        """What each place explains of that ``(..., V)``: ``(..., C)``, of mean one where nothing is there."""
+        return np.asarray(says @ self.weight) ** 2
+
+
+def scan(estimate: Estimate, space: Space, effects: Mapping[str, Effect], exchanges: int, seed: int) -> list[Scored]:
+    """Each scanned effect at the best place of each joint that lacks it; p-values are of all places of all joints."""
+    tried = _all_places(estimate, space, effects)
+    if not tried:
+        return []
+    rng, maxima = np.random.default_rng(seed), np.zeros(exchanges)
+    for t in tried:
+        order = np.argsort(rng.random((exchanges, len(t.says))), axis=1)
+        maxima = np.maximum(maxima, t.statistic(t.says[order]).max(axis=1))
+    spread = max(float(np.std(maxima)) * np.sqrt(6.0) / np.pi, 1e-9)
+    middle = float(np.mean(maxima)) - np.euler_gamma * spread
+    found = []
+    for t in tried:
+        best = _refined(estimate, space, t)
+        s = score(space, [best])[0]
+        off = (float(t.statistic(t.says).max()) - middle) / spread
+        log_p = float(np.log(-np.expm1(-np.exp(-off)))) if off < 30.0 else -off
+        chosen = len(best.shapes) * float(np.log(max(space.rows, 2)))
+        found.append(replace(s, log_p=min(log_p, 0.0), cost=s.cost + chosen, bic=s.bic - chosen))
+    return found
+
+
+def place_of(estimate: Estimate, effect: Effect, place: str) -> dict[Slot, float]:
+    """Shapes of an absent effect at the likeliest place of a joint; empty where no place shows it."""
+    space = space_of(estimate)
+    tried = _all_places(estimate, space, {effect.name: effect}, (place,))
+    return dict(_refined(estimate, space, tried[0]).shapes) if tried else {}
+
+
+def _all_places(
+    estimate: Estimate, space: Space, effects: Mapping[str, Effect], only: Iterable[str] | None = None
+) -> list[_Tried]:
+    """Every place of every joint at which a scanned effect is not active."""
+    rows, stage = estimate.experiment.rows, estimate.experiment.stage
+    wanted = [e for e in effects.values() if e.scanned is not None and stage in e.stages]
+    if stage != "poses" or not wanted:
+        return []
+    theta, offsets = estimate.theta[: len(estimate.slots)], estimate.experiment.chain.offsets
+    _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.experiment.chain, theta))
+    unit = sensitivity[:, :, offsets["joint_angle"]]
+    levers = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
+    active = {(slot.effect, slot.place) for slot in estimate.slots}
+    found = []
+    for effect in wanted:
+        tables = _tables(effect)
+        for j, joint in enumerate(rows.robot.joints):
+            place = f"joint{j + 1}"
+            if (effect.name, place) in active or (only is not None and place not in only):
+                continue
+            if effect.tried_on in (None, joint.kind):
+                tried = _places(estimate, space, effect, j, levers, tables)
+                found += [] if tried is None else [tried]
+    return found
+
+
+def _tables(effect: Effect) -> list[tuple[Mapping[str, float], Array]]:
+    """What a unit of the amplitude is over a turn ``(TABLE,)`` from its middle on, by values of the other shapes."""
+    shapes = [p for p in effect.parameters if p.shape and p.name != effect.scanned]
+    amplitude = next(p for p in effect.parameters if not p.shape)
+    angle = ca.DM(np.arange(TABLE) * 2.0 * np.pi / TABLE)
+    out: list[tuple[Mapping[str, float], Array]] = []
+    for values in product(*(p.grid for p in shapes)):
+        chosen = dict(zip((p.name for p in shapes), values, strict=True))
+        p: Any = SimpleNamespace(**{amplitude.name: 1.0, str(effect.scanned): 0.0, **chosen})
+        deviation = effect.acts["joint_angle"](p, SimpleNamespace(q=angle))
+        out.append((chosen, np.asarray(deviation, dtype=float).ravel()))
+    return out
+
+
+def _places(
+    estimate: Estimate,
+    space: Space,
+    effect: Effect,
+    j: int,
+    levers: Whitened,
+    tables: list[tuple[Mapping[str, float], Array]],
+) -> _Tried | None:
+    """All places of one joint; None where no pose shows any."""
+    rows = estimate.experiment.rows
+    at = np.rint(np.mod(rows.signals["q"][:, j], 2.0 * np.pi) * TABLE / (2.0 * np.pi)).astype(np.int64)
+    lever = levers.jacobian[:, j]
+    seen = np.zeros(len(rows), dtype=bool)
+    seen[levers.entry[lever != 0.0]] = True
+    _, visit = np.unique(rows.unit, return_inverse=True)
+    shapes: list[Mapping[str, float]] = []
+    functions = []
+    for chosen, table in tables:
+        size = np.abs(table) / np.abs(table).max()
+        inside = size > INSIDE
+        for k in range(0, TABLE, max(1, int(STEP * np.count_nonzero(size > 0.5)))):
+            near = seen & inside[(at - k) % TABLE]
+            if len(np.unique(visit[near])) >= FEWEST_VISITS:
+                middle = float(np.remainder(2.0 * np.pi * k / TABLE + np.pi, 2.0 * np.pi) - np.pi)
+                shapes.append({str(effect.scanned): middle, **chosen})
+                functions.append(table[(at - k) % TABLE])
+    if not shapes:
+        return None
+    D = (sparse.diags(lever) @ sparse.csr_matrix(np.array(functions).T)[levers.entry]).tocsc()
+    absorbed = np.asarray(D.T @ space.basis[: space.rows])  # (C, r)
+    gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
+    left = gram - np.sum(absorbed**2, axis=1)
+    able = np.flatnonzero(left > WEAK * np.maximum(gram, 1e-300))
+    if not len(able):
+        return None
+    explained = np.asarray(D[:, able].T @ space.residual[: space.rows]) ** 2 / (space.scale**2 * left[able])
+    weight, says = _by_visit(space, visit[levers.entry], lever, D[:, able])
+    return _Tried(effect, j, tuple(shapes[k] for k in able), explained, weight, says, levers)
+
+
+def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix) -> tuple[sparse.csc_matrix, Array]:
+    """Of the visits that see a joint's angle, the weights and what they say, as :class:`_Tried` has them."""
+    count = int(visit.max(initial=-1)) + 1
+    sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
+    able = sees > 1e-9 * sees.max(initial=0.0)
+    says = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
+    says = np.clip(says / max(NORMAL * float(np.median(np.abs(says))), 1e-300), -FARTHEST, FARTHEST)
+    member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
+    weight = sparse.diags(1.0 / sees[able]) @ (member @ D)[able]
+    length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())
+    return (weight @ sparse.diags(1.0 / np.maximum(length, 1e-300))).tocsc(), says
+
+
+def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
+    """The best place with the shapes, between those tried, at which it explains most; bounds of shapes hold."""
+    at = dict(tried.shapes[int(np.argmax(tried.explained))])
+    bounds = {name: tried.effect.by_name[name].bounds for name in at}
+    step = {name: 0.25 * tried.effect.by_name[name].size for name in at} | {str(tried.effect.scanned): 0.02}
+
+    def worse(x: Array) -> float:
+        shapes = dict(zip(at, map(float, x), strict=True))
+        if any(not bounds[name][0] <= value <= bounds[name][1] for name, value in shapes.items()):
+            return 0.0
+        c = _column(estimate, tried, shapes)
+        own = space.basis[: space.rows].T @ c
+        left = float(c @ c - own @ own)
+        return -(float(c @ space.residual[: space.rows]) ** 2) / left if left > WEAK * float(c @ c) > 0.0 else 0.0
+
+    start = np.array(list(at.values()))
+    simplex = np.vstack([start, *(start + step[name] * np.eye(len(at))[k] for k, name in enumerate(at))])
+    options = {"initial_simplex": simplex, "maxfev": 30 * len(at), "xatol": 1e-4, "fatol": 0.1}
+    best = optimize.minimize(worse, start, method="Nelder-Mead", options=options)
+    found = best.x if best.fun <= worse(start) else start
+    return _candidate(estimate, tried, dict(zip(at, map(float, found), strict=True)))
+
+
+def _column(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Array:
+    """The whitened column ``(M,)`` of a joint's effect with some shapes."""
+    q = ca.DM(estimate.experiment.rows.signals["q"][:, tried.joint])
+    amplitude = next(p.name for p in tried.effect.parameters if not p.shape)
+    p: Any = SimpleNamespace(**{amplitude: 1.0, **shapes})
+    values = np.asarray(tried.effect.acts["joint_angle"](p, SimpleNamespace(q=q)), dtype=float).ravel()
+    return np.asarray(tried.levers.jacobian[:, tried.joint] * values[tried.levers.entry])
+
+
+def _candidate(estimate: Estimate, tried: _Tried, shapes: Mapping[str, float]) -> Candidate:
+    """A joint's effect with some shapes as a candidate."""
+    effect, place, white = tried.effect, f"joint{tried.joint + 1}", estimate.whitened
+    amplitude = next(p for p in effect.parameters if not p.shape)
+    slot = Slot(effect.name, amplitude.name, place)
+    parameter = parameter_of(slot, {effect.name: effect}, estimate.experiment.rows.robot)
+    column = _column(estimate, tried, shapes)[:, None]
+    pieces = tuple((start, column[start:stop]) for start, stop in channel_starts(white))
+    return Candidate(
+        name=effect.name,
+        family=effect.family,
+        terms=(Term(effect.name, place),),
+        slots=(slot,),
+        shapes={Slot(effect.name, name, place): value for name, value in shapes.items()},
+        columns=Columns(pieces, 1),
+        depends_on=(),
+        places=(place,),
+        reasonable=np.array([parameter.size]),
+        units=(parameter.unit,),
+    )
