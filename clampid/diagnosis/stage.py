@@ -115,8 +115,7 @@ def _looked_through(
         return again(finer)
     held = bench.held_out(fitted)
     result.before = result.after = held.rms
-    if look.fires and look.probe is not None:
-        result.depends_on = list(look.probe.candidate.depends_on)
+    result.depends_on = list(look.probe.candidate.depends_on) if look.fires and look.probe is not None else []
     steps: list[Confirmed] = []
     undecided: list[Undecided] = []
     here: list[dict[str, Any]] = []
@@ -160,7 +159,7 @@ def _looked_through(
 
 
 def _rejected(estimate: Estimate, verification: Rows | None, held: HeldOut) -> list[dict[str, Any]]:
-    """The rows that the last fit, and the table verification, are without: what the first fit lacked moved rows, too."""
+    """Rows that the last fit and the table verification are without: what the first fit lacked moved rows, too."""
     if verification is None:
         return outliers_of(estimate)
     wrong = np.any(verification.used & ~held.rows.used, axis=1)
