@@ -37,7 +37,7 @@ NEIGHBOURS = 16  # at least
 WINDOW_S = 0.02  # the shortest over which speeds and accelerations are taken
 TOGETHER_S = 0.01  # rows within it are one number to the noise
 CREDIBLE = 2.0  # standard errors
-CHOICE_WINDOWS = 2  # windows of a long log by which it is chosen how its motion is taken
+CHOICE_EVERY, CHOICE_ROWS = 50 * WINDOW, 2 * WINDOW  # of a long log: by which it is chosen how its motion is taken
 CLEAR_MOTION = 0.02  # of the top speed of the log
 STEADY = 0.15  # of the log's largest acceleration of a joint
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
@@ -342,9 +342,9 @@ def _rows_before(parts: Sequence[LogPart]) -> list[int]:
 
 
 def _some_windows(table: LogTable, columns: Sequence[str], window: int, halo: int) -> Iterator[Window]:
-    """The windows of a short table; of a long one the first few of every hundred."""
-    for k, w in enumerate(windows(table, columns, window, halo)):
-        if k % 100 < CHOICE_WINDOWS:
+    """The windows of a short table; of a long one those that begin in the first rows of every stretch."""
+    for w in windows(table, columns, window, halo):
+        if (w.first + w.start) % CHOICE_EVERY < CHOICE_ROWS:
             yield w
 
 
