@@ -124,7 +124,7 @@ def _stretch(values: Array, known: Array, wanted: Array, half: int, order: int, 
     values = values - base
     out = np.empty((len(wanted), values.shape[1]), order="F")
     known, pieces = _evened(known, step)
-    if half >= _MANY and length > 4 * half and _inside(pieces, half) < _SHARE * length:
+    if half >= _MANY and length > 4 * half and _inside(pieces, half) < _SHARE * (length - 2 * half):
         return _through_grid(values, known, wanted, half, order, step) + (base if order == 0 else 0.0)
     if len(wanted) == length:
         place, wanted = np.arange(length), known
