@@ -16,7 +16,7 @@ __all__ = ["toml_text"]
 
 
 def toml_text(raw: Mapping[str, Any]) -> str:
-    """Write a header as TOML: plain keys first, then one section per mapping, and one per entry of a list of them.
+    """Write a header as TOML: plain keys first, then one section per mapping.
 
     Parameters
     ----------
@@ -33,22 +33,11 @@ def toml_text(raw: Mapping[str, Any]) -> str:
     CampaignError
         If a value is of a kind that TOML text is not written for here.
     """
-    plain = {k: v for k, v in raw.items() if not isinstance(v, Mapping) and not _is_array_of_tables(v)}
-    lines = [f"{_key(k)} = {_value(k, v)}" for k, v in plain.items()]
+    lines = [f"{_key(k)} = {_value(k, v)}" for k, v in raw.items() if not isinstance(v, Mapping)]
     for name, section in raw.items():
         if isinstance(section, Mapping):
             lines += ["", f"[{_key(name)}]", *(f"{_key(k)} = {_value(k, v)}" for k, v in section.items())]
-        elif _is_array_of_tables(section):
-            for entry in section:
-                lines += ["", f"[[{_key(name)}]]", *(f"{_key(k)} = {_value(k, v)}" for k, v in entry.items())]
     return "\n".join(lines) + "\n"
-
-
-def _is_array_of_tables(value: Any) -> bool:
-    return (
-        isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 0
-        and all(isinstance(v, Mapping) for v in value)
-    )  # fmt: skip
 
 
 def _key(key: str) -> str:

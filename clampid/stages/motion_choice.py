@@ -41,7 +41,8 @@ BLOCKS = 25  # of the log, in five folds that alternate: a block's neighbours ar
 FOLDS = 5
 ROWS = 4000  # of the log, about, that are regressed
 CLEAR = 2.0  # standard errors of the paired difference
-RIDGE = 1e-8  # of the balanced normal matrix: what the motion does not show is not fitted
+ROUNDING = 1e-9  # of the largest column
+RIDGE = 1e-6  # of the balanced normal matrix: what the motion does not show is not fitted
 
 
 class Motion(Protocol):
@@ -223,7 +224,11 @@ def _squares(both: Array, block: Integers) -> Array:
 
     NaN for blocks in which the motor does not move.
     """
-    fold, both = block % FOLDS, both[:, np.r_[np.any(both[:, :-1] != 0.0, axis=0), True]]  # what turns with this motor
+    size = np.linalg.norm(both, axis=0)
+    # What turns without this motor is zero but for rounding; balanced, that would be columns of noise.
+    kept = size > ROUNDING * size.max()
+    kept[-1] = True
+    fold, both = block % FOLDS, both[:, kept]
     grams = np.array([both[fold == f].T @ both[fold == f] for f in range(FOLDS)])
     total, out = grams.sum(axis=0), np.full(BLOCKS, np.nan)
     for f in range(FOLDS):
