@@ -230,21 +230,26 @@ def _squares(both: Array, block: Integers) -> Array:
     kept[-1] = True
     fold, both = block % FOLDS, both[:, kept]
     grams = np.array([both[fold == f].T @ both[fold == f] for f in range(FOLDS)])
-    total, out = grams.sum(axis=0), np.full(BLOCKS, np.nan)
+    out = np.full(BLOCKS, np.nan)
     for f in range(FOLDS):
         mine = fold == f
         if not mine.any():
             continue
-        theta = _solved(total - grams[f])
+        # Added, not taken off the whole: where a column is of this fold alone, a difference would leave rounding.
+        theta = _solved(grams[np.arange(FOLDS) != f].sum(axis=0), np.diag(grams.sum(axis=0))[:-1])
         left = (both[mine, -1] - both[mine, :-1] @ theta) ** 2
         sums, counts = (np.bincount(block[mine], w, minlength=BLOCKS) for w in (left, np.ones(len(left))))
         out[counts > 0] = sums[counts > 0] / counts[counts > 0]
     return out
 
 
-def _solved(gram: Array) -> Array:
-    """Least squares from the sums of products of columns and, last, target; what they do not show stays near zero."""
+def _solved(gram: Array, squares: Array) -> Array:
+    """Least squares from the sums of products of columns and, last, target; what they do not show stays near zero.
+
+    ``squares`` ``(p,)``: of each column over the whole log, by which they are balanced: a column that is next to nothing
+    in these rows is not shown by them.
+    """
     A, b = gram[:-1, :-1], gram[:-1, -1]
-    balance = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    balance = 1.0 / np.sqrt(np.maximum(squares, 1e-300))
     balanced = A * np.outer(balance, balance) + RIDGE * np.eye(len(A))
     return np.asarray(balance * linalg.solve(balanced, b * balance, assume_a="pos"))

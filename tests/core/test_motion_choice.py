@@ -10,7 +10,9 @@ import pytest
 
 from clampid.comparison.compare import compare
 from clampid.identification.identify import identify, standard_effects
+from clampid.stages import motion_choice
 from clampid.stages.log_facts import WINDOW_S, LogFacts, facts_of, log_parts
+from clampid.stages.motion_choice import BLOCKS
 from experiments.campaign import Campaign, read_campaign
 from experiments.log_windows import windows
 from experiments.second_world import draw_robot, measure
@@ -118,3 +120,14 @@ def test_dynamics_of_a_real_arm() -> None:
     found = np.array([m["r2"] for m in motors])
     assert np.all(np.delete(found - np.array(BAR), 4) > 0.0), found
     assert found[4] > 0.95
+
+
+def test_what_one_fold_alone_shows_is_not_rounding_of_the_others() -> None:
+    """Two joints move in one stretch of a planned log, and elsewhere next to nothing; the rest predicts that stretch."""
+    rng = np.random.default_rng(3)
+    block = np.repeat(np.arange(BLOCKS), 40)
+    both = rng.standard_normal((len(block), 6))
+    both[block % 5 != 2, 2:5] *= 1e-10
+    left = motion_choice._squares(both, block)
+    assert np.all(np.isfinite(left))
+    assert np.all(left < 3.0)
