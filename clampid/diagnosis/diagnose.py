@@ -70,7 +70,8 @@ def diagnose(
 
     The model's active effects are fitted to the campaigns first, from the model's values, so that what they could still
     absorb is not taken for evidence. A stage is diagnosed with the loads, frictions and springs that those before it
-    have with what was found missing there: it would show in it, too, under another name.
+    have with what was found missing there: it would show in it, too, under another name. What their rows could not tell
+    apart is open in it: the loads come with the errors that they have with one of these fitted along.
 
     Parameters
     ----------
@@ -103,8 +104,9 @@ def diagnose(
             if stage == "poses" and right is not None:  # else what a compensation did would go by other names
                 mending = replace(mending, campaigns=right.campaigns, base=right.base)
             found[stage] = part = _one(mending, stage, seed, flips, plan_for)
-            if part.added and part.fitted is not None:
-                mending = replace(mending, stages={**mending.stages, stage: part.fitted.model})
+            taken = part.open or (part.fitted if part.added else None)
+            if taken is not None:
+                mending = replace(mending, stages={**mending.stages, stage: taken.model})
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
     if compensation is not None and "poses" in found:
         rest = "" if right is None else sent_elsewhere(compensation)

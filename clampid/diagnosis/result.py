@@ -49,7 +49,8 @@ class StageDiagnosis:
     ``steps``: what was confirmed, one after the other, each on top of those before it. ``look``: the last one, at what
     the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with each
     other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts of
-    runs were held out, where these were not whole.
+    runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows cannot
+    tell apart: what later stages take over, because the parameters' errors in it have room for that.
     """
 
     stage: Stage
@@ -79,6 +80,7 @@ class StageDiagnosis:
     one_sided: list[OneSided] = field(default_factory=list)
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
+    open: FittedStage | None = None
     folds: Folds | None = None
 
     @property

@@ -127,8 +127,11 @@ def _looked_through(
         here = [t.refusal(effects, held.rms) for t in others]
         if isinstance(tried, Undecided):
             beside = bench.beside(tried, fitted, number)
-            undecided = beside if isinstance(beside, list) else []
-            tried = None if isinstance(beside, list) else bench.fitted_with(beside, fitted)
+            alone = None if isinstance(beside, list) else bench.fitted_with(beside, fitted, held)
+            undecided = beside if isinstance(beside, list) else [] if alone is None or not alone.reason else [tried]
+            if alone is not None and alone.reason:
+                here.append(alone.refusal(effects, held.rms))
+            tried = alone if not undecided else None
         if tried is None:
             break
         steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(here))], dropped)
@@ -138,6 +141,8 @@ def _looked_through(
     refused = _set_down(result, steps, here, effects, fitted.estimate)
     if undecided:
         _undecided(result, undecided, effects, fitted.estimate, propose, partial(bench.alone, fitted))
+        if stage != "poses":
+            result.open = bench.with_undecided(undecided, fitted, fitted)[0]
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused, *considered_of(look.named, look.named_null)]

@@ -34,6 +34,7 @@ STABLE = 0.6  # the majority of five parts of the rows
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
 RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
+ONLY_BESIDE = "the held-out error falls only beside what these rows cannot tell apart"
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -364,6 +365,13 @@ class Bench:
         self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage, number: int
     ) -> tuple[FittedStage, Look]:
         """The first of each group fitted along, from the ``last`` fit, and a look at what that and the others leave."""
+        whole, granted = self.with_undecided(groups, fitted, last)
+        return whole, self.look(whole, 2 * number - 1, granted)
+
+    def with_undecided(
+        self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage
+    ) -> tuple[FittedStage, list[Candidate]]:
+        """The first of each group fitted along, from the ``last`` fit, and the others that are linear, not fitted."""
         members = [s.candidate for group in groups for s in group.members]
         firsts = {group.members[0].candidate.label for group in groups}
         granted = [c for c in members if c.label not in firsts and self._linear(c)]
@@ -372,19 +380,22 @@ class Bench:
         shapes = {slot: value for c in reversed(fitted_too) for slot, value in c.shapes.items()}
         step = step_towards(last.estimate, groups[-1].members[0])
         near = step.near.values() if step is not None and step.falls else last.model.values()
-        start = {**shapes, **near}
-        whole = self.refit([*fitted.model.terms, *terms], last, start)
-        return whole, self.look(whole, 2 * number - 1, granted)
+        return self.refit([*fitted.model.terms, *terms], last, {**shapes, **near}), granted
 
     def _linear(self, candidate: Candidate) -> bool:
         """Whether its columns say all of it: no prior limits its amplitudes, and it is no event."""
         return candidate.prior is None and self.effects[candidate.name].event is None
 
-    def fitted_with(self, tried: Tried, fitted: FittedStage) -> Tried:
-        """What was confirmed beside undecided candidates, fitted without them."""
+    def fitted_with(self, tried: Tried, fitted: FittedStage, held: HeldOut) -> Tried:
+        """What was confirmed beside undecided candidates, fitted without them; refused where alone it brings nothing.
+
+        ``held``: errors of the fit without it.
+        """
         shapes = {k: v for k, v in tried.fitted.model.values().items() if k in tried.best.candidate.shapes}
         alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
-        return replace(tried, fitted=alone, held=self.held_out(alone))
+        new = self.held_out(alone)
+        lowers = held.exceed(new) or not self._plain(tried.best)  # what rows not fitted cannot tell of need lower nothing
+        return replace(tried, fitted=alone, held=new, reason="" if lowers else ONLY_BESIDE)
 
 
 def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> bool:

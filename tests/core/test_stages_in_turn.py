@@ -51,3 +51,18 @@ def test_poses_alone_know_nothing_of_the_log(campaign: Campaign, mended: tuple[M
     """Asked for the poses only, of a model without it, they call what they see by the name that they have."""
     poses = diagnose(identify(campaign), campaign, stages=["poses"]).stages["poses"]
     assert BALANCER not in {c["effect"] for c in poses.candidates}
+
+
+def test_what_a_log_leaves_open_is_no_gear_in_poses(simulated: Callable[..., Campaign]):
+    """An offset of joint 2's torque is one of three names by the log alone, so that none of them is added.
+
+    Gravity then has the errors that it has with one of them fitted along: the poses are told so, and see no eccentric
+    gear in what the offset has done to it.
+    """
+    tables = ("free_air", "wrist", "poses", "verification")
+    campaign = simulated(seed=2, poses=100, tables=tables, hidden=("torque_offset@joint2",))
+    found = diagnose(identify(campaign), campaign).stages
+    assert found["free_air"].verdict == "ambiguous"
+    assert found["free_air"].candidates[0]["name"] == "torque_offset"
+    assert found["poses"].verdict == "adequate"
+    assert found["poses"].after < 1.15 * found["poses"].noise_floor
