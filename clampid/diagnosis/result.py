@@ -50,7 +50,8 @@ class StageDiagnosis:
     the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with each
     other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts of
     runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows cannot
-    tell apart: what later stages take over, because the parameters' errors in it have room for that.
+    tell apart: what later stages take over, because the parameters' errors in it have room for that. ``alike``: of
+    groups in which it makes no difference which it is, the first, as steps that may be added.
     """
 
     stage: Stage
@@ -81,6 +82,7 @@ class StageDiagnosis:
     steps: list[Step] = field(default_factory=list)
     fitted: FittedStage | None = None
     open: FittedStage | None = None
+    alike: list[Step] = field(default_factory=list)
     folds: Folds | None = None
 
     @property

@@ -22,8 +22,9 @@ from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.pruning import Refit
+from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.remains import remains_of
-from clampid.diagnosis.result import StageDiagnosis
+from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import Bench, HeldOut, Tried, Undecided
@@ -126,12 +127,8 @@ def _looked_through(
             return again(finer)
         here = [t.refusal(effects, held.rms) for t in others]
         if isinstance(tried, Undecided):
-            beside = bench.beside(tried, fitted, number)
-            alone = None if isinstance(beside, list) else bench.fitted_with(beside, fitted, held)
-            undecided = beside if isinstance(beside, list) else [] if alone is None or not alone.reason else [tried]
-            if alone is not None and alone.reason:
-                here.append(alone.refusal(effects, held.rms))
-            tried = alone if not undecided else None
+            tried, undecided, only_beside = bench.beside(tried, fitted, held, number)
+            here += [t.refusal(effects, held.rms) for t in only_beside]
         if tried is None:
             break
         steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(here))], dropped)
@@ -140,9 +137,7 @@ def _looked_through(
     result.after = held.rms
     refused = _set_down(result, steps, here, effects, fitted.estimate)
     if undecided:
-        _undecided(result, undecided, effects, fitted.estimate, propose, partial(bench.alone, fitted))
-        if stage != "poses":
-            result.open = bench.with_undecided(undecided, fitted, fitted)[0]
+        _undecided(result, undecided, effects, fitted, bench, propose)
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused, *considered_of(look.named, look.named_null)]
@@ -213,26 +208,30 @@ def _undecided(
     result: StageDiagnosis,
     groups: Sequence[Undecided],
     effects: dict[str, Effect],
-    estimate: Estimate,
+    fitted: FittedStage,
+    bench: Bench,
     propose: Propose | None,
-    brings: Callable[[Scored], float | None],
 ) -> None:
-    """Set down candidates that these rows cannot tell apart, the first group first, and what would part that.
-
-    ``brings`` predicts the held-out rms with one of them, added alone.
-    """
+    """Set down candidates that these rows cannot tell apart, the first group first, and what would part that."""
     result.verdict = "ambiguous"
     for number, group in enumerate(groups, start=1):
+        entries = []
         for s in group.members:
-            after = brings(s) if number == 1 else None  # those beside them were found in another fit
+            after = bench.alone(fitted, s) if number == 1 else None  # those beside them were found in another fit
             entry = entry_of(s, group.look.named_null, effects, result.after, after, rivals=group.members)
-            result.candidates.append({**entry, "alternative": True, "group": number})
+            entries.append({**entry, "alternative": True, "group": number})
+        result.candidates += entries
+        if group.alike(effects):
+            evidence = evidence_of(entries[0], group.members[0], group.look, ())
+            result.alike.append(Step(group.members[0].candidate.terms, evidence))
     first = groups[0]
     result.next_measurement = separating_measurement((s.candidate.family for s in first.members), result.stage)
-    proposed = None if propose is None else propose(estimate, first.members, first.look.space.scale)
+    proposed = None if propose is None else propose(fitted.estimate, first.members, first.look.space.scale)
     if proposed is not None:
         never = [tuple(label.partition("@")[0] for label in pair[:2]) for pair in proposed.never]
         result.ask_for(proposed, [something_else(pair, effects, result.stage) for pair in never])
+    if result.stage != "poses":
+        result.open = bench.with_undecided(groups, fitted, fitted)[0]
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:

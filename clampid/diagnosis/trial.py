@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, 
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.folds import Folds
-from clampid.diagnosis.look import CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
+from clampid.diagnosis.look import ALIASED, CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
 from clampid.effect import Effect
@@ -162,6 +162,12 @@ class Undecided:
 
     members: list[Scored]
     look: Look
+
+    def alike(self, effects: Mapping[str, Effect]) -> bool:
+        """Whether it makes no difference which of them it is: their columns are one, and no other stage reads any."""
+        first, *others = self.members
+        one = all(canonical(first, s) > ALIASED for s in others)
+        return one and not any("poses" in effects[s.candidate.name].stages for s in self.members)
 
 
 class _Along(NamedTuple):
@@ -338,28 +344,37 @@ class Bench:
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return _Along(s, trial, kept, self.held_out(trial))
 
-    def beside(self, undecided: Undecided, fitted: FittedStage, number: int) -> Tried | list[Undecided]:
+    def beside(
+        self, undecided: Undecided, fitted: FittedStage, held: HeldOut, number: int
+    ) -> tuple[Tried | None, list[Undecided], list[Tried]]:
         """What is missing whichever of some candidates, that these rows cannot tell apart, is the true one.
 
         The first of them is fitted along and the others are granted to the model, so that what any of them could
         explain is not evidence. To fit them all along a valley, in which one grows as another falls, takes long and
-        brings nothing.
+        brings nothing. What is confirmed beside them is fitted without them.
+
+        Parameters
+        ----------
+        held
+            Errors of the fit without any of them.
 
         Returns
         -------
-        Tried or list of Undecided
-            What is confirmed beside them; where nothing is, these and further candidates that cannot be told apart.
+        found, groups, refused
+            What is confirmed beside them, and no group; else none, these and further candidates that cannot be told
+            apart, and what lowers the error only beside them.
         """
         groups, whole = [undecided], fitted
         while len(groups) < GROUPS:
             whole, look = self._along(groups, fitted, whole, number)
             found, _ = self.decided(look, whole, self.held_out(whole))
             if isinstance(found, Tried):
-                return found
+                alone = self._fitted_with(found, fitted, held)
+                return (None, [undecided], [alone]) if alone.reason else (alone, [], [])
             if found is None:
                 break
             groups.append(found)
-        return groups
+        return None, groups, []
 
     def _along(
         self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage, number: int
@@ -386,15 +401,12 @@ class Bench:
         """Whether its columns say all of it: no prior limits its amplitudes, and it is no event."""
         return candidate.prior is None and self.effects[candidate.name].event is None
 
-    def fitted_with(self, tried: Tried, fitted: FittedStage, held: HeldOut) -> Tried:
-        """What was confirmed beside undecided candidates, fitted without them; refused where alone it brings nothing.
-
-        ``held``: errors of the fit without it.
-        """
+    def _fitted_with(self, tried: Tried, fitted: FittedStage, held: HeldOut) -> Tried:
+        """What was confirmed beside undecided candidates, fitted without them; refused if it brings nothing alone."""
         shapes = {k: v for k, v in tried.fitted.model.values().items() if k in tried.best.candidate.shapes}
         alone = self.refit([*fitted.model.terms, *tried.kept], fitted, shapes)
         new = self.held_out(alone)
-        lowers = held.exceed(new) or not self._plain(tried.best)  # what rows not fitted cannot tell of need lower nothing
+        lowers = held.exceed(new) or not self._plain(tried.best)  # rows not fitted tell nothing of what is local
         return replace(tried, fitted=alone, held=new, reason="" if lowers else ONLY_BESIDE)
 
 

@@ -52,8 +52,9 @@ def mend(
     """Add what diagnosis confirms to a model of these campaigns, each step as a round of its own in the ledger.
 
     Diagnosis itself adds, refits and looks again until nothing more is confirmed, so that one pass is the whole loop.
-    What these data cannot tell apart is not added. Where joints have one and the same curve, that takes the place of
-    one for each, in a round after those of the curves.
+    What these data cannot tell apart is not added, but where it makes no difference which of them it is: an offset of a
+    motor's torque and a friction that differs by direction are one model under two names. Where joints have one and the
+    same curve, that takes the place of one for each, in a round after those of the curves.
 
     Returns
     -------
@@ -67,7 +68,10 @@ def mend(
         progress(f"{stage}: {part.summary}")
         # Places that were tried and confirmed together stay one step: each alone need not pay for its numbers. Steps
         # are not put together: what shows only through another (friction through springs) would be lost.
-        steps[stage] = [*part.steps, *(_one_curve(c) for c in found.simpler.get(stage, ()))]
+        steps[stage] = [*part.steps, *part.alike, *(_one_curve(c) for c in found.simpler.get(stage, ()))]
+        for step in part.alike:
+            others = ", ".join(dict.fromkeys(c["effect"] for c in step.evidence["confusable_with"]))
+            progress(f"{stage}: added {step.label}; here it is the same model as with {others} instead")
     mended, left_out = add_steps(model, campaigns, steps, seed=seed, user_effects=user_effects)
     for stage, step in left_out:
         progress(f"{stage}: {step.label} is left out: with what was added before, no row tells anything of it")

@@ -246,8 +246,8 @@ def _squares(both: Array, block: Integers) -> Array:
 def _solved(gram: Array, squares: Array) -> Array:
     """Least squares from the sums of products of columns and, last, target; what they do not show stays near zero.
 
-    ``squares`` ``(p,)``: of each column over the whole log, by which they are balanced: a column that is next to nothing
-    in these rows is not shown by them.
+    ``squares`` ``(p,)``: of each column over the whole log, by which they are balanced: these rows do not show a column
+    that is next to nothing in them.
     """
     A, b = gram[:-1, :-1], gram[:-1, -1]
     balance = 1.0 / np.sqrt(np.maximum(squares, 1e-300))

@@ -123,7 +123,7 @@ def test_dynamics_of_a_real_arm() -> None:
 
 
 def test_what_one_fold_alone_shows_is_not_rounding_of_the_others() -> None:
-    """Two joints move in one stretch of a planned log, and elsewhere next to nothing; the rest predicts that stretch."""
+    """Three columns are next to nothing but in one fold, as of joints that move once; the rest predicts that fold."""
     rng = np.random.default_rng(3)
     block = np.repeat(np.arange(BLOCKS), 40)
     both = rng.standard_normal((len(block), 6))

@@ -7,7 +7,10 @@ from collections.abc import Callable
 import pytest
 
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
+from clampid.diagnosis.look import look_at
+from clampid.diagnosis.trial import Undecided
 from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from clampid.loop.auto import mend
 from clampid.models.model import Model
 from experiments.campaign import Campaign
@@ -66,3 +69,16 @@ def test_what_a_log_leaves_open_is_no_gear_in_poses(simulated: Callable[..., Cam
     assert found["free_air"].candidates[0]["name"] == "torque_offset"
     assert found["poses"].verdict == "adequate"
     assert found["poses"].after < 1.15 * found["poses"].noise_floor
+
+
+def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable[..., Campaign]):
+    """An offset of the torque and an asymmetric friction are the same columns; a cable pulls at the poses, too."""
+    tables = ("free_air", "wrist", "poses", "verification")
+    campaign = simulated(seed=2, poses=100, tables=tables, hidden=("torque_offset@joint2",))
+    opened = reopen(identify(campaign, {"free_air": ["gravity", "coulomb_friction", "viscous_friction"]}), campaign)
+    fitted = opened.refit("free_air", opened.rows("free_air"))
+    look = look_at(fitted.estimate, dict(opened.effects), flips=19, seed=0)
+    at = {s.candidate.name: s for s in look.named if s.candidate.places == ("joint2",)}
+    offset, friction, cable = (at[name] for name in ("torque_offset", "asymmetric_friction", "dress_pack"))
+    assert Undecided([offset, friction], look).alike(opened.effects)
+    assert not Undecided([offset, friction, cable], look).alike(opened.effects)
