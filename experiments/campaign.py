@@ -126,7 +126,10 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
         if name in header.tables:
             source = TableFile(path / header.tables[name])
             layout = table_format(name, header.robot.n)
-            if name in LOGS and is_long(source.path, held):
+            if name in header.at_joints:
+                frame = validate_table(read_table(source.path), layout, source, header.targets)
+                tables[name] = _at_motors(frame, np.asarray(header.robot.transmission))
+            elif name in LOGS and is_long(source.path, held):
                 long[name], tables[name] = read_long(source.path, layout, header.robot.n)
             else:
                 tables[name] = validate_table(read_table(source.path), layout, source, header.targets)
@@ -146,6 +149,16 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
         long=MappingProxyType(long),
         stated=header.stated,
     )
+
+
+def _at_motors(frame: pd.DataFrame, transmission: FloatArray) -> pd.DataFrame:
+    """A log whose torques were measured behind the gears, with those that the motors then have: T tau.
+
+    What rubs before the sensor is not in them. What rubs behind it reaches the motors through T, as friction of the
+    arm's side does.
+    """
+    names = [f"tau{i + 1}_Nm" for i in range(len(transmission))]
+    return frame.assign(**dict(zip(names, (frame[names].to_numpy(np.float64) @ transmission.T).T, strict=True)))
 
 
 def _refuse_absent_sensors(header: Header, tables: Mapping[str, pd.DataFrame], path: Path) -> None:

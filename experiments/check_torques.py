@@ -24,6 +24,7 @@ __all__ = ["torque_findings", "torque_shift"]
 
 # Descriptions, undeclared tools and balancers leave the weight within a factor of 1.5 (one sigma), and within 3.4 in
 # 997 of 1000 motors; gears are factors of 30 to 250, and percent of the rated torque, on robots' motors, of 10 to 100.
+BEHIND_GEARS = "torques look like those at the joints, behind the gears"
 SPREAD = np.log(1.5)
 # A motor is asked when weight stands out of its standard error by this, and is most of what is not friction.
 CLEAR, MOST = 5.0, 0.5
@@ -159,7 +160,10 @@ def _units(campaign: Campaign, table: str, log: MovingLog, regressor: Array) -> 
     m = max(weighed, key=lambda k: abs(motor_side[k, 0]) / motor_side[k, 1])
     ratio = f"{motor_side[m, 0]:.3g} times what the weight of the links gives there (motor {m + 1}), 1 is expected"
     if words:
-        yield Finding("error", table, names[m], None, f"{words}; Nm at the motor shaft are expected: they are {ratio}")
+        message = f"{words}; Nm at the motor shaft are expected: they are {ratio}"
+        if words == BEHIND_GEARS:
+            message += f'; if a sensor is there, state it in [tables]: {table} = {{ file = "…", side = "joint" }}'
+        yield Finding("error", table, names[m], None, message)
     else:
         message = (
             f"torques cannot be Nm at the motor shaft, if the masses and the tool are as described: they are {ratio}"

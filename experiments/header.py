@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from experiments.columns import TABLES, lookalike
+from experiments.columns import LOGS, TABLES, lookalike
 from experiments.errors import fault
 from experiments.keys import frozen, missing, number, refuse_unknown, section_of, vector
 from experiments.stated import SECTIONS, UNREAD, Stated, parse_stated
@@ -43,6 +43,8 @@ _STATED = {
 
 KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables", *SECTIONS)
 """The keys and sections of ``campaign.toml``; any other is refused, because it would be ignored in silence."""
+SIDES = ("motor", "joint")
+"""Where torques are measured: at the motor shaft, or at the joint, behind the gear."""
 _TRACKER = {
     "range_std_m": (WORST_POSITION_STD_M, False),
     "range_std_m_m": (1e-3, True),
@@ -129,6 +131,8 @@ class Header:
         As declared; targets are points in the flange frame [m], shape (3,) each.
     tables
         File name by table.
+    at_joints
+        Tables whose torques were measured at the joints, behind the gears.
     raw
         Everything the file holds.
     stated
@@ -143,6 +147,7 @@ class Header:
     tables: Mapping[str, str]
     raw: Mapping[str, Any]
     stated: Stated = field(default_factory=Stated)
+    at_joints: frozenset[str] = frozenset()
 
 
 def read_header(folder: Path) -> Header:
@@ -206,15 +211,17 @@ def parse_header(raw: Mapping[str, Any], path: Path, also: Sequence[str] = ()) -
         raise fault(path, expected=f'"{FORMAT}"', found=found, column="format")
     refuse_unknown(raw, (*KEYS, *UNREAD, *also), path)
     robot, targets = _robot(raw, path), _targets(raw, path)
+    tables, at_joints = _tables(raw, path)
     return Header(
         robot=robot,
         gravity=_gravity(raw, path),
         tool=_tool(raw, path),
         targets=targets,
         instrument=_instrument(raw, path),
-        tables=_tables(raw, path),
+        tables=tables,
         raw=MappingProxyType(dict(raw)),
         stated=parse_stated(raw, targets, robot.n, path),
+        at_joints=at_joints,
     )
 
 
@@ -315,19 +322,34 @@ def _tracker(section: Mapping[str, Any], path: Path) -> Tracker | None:
     return Tracker(*numbers)
 
 
-def _tables(raw: Mapping[str, Any], path: Path) -> Mapping[str, str]:
+def _tables(raw: Mapping[str, Any], path: Path) -> tuple[Mapping[str, str], frozenset[str]]:
+    """File name by table, and the tables whose torques are those at the joints."""
     section = section_of(raw, "tables", path)
-    for name, file in section.items():
+    files: dict[str, str] = {}
+    at_joints = set()
+    for name, entry in section.items():
+        where = f"tables.{name}"
         if name not in TABLES:
             near = lookalike(name, TABLES)
             hint = f"; {near} is probably meant" if near else ""
             expected = f"one of {', '.join(TABLES)}"
-            raise fault(path, expected=expected, found=f"{name!r}{hint}", column=f"tables.{name}")
-        if not isinstance(file, str):
-            raise fault(path, expected="a file name", found=repr(file), column=f"tables.{name}")
+            raise fault(path, expected=expected, found=f"{name!r}{hint}", column=where)
+        known = dict(entry) if isinstance(entry, Mapping) else {"file": entry}
+        refuse_unknown(known, ("file", "side"), path, where)
+        if not isinstance(known.get("file"), str):
+            expected = 'a file name, or { file = "…", side = "joint" }'
+            raise fault(path, expected=expected, found=repr(entry), column=where)
+        files[name] = known["file"]
+        side = known.get("side", SIDES[0])
+        if side not in SIDES:
+            raise fault(path, expected=f"one of {', '.join(SIDES)}", found=repr(side), column=f"{where}.side")
+        if "side" in known and name not in LOGS:
+            expected = f"a side of the torques of {' or '.join(LOGS)} only"
+            raise fault(path, expected=expected, found=f"one of {name}", column=f"{where}.side")
+        at_joints |= {name} if side == SIDES[1] else set()
     if not section:
         raise fault(path, expected=f"at least one of {', '.join(TABLES)}", found="no table", column="tables")
-    return MappingProxyType(dict(section))
+    return MappingProxyType(files), frozenset(at_joints)
 
 
 def _point(section: Mapping[str, Any], key: str, where: str, path: Path) -> FloatArray:

@@ -76,6 +76,8 @@ def identify_folder(
     files = {name: path / header.tables[name] for name in LOGS if name in header.tables}
     if not files:
         raise CampaignError(f"{path}: expected a table free_air or wrist, found none")
+    if header.at_joints:
+        raise CampaignError(f"{path}: expected torques of motors, found side joint; read the campaign whole to fit it")
     tables = {name: _table(file, name, header.robot.n) for name, file in files.items()}
     campaign = Campaign(
         name=path.resolve().name,
