@@ -24,7 +24,6 @@ __all__ = ["torque_findings", "torque_shift"]
 
 # Descriptions, undeclared tools and balancers leave the weight within a factor of 1.5 (one sigma), and within 3.4 in
 # 997 of 1000 motors; gears are factors of 30 to 250, and percent of the rated torque, on robots' motors, of 10 to 100.
-BEHIND_GEARS = "torques look like those at the joints, behind the gears"
 SPREAD = np.log(1.5)
 # A motor is asked when weight stands out of its standard error by this, and is most of what is not friction.
 CLEAR, MOST = 5.0, 0.5
@@ -35,6 +34,7 @@ REJECTED, BELIEVED = 1e-6, 1e-2
 # sample step: drives read position and current at different instants of their own cycle.
 FALSE_ALARMS, SHIFT_STEPS = 1e-4, 0.25
 MOVES = 6
+BEHIND_GEARS = "torques look like those at the joints, behind the gears"
 
 
 def torque_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iterator[Finding]:
