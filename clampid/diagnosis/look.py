@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import stats
 
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
@@ -31,6 +32,7 @@ __all__ = [
     "look_at",
     "of_other_families",
     "rivals_of",
+    "simplest_of",
     "variants_of",
 ]
 
@@ -41,6 +43,7 @@ ALIASED = 0.999  # above which they are one
 STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
 VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further number (Kass and Raftery, 1995)
+BY_CHANCE = 0.01
 WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")
 
@@ -204,6 +207,23 @@ def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
     mine = best.candidate
     own = [s for s in named if s.candidate.name != mine.name and s.candidate.is_variant_of(mine)]
     return _alike(own, best, lambda c: c.name)
+
+
+def simplest_of(named: Sequence[Scored], best: Scored) -> Scored:
+    """The best candidate, or the variant of it with the fewest numbers, if the others explain no more than by chance.
+
+    Where no fit decides between variants, a drift is named only if it is seen: that its size explains something beside
+    the offset it comes with, chance does once in a hundred times.
+    """
+    own = [s for s in named if s.candidate.is_variant_of(best.candidate) and s.state in ABLE and s.bic > 0]
+    simpler = [
+        s
+        for s in own
+        if s.freedom < best.freedom
+        and canonical(best, s) > ALIASED
+        and best.explained - s.explained < float(stats.chi2.isf(BY_CHANCE, best.freedom - s.freedom))
+    ]
+    return min(simpler, key=lambda s: (s.freedom, -s.bic), default=best)
 
 
 def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:

@@ -13,7 +13,16 @@ from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, 
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.folds import Folds
-from clampid.diagnosis.look import ALIASED, CONFUSABLE, Look, look_at, of_other_families, rivals_of, variants_of
+from clampid.diagnosis.look import (
+    ALIASED,
+    CONFUSABLE,
+    Look,
+    look_at,
+    of_other_families,
+    rivals_of,
+    simplest_of,
+    variants_of,
+)
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
 from clampid.effect import Effect
@@ -238,7 +247,7 @@ class Bench:
         if known is not None:
             best, rivals = known, []
         if rivals:
-            return self._undecided(best, rivals, look, fitted, held)
+            return self._undecided(simplest_of(look.named, best), rivals, look, fitted, held)
         step = step_towards(fitted.estimate, best)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
             new = held_out(step.near, self.verification, self.floor, self.seed, self.block, self.folds)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
-from clampid.diagnosis.look import look_at
+from clampid.diagnosis.look import look_at, simplest_of
 from clampid.diagnosis.trial import Undecided
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
@@ -82,3 +82,16 @@ def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable
     offset, friction, cable = (at[name] for name in ("torque_offset", "asymmetric_friction", "dress_pack"))
     assert Undecided([offset, friction], look).alike(opened.effects)
     assert not Undecided([offset, friction, cable], look).alike(opened.effects)
+
+
+def test_a_drift_is_named_only_if_it_is_seen(simulated: Callable[..., Campaign]):
+    """Beside a constant offset at joint 4 a drift with a room that hardly warmed explains what chance explains."""
+    campaign = simulated(seed=2, poses=60, tables=("free_air", "wrist"), hidden=("torque_offset@joint4",))
+    opened = reopen(identify(campaign), campaign)
+    look = look_at(opened.refit("free_air", opened.rows("free_air")).estimate, dict(opened.effects), flips=19, seed=0)
+    drifting = next(
+        s
+        for s in look.named
+        if s.candidate.label == "ambient_torque_offset@joint4" and s.candidate.places == ("joint4",)
+    )
+    assert simplest_of(look.named, drifting).candidate.name == "torque_offset"
