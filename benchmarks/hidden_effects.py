@@ -32,6 +32,8 @@ from hidden_table import by_case, draw, printed, side_by_side, summary
 from hidden_trial import clean_trial, hidden_trial
 from hidden_worlds import WORLDS
 
+from clampid.effect import STAGES
+
 CLEAN_SEED = 1000  # robots without anything hidden are others than those with something
 KINDS = ("single", "several", "outside", "clean")
 SEVERAL_SIZE = 0.8
@@ -47,16 +49,19 @@ class Job:
     seed: int
     poses: int
     best: bool
+    stages: tuple[str, ...] = STAGES
 
     @property
     def key(self) -> str:
         world = "" if self.world == "first" else f"{self.world} "
-        return f"{world}{self.case.label if self.case else 'nothing'} {self.size:g} {self.seed} {self.poses}"
+        what = self.case.label if self.case else "nothing"
+        some = f"/{'+'.join(self.stages)}" if self.case is None and set(self.stages) < set(STAGES) else ""
+        return f"{world}{what}{some} {self.size:g} {self.seed} {self.poses}"
 
     def run(self) -> list[dict[str, Any]]:
         world = WORLDS[self.world]
         if self.case is None:
-            return clean_trial(world, self.seed, self.poses)
+            return clean_trial(world, self.seed, self.poses, self.stages)
         return [hidden_trial(world, self.case, self.size, self.seed, self.poses, self.best)]
 
 
@@ -64,7 +69,7 @@ def jobs(options: argparse.Namespace) -> Iterator[Job]:
     """All trials that were asked for, seed by seed, so that what is there at any time is a fair sample."""
     sizes = [float(s) for s in options.sizes.split(",")]
     families = options.families.split(",") if options.families else None
-    stages, kinds = options.stages.split(","), options.kinds.split(",")
+    stages, kinds = tuple(options.stages.split(",")), options.kinds.split(",")
     worlds = [WORLDS[name] for name in options.worlds.split(",")]
     wanted = [
         (world.name, case, size)
@@ -82,7 +87,9 @@ def jobs(options: argparse.Namespace) -> Iterator[Job]:
         yield from (Job(world, case, size, seed, *rest) for world, case, size in wanted)
         until = clean * (number + 1) // options.robots
         first = CLEAN_SEED + options.seed - 1
-        yield from (Job(world.name, None, 0.0, first + k, *rest) for k in range(done, until) for world in worlds)
+        yield from (
+            Job(world.name, None, 0.0, first + k, *rest, stages) for k in range(done, until) for world in worlds
+        )
         done = until
 
 
@@ -101,7 +108,7 @@ def main() -> None:
     parser.add_argument("--part", default="1/1", help="k/n: every n-th trial from the k-th on")
     parser.add_argument("--sizes", default="0.4,0.8,1.6")
     parser.add_argument("--families", default="", help="only these names of the virtual robot")
-    parser.add_argument("--stages", default="free_air,clamped,poses")
+    parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--clean", type=int, default=100, help="robots with nothing hidden")
     parser.add_argument("--poses", type=int, default=200)

@@ -45,14 +45,14 @@ def hidden_trial(world: World, case: Case, size: float, seed: int, poses: int, b
     return out | judged(verdict, truth, bench.present) | {"best": reached}
 
 
-def clean_trial(world: World, seed: int, poses: int) -> list[dict[str, Any]]:
-    """Hide nothing: a verdict of every stage."""
+def clean_trial(world: World, seed: int, poses: int, stages: Sequence[str]) -> list[dict[str, Any]]:
+    """Hide nothing: a verdict of every stage that is asked for."""
     with tempfile.TemporaryDirectory() as folder:
         bench = world.bench(NOTHING, seed, poses, Path(folder) / "arm")
         campaign = bench.campaign([])
     model = start_model(NOTHING, campaign)
     out = []
-    for stage in model.stages:
+    for stage in [s for s in model.stages if s in stages]:
         start = process_time()
         verdict = diagnose(model, campaign, stages=[stage]).to_json()["stages"][stage]
         row = {"kind": "clean", "case": f"nothing/{stage}", "stage": stage, "size": 0.0, "seed": seed, **bench.setup}

@@ -34,6 +34,7 @@ STABLE = 0.6  # the majority of five parts of the rows
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
 RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
+IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -282,8 +283,10 @@ class Bench:
 
     def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
-        (best, trial, kept, new), level = self._likeliest(fits)
+        (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
         p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
+        if not kept:
+            return Tried(best, look, trial, kept, new, p_held, 0.0, IMPOSSIBLE)
         if falls and level:
             return Undecided([best, *(fit.scored for fit in level)], look)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
