@@ -151,7 +151,7 @@ _WITHOUT: dict[tuple[Stage, str, int, int], tuple[Estimate, Measured]] = {}
 class Bench:
     """One virtual robot of a seed, and how large effects of some magnitude are on it."""
 
-    present: frozenset[str] = frozenset()  # families that it has without being asked, beyond the start model
+    present: frozenset[str] = frozenset()  # effects that it has without being asked, beyond the start model
 
     def __init__(self, case: Case, seed: int, poses: int, folder: Path) -> None:
         self.case, self.seed, self.poses, self.folder = case, seed, poses, folder

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hidden_cases import CLOSE, Case
+from hidden_cases import Case
 
 from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import (
@@ -28,6 +28,7 @@ from experiments.second_world import (
 
 MOUNTINGS = ("floor", "floor", "wall", "floor", "ceiling")
 LARGEST = 10.0  # of this world's own sizes, which are those of real machines: nothing is hidden that is larger
+SHOWN = 0.5  # of the size asked for: what stays below is left out of the counts
 OF_ALL_MOTORS = ("all",)  # places of effects that all motors show
 
 IN_CATALOGUE: Mapping[str, str] = {
@@ -96,13 +97,13 @@ class SecondBench:
         self.setup: Mapping[str, str] = {"robot": name, "mounting": mounting} | {
             k: v for k, v in self.session.items() if k != "seed"
         }
-        places = [HIDDEN[h].places(self.robot.n) for h in case.hidden]
-        self._places = [_turn(p, seed) for p in places]
+        self._places = [_turn(HIDDEN[h].places(self.robot.n), seed) for h in case.hidden]
 
     @property
     def present(self) -> frozenset[str]:
-        """Families that every robot of this world has, or this one: they are true where they are named."""
-        return frozenset({"inertia"} | ({"hysteresis"} if self.robot.friction_law == "dahl" else set()))
+        """Effects that every robot of this world has, or this one: they are true where they are named."""
+        always = {"inertia", "link_inertia", "unsprung_friction"}
+        return frozenset(always | ({"presliding_friction"} if self.robot.friction_law == "dahl" else set()))
 
     def places(self) -> list[str]:
         """Where each hidden effect sits."""
@@ -115,19 +116,43 @@ class SecondBench:
         )
 
     def magnitude(self, name: str, size: float) -> tuple[float, float]:
-        """The magnitude that has a size, and the size that it has (less where it would be larger than any real one)."""
-        where = self._places[self.case.hidden.index(name)]
-        torque = _FIRST_TABLE[name] == "free_air"
-        # This world's size is the rms over all motors: an effect of one motor shows on that one root n times as much.
-        share = self.robot.n**-0.5 if torque and where not in OF_ALL_MOTORS else 1.0
-        wanted = size * share
-        found = magnitude_for(self.robot, name, where, wanted, beyond_standard=True, **self.session)
-        m = min(found, LARGEST)
+        """The magnitude that has a size, and the size that it has (less where it would be larger than any real one).
+
+        Where the effect shows too little at the place that is its turn, it sits at the next one.
+
+        Raises
+        ------
+        ValueError
+            It shows at no place.
+        """
+        k = self.case.hidden.index(name)
+        places = HIDDEN[name].places(self.robot.n)
+        first = places.index(self._places[k])
+        best: tuple[float, float] | None = None
+        for where in (*places[first:], *places[:first]):
+            found = self._magnitude_at(name, where, size)
+            if found is not None and (best is None or found[1] > best[1]):
+                best, self._places[k] = found, where
+            if best is not None and best[1] >= SHOWN * size:
+                return best
+        if best is None:
+            raise ValueError(f"{name}: it changes nothing in {_FIRST_TABLE[name]} of this robot and program")
+        return best
+
+    def _magnitude_at(self, name: str, where: str, size: float) -> tuple[float, float] | None:
+        """The same at one place; None where nothing shows at all."""
         table = _FIRST_TABLE[name]
-        got = size_in_sigma(
-            self.robot, [(name, where, m)], tables=[table], beyond_standard=True, **self.session
-        )[table]
-        return m, size if abs(got / wanted - 1) < CLOSE else got / share
+        # This world's size is the rms over all motors: an effect of one motor shows on that one root n times as much.
+        share = self.robot.n**-0.5 if table == "free_air" and where not in OF_ALL_MOTORS else 1.0
+        try:
+            found = magnitude_for(self.robot, name, where, size * share, beyond_standard=True, **self.session)
+        except ValueError:
+            return None
+        if found <= LARGEST:
+            return found, size
+        hidden = [(name, where, LARGEST)]
+        got = size_in_sigma(self.robot, hidden, tables=[table], beyond_standard=True, **self.session)
+        return LARGEST, got[table] / share
 
     def campaign(self, magnitudes: Sequence[float]) -> Campaign:
         """A campaign on the robot with the case's effects in it."""

@@ -57,7 +57,7 @@ def clean_trial(world: World, seed: int, poses: int, stages: Sequence[str]) -> l
         verdict = diagnose(model, campaign, stages=[stage]).to_json()["stages"][stage]
         row = {"kind": "clean", "case": f"nothing/{stage}", "stage": stage, "size": 0.0, "seed": seed, **bench.setup}
         row |= told_by(verdict) | {"seconds": process_time() - start, "rows": rows_of(campaign, stage)}
-        true_of_it = verdict["verdict"] == "missing" and {c["effect"] for c in verdict["candidates"]} <= bench.present
+        true_of_it = verdict["verdict"] == "missing" and {c["name"] for c in verdict["candidates"]} <= bench.present
         out.append(row | {"right": verdict["verdict"] == "adequate" or true_of_it})
     return out
 
@@ -101,11 +101,10 @@ def judged(
     """First name right, all found, exact set.
 
     Right: `missing` with a true effect at its true place first, or `ambiguous` with it in a set of at most three whose
-    members these rows really cannot tell apart. `top1`: the first name of either is a true effect's. Names of families
+    members these rows really cannot tell apart. `top1`: the first name of either is a true effect's. Names of effects
     that the robot has without being asked (`present`) are true, and no answer to what was hidden: they do not count.
     """
-    families = {t["family"] for t in truth}
-    candidates = [c for c in verdict["candidates"] if c["effect"] not in present - families]
+    candidates = [c for c in verdict["candidates"] if c["name"] not in present]
     confirmed = [c for c in candidates if not c["alternative"]]
     alternatives = [c for c in candidates if c["alternative"]]
 

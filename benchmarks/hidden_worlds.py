@@ -22,7 +22,7 @@ class AnyBench(Protocol):
 
     @property
     def present(self) -> frozenset[str]:
-        """Families that it has without being asked, beyond the start model."""
+        """Effects that it has without being asked, beyond the start model."""
 
     def places(self) -> list[str]:
         """Where each hidden effect sits; empty where it sits everywhere."""

@@ -29,8 +29,6 @@ def pruned(
     Places at which it comes out beyond its bounds, such as a clearance below zero, are dropped before: what it explains
     there it does by what it cannot be. None may be left.
     """
-    if len(new) < 2:
-        return trial, list(new)
     new = list(new)
     while possible := [t for t in new if not _impossible(trial.estimate, t)]:
         if len(possible) == len(new):
@@ -38,6 +36,8 @@ def pruned(
         trial, new = refit([*before, *possible], trial, {}), possible
     if not possible:
         return trial, []
+    if len(new) < 2:
+        return trial, new
     estimate = trial.estimate
     cost = _costs(estimate, new)
     lacks = {term: of_term - _wald(estimate, _of(estimate, term)) for term, of_term in cost.items()}
