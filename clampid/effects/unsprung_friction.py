@@ -24,7 +24,12 @@ EFFECT = Effect(
     acts={"joint_angle": unwound},
     parameters=(
         Parameter(
-            "width", "rad", 1e-4, "joint", (0.0, 2e-2), "by how much less it stands apart than wound springs would have it"
+            "width",
+            "rad",
+            1e-4,
+            "joint",
+            (0.0, 2e-2),
+            "by how much less it stands apart than wound springs would have it",
         ),
     ),
     needs=("direction",),
