@@ -1,9 +1,9 @@
 """Friction that holds a gear's flank and winds up no spring: it acts between the clearance and what yields.
 
-The model has friction of the arm's side behind both: it decides on which flank a joint stops, and stays in the springs.
-Friction of the gear's output bearing or its seal, ahead of a spring that is a hollow shaft or the bearing itself, decides
-on the flank alone; so does friction whose spring lets go once the motor has stopped. The joint then stands apart, come
-from either side, by less than springs wound up by that friction would have it.
+The model has friction of the arm's side behind both: it decides on which flank a joint stops, and stays in the
+springs. Friction of the gear's output bearing or its seal, ahead of a spring that is a hollow shaft or the bearing
+itself, decides on the flank alone; so does friction whose spring lets go once the motor has stopped. The joint then
+stands apart, come from either side, by less than springs wound up by that friction would have it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ EFFECT = Effect(
             1e-4,
             "joint",
             (0.0, 2e-2),
-            "by how much less it stands apart than wound springs would have it",
+            "by how much less it stands apart than springs wound up would have it",
         ),
     ),
     needs=("direction",),
