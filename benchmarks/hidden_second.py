@@ -50,7 +50,6 @@ IN_CATALOGUE: Mapping[str, str] = {
     "gear_eccentricity": "gear_eccentricity",
     "coupling_ratio_error": "coupling_ratio_error",
     "bearing_tilt": "bearing_tilt",
-    "hysteresis": "lost_motion",
     "link_bending": "link_bending",
     "base_tilt": "base_tilt",
     "base_settling": "base_settling",
@@ -58,7 +57,10 @@ IN_CATALOGUE: Mapping[str, str] = {
     "depth_scale": "instrument_axis_scale",
     "damaged_tooth": "local_angle_error",
 }
-"""The catalogue's name for each; a tool other than declared is absorbed by the standard set and is not among them."""
+"""The catalogue's name for each; a tool other than declared is absorbed by the standard set and is not among them.
+
+Lost motion that builds up with the way since the last reversal has no name in poses: it is one of the unknown.
+"""
 
 _FIRST_TABLE = {name: effect.tables[0] for name, effect in HIDDEN.items()}
 _STAGE_OF = {"poses": "poses", "free_air": "free_air"}
@@ -69,7 +71,7 @@ SECOND_FAMILIES: tuple[Case, ...] = tuple(
 SECOND_OUTSIDE: tuple[Case, ...] = tuple(
     Case(_STAGE_OF[_FIRST_TABLE[name]], (name,), depends_on=effect.depends_on(effect.places(6)[0]))  # type: ignore[arg-type]
     for name, effect in HIDDEN.items()
-    if effect.family is None and name not in IN_CATALOGUE
+    if name not in (*IN_CATALOGUE, "payload")
 )
 
 

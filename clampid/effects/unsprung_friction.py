@@ -29,7 +29,7 @@ EFFECT = Effect(
             1e-4,
             "joint",
             (0.0, 2e-2),
-            "by how much less it stands apart than springs wound up would have it",
+            "by how much less it stands apart than with wound springs",
         ),
     ),
     needs=("direction",),
