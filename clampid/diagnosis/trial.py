@@ -27,7 +27,7 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Tried", "Undecided", "held_out"]
+__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Tried", "Undecided", "either_p", "held_out"]
 
 HELD_OUT_RATE = 0.05
 STABLE = 0.6  # the majority of five parts of the rows
@@ -280,7 +280,7 @@ class Bench:
         """One-sided p of the fall of the held-out error, and whether it falls at all and that is no chance."""
         p = held.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
-            p = _either(p, cross_fitted_fall(without, s, self.seed).p)
+            p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
         return p, p <= HELD_OUT_RATE and held.exceed(new)
 
     def _falls(
@@ -310,7 +310,7 @@ class Bench:
             return p, p <= HELD_OUT_RATE and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
         p = held.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
-            p = _either(p, terms_p(trial, kept, self.seed))
+            p = either_p(p, terms_p(trial, kept, self.seed))
         told = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
         return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told
 
@@ -435,6 +435,6 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
     return scores_tell and s.freedom > best.freedom and s.bic < best.bic
 
 
-def _either(verified: float, crossed: float) -> float:
+def either_p(verified: float, crossed: float) -> float:
     """The p of a fall that one of two tests shows: on a verification table, or on parts of the rows of the fit."""
     return min(2.0 * min(verified, crossed), 1.0)
