@@ -9,7 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clampid.diagnosis.alongside import Step, alongside, step_towards
-from clampid.diagnosis.confirm import cross_fitted_fall, event_p, first_without_parts, held_out_p, same_effect, stability, terms_p
+from clampid.diagnosis.confirm import (
+    cross_fitted_fall,
+    event_p,
+    first_without_parts,
+    held_out_p,
+    same_effect,
+    stability,
+    terms_p,
+)
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.folds import Folds
