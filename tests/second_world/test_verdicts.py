@@ -54,6 +54,16 @@ def test_the_bearings_of_a_light_arm_may_tilt(tmp_path):
     assert ("bearing_tilt", ("joint3",)) in named(verdict)
 
 
+def test_a_light_arm_on_a_soft_stand_lacks_a_tilt_of_the_base_alone(tmp_path):
+    robot = draw_robot("small6", 3)
+    measure(robot, tmp_path / "c", program="slow", noise="white", seed=3, hidden=[("base_tilt", "base", 4.0)])
+    verdict = verdict_of(tmp_path / "c")
+    assert named(verdict)[0] == ("base_tilt", ("base",))
+    assert "bearing_tilt" not in {name for name, _ in named(verdict)[1:]}
+    values = {p["name"].partition("@")[0]: p["value"] for p in verdict.candidates[0]["parameters"]}
+    assert min(values["base_tilt.cxx"], values["base_tilt.cyy"]) > 0.0
+
+
 def test_the_stated_base_is_the_one_that_the_first_joint_shows():
     robot = draw_robot("offset6", 2)
     session = open_session(robot, "few", "five_speeds", "pink", 2)
