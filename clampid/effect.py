@@ -183,9 +183,9 @@ class Parameter:
         which they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it), 1 for
         a speed and -2 for viscous friction. A description without gears has its motors at the joints.
     moment
-        Of a compliance of the structure, Nm: how much the weight of an arm is about its shoulder, stretched out, for which
-        size and bounds are stated. A lighter arm has smaller bearings and thinner walls, and yields by as much under its
-        own weight: size and bounds are larger in proportion. 0: the same for all arms.
+        Of a compliance of the structure, Nm: the moment of an arm's own weight about its shoulder, stretched out, for
+        which size and bounds are stated. A lighter arm has smaller bearings and thinner walls, and yields by as much
+        under its own weight: size and bounds are larger in proportion. 0: the same for all arms.
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``anchor``, ``session``: one for each.
     bounds
