@@ -7,31 +7,28 @@ that gives it is found seed by seed from noise-free measurements with and withou
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from clampid.effect import Stage
 from clampid.fitting.solve import Estimate
-from clampid.identification.identify import identify
+from clampid.identification.identify import identify, standard_effects
 from clampid.identification.reopen import reopen
 from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
-from experiments.simulate import simulate
+from experiments.simulate import hidden_file, simulate
 from experiments.virtual_robot import Hidden, Measured, Plant, measure
 from kinematics.description import load_robot
 
 ROBOT = "kuka_kr20_r1810"
 TORQUES, POSES = ("free_air", "wrist"), ("poses", "verification")
 TABLES: Mapping[Stage, tuple[str, ...]] = {"free_air": TORQUES, "clamped": ("clamped",), "poses": (*TORQUES, *POSES)}
-STANDARD: Mapping[Stage, tuple[str, ...]] = {
-    "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
-    "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
-    "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
-}
 LARGEST = 100.0  # of the virtual robot's own sizes: nothing is hidden that is larger
 CLOSE, STEPS = 0.03, 4  # a size is met to 3 %, or as well as four steps of the secant reach
 
@@ -61,7 +58,7 @@ LACKING: Mapping[str, Alter] = {
 
 @dataclass(frozen=True)
 class Case:
-    """One or several effects and the stage in which they must be found.
+    """One or several effects, or none, and the stage in which they must be found.
 
     Attributes
     ----------
@@ -117,6 +114,8 @@ FAMILIES: tuple[Case, ...] = (
     Case("poses", ("encoder_disc",), ("joint_angle_curve",)),
 )  # fmt: skip
 
+NOTHING = Case("poses", ())
+
 OUTSIDE: tuple[Case, ...] = (
     Case("poses", ("outside_q4_direction",), depends_on=("q4", "dir4")),
     Case("poses", ("outside_third_harmonic",), depends_on=("q3",)),
@@ -139,9 +138,8 @@ SEVERAL: tuple[Case, ...] = (
 def start_model(case: Case, campaign: Campaign) -> Model:
     """The standard set, without what is to be missing."""
     wanted = {
-        stage: tuple(n for n in names if not (case.lacking and stage == case.stage and n == case.hidden[0]))
-        for stage, names in STANDARD.items()
-        if stage in campaign.tables
+        stage: [t.effect for t in terms if not (case.lacking and stage == case.stage and t.effect == case.hidden[0])]
+        for stage, terms in standard_effects([campaign]).items()
     }
     return identify(campaign, wanted)
 
@@ -153,8 +151,22 @@ _WITHOUT: dict[tuple[Stage, str, int, int], tuple[Estimate, Measured]] = {}
 class Bench:
     """One virtual robot of a seed, and how large effects of some magnitude are on it."""
 
+    present: frozenset[str] = frozenset()  # effects that it has without being asked, beyond the start model
+
     def __init__(self, case: Case, seed: int, poses: int, folder: Path) -> None:
         self.case, self.seed, self.poses, self.folder = case, seed, poses, folder
+        self.setup: Mapping[str, str] = {"robot": ROBOT}
+
+    def places(self) -> list[str]:
+        """Where each hidden effect of the last campaign sits; empty where it sits everywhere."""
+        if self.case.lacking:
+            return [""]
+        told: list[dict[str, Any]] = json.loads(hidden_file(self.folder).read_text())
+        return [str(h["where"]) for h in told]
+
+    def depends_on(self) -> tuple[str, ...]:
+        """The variables that what was hidden depends on."""
+        return self.case.depends_on
 
     def _alter(self, magnitude: float) -> Callable[[Plant], Plant]:
         if not self.case.lacking:
@@ -175,7 +187,10 @@ class Bench:
         )
 
     def campaign(self, magnitudes: Sequence[float]) -> Campaign:
-        """A campaign on the robot with the case's effects in it."""
+        """A campaign on the robot with the case's effects in it; all tables where the case has none."""
+        if not self.case.hidden:
+            simulate(self.folder, seed=self.seed, poses=self.poses)
+            return read_campaign(self.folder)
         hidden = [Hidden(n, None, m) for n, m in zip(self.case.hidden, magnitudes, strict=True) if m]
         alter = self._alter(magnitudes[0] if magnitudes else 0.0)
         simulate(

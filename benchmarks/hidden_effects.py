@@ -1,15 +1,16 @@
-"""Hides every effect of the virtual robot at several sizes, and counts what diagnosis calls it.
+"""Hides every effect of the virtual worlds at several sizes, and counts what diagnosis calls it.
 
-    python benchmarks/hidden_effects.py OUT [--seeds 10] [--first 1] [--sizes 0.4,0.8,1.6] [--families base_tilt,…]
-        [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--kinds single,several,outside,clean] [--no-best]
-        [--report]
+    python benchmarks/hidden_effects.py OUT [--worlds first,second] [--robots 10] [--seed 1] [--sizes 0.4,0.8,1.6]
+        [--families base_tilt,…] [--stages poses,…] [--clean 100] [--poses 200] [--workers 1] [--part 1/1]
+        [--kinds single,several,outside,clean] [--no-best] [--report]
 
 Sizes are the rms of what the start model leaves of the effect, in units of the noise (`hidden_cases.py`). Prints how
 often the first name is right, the rate of false alarms where nothing is hidden, how often an effect outside the
 library is called unknown, how often the set is exact where two or three are hidden, the held-out error over the best
-possible, and the CPU time. Writes OUT/results.jsonl, one line a verdict, from which it goes on where it was stopped;
-OUT/summary.json, OUT/table.md and OUT/confusion.svg. All of it takes most of a day on one core; `--seeds 2
---sizes 0.8 --clean 10` half an hour.
+possible, and the CPU time; and, where both worlds were asked, the two side by side with the gap between them. Writes
+OUT/results.jsonl, one line a verdict, from which it goes on where it was stopped; OUT/WORLD/summary.json, table.md and
+confusion.svg. `--part 2/3` runs every third trial from the second on. All of one world takes most of a day on one
+core; `--robots 2 --sizes 0.8 --clean 10` half an hour.
 """
 
 from __future__ import annotations
@@ -26,9 +27,12 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from hidden_cases import FAMILIES, OUTSIDE, SEVERAL, Case
-from hidden_table import by_case, draw, printed, summary
+from hidden_cases import Case
+from hidden_table import by_case, draw, printed, side_by_side, summary
 from hidden_trial import clean_trial, hidden_trial
+from hidden_worlds import WORLDS
+
+from clampid.effect import STAGES
 
 CLEAN_SEED = 1000  # robots without anything hidden are others than those with something
 KINDS = ("single", "several", "outside", "clean")
@@ -39,54 +43,72 @@ SEVERAL_SIZE = 0.8
 class Job:
     """One trial: a case at a size, or nothing hidden."""
 
+    world: str
     case: Case | None
     size: float
     seed: int
     poses: int
     best: bool
+    stages: tuple[str, ...] = STAGES
 
     @property
     def key(self) -> str:
-        return f"{self.case.label if self.case else 'nothing'} {self.size:g} {self.seed} {self.poses}"
+        world = "" if self.world == "first" else f"{self.world} "
+        what = self.case.label if self.case else "nothing"
+        some = f"/{'+'.join(self.stages)}" if self.case is None and set(self.stages) < set(STAGES) else ""
+        return f"{world}{what}{some} {self.size:g} {self.seed} {self.poses}"
 
     def run(self) -> list[dict[str, Any]]:
+        world = WORLDS[self.world]
         if self.case is None:
-            return clean_trial(self.seed, self.poses)
-        return [hidden_trial(self.case, self.size, self.seed, self.poses, self.best)]
+            return clean_trial(world, self.seed, self.poses, self.stages)
+        return [hidden_trial(world, self.case, self.size, self.seed, self.poses, self.best)]
 
 
 def jobs(options: argparse.Namespace) -> Iterator[Job]:
     """All trials that were asked for, seed by seed, so that what is there at any time is a fair sample."""
     sizes = [float(s) for s in options.sizes.split(",")]
     families = options.families.split(",") if options.families else None
-    stages, kinds = options.stages.split(","), options.kinds.split(",")
+    stages, kinds = tuple(options.stages.split(",")), options.kinds.split(",")
+    worlds = [WORLDS[name] for name in options.worlds.split(",")]
     wanted = [
-        (case, size)
-        for kind, cases in (("single", FAMILIES), ("outside", OUTSIDE), ("several", SEVERAL))
+        (world.name, case, size)
+        for world in worlds
+        for kind, cases in world.cases.items()
         for case in cases
         for size in (sizes if kind != "several" else [SEVERAL_SIZE])
         if kind in kinds and case.stage in stages and (families is None or set(case.hidden) & set(families))
     ]
     clean = options.clean if "clean" in kinds and families is None else 0
     done = 0
-    for number in range(options.seeds):
-        seed = options.first + number
-        yield from (Job(case, size, seed, options.poses, options.best) for case, size in wanted)
-        until = clean * (number + 1) // options.seeds
+    rest = (options.poses, options.best)
+    for number in range(options.robots):
+        seed = options.seed + number
+        yield from (Job(world, case, size, seed, *rest) for world, case, size in wanted)
+        until = clean * (number + 1) // options.robots
+        first = CLEAN_SEED + options.seed - 1
         yield from (
-            Job(None, 0.0, CLEAN_SEED + options.first - 1 + k, options.poses, options.best) for k in range(done, until)
+            Job(world.name, None, 0.0, first + k, *rest, stages) for k in range(done, until) for world in worlds
         )
         done = until
+
+
+def part_of(all_jobs: list[Job], part: str) -> list[Job]:
+    """Every n-th trial from the k-th on, of ``k/n``."""
+    k, n = (int(number) for number in part.split("/"))
+    return all_jobs[k - 1 :: n]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--first", type=int, default=1, help="the first seed")
+    parser.add_argument("--worlds", default="first", help="first, second, or both as first,second")
+    parser.add_argument("--robots", type=int, default=10, help="how many robots, each of its own seed")
+    parser.add_argument("--seed", type=int, default=1, help="of the first robot")
+    parser.add_argument("--part", default="1/1", help="k/n: every n-th trial from the k-th on")
     parser.add_argument("--sizes", default="0.4,0.8,1.6")
     parser.add_argument("--families", default="", help="only these names of the virtual robot")
-    parser.add_argument("--stages", default="free_air,clamped,poses")
+    parser.add_argument("--stages", default=",".join(STAGES))
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--clean", type=int, default=100, help="robots with nothing hidden")
     parser.add_argument("--poses", type=int, default=200)
@@ -97,7 +119,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "results.jsonl"
     results = [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-    wanted = [] if options.report else list(jobs(options))
+    wanted = [] if options.report else part_of(list(jobs(options)), options.part)
     keys = {job.key for job in wanted} or {r["key"] for r in results}
     done = {r["key"] for r in results}
     with file.open("a") as out, ProcessPoolExecutor(options.workers) as pool:
@@ -105,7 +127,7 @@ def main() -> None:
         for future in as_completed(running):
             job = running[future]
             try:
-                rows = [{**row, "key": job.key} for row in future.result()]
+                rows = [{**row, "key": job.key, "world": job.world} for row in future.result()]
             except ValueError as error:  # one case that cannot be is no reason to lose the others
                 print(f"{job.key}: {error}", flush=True)
                 continue
@@ -115,7 +137,12 @@ def main() -> None:
                 print(f"{row['key']} {row['stage']}: {row['verdict']} {_names(row)}{mark}", flush=True)
             out.flush()
             results += rows
-    report(options.out, [r for r in results if r["key"] in keys])
+    counted = [r for r in results if r["key"] in keys]
+    by_world = {w: mine for w in WORLDS if (mine := [r for r in counted if r.get("world", "first") == w])}
+    for world, rows in by_world.items():
+        print(f"\n{world} world")
+        report(options.out / world, rows)
+    print(f"\n{side_by_side(by_world)}")
 
 
 def _names(row: dict[str, Any]) -> str:
@@ -124,6 +151,7 @@ def _names(row: dict[str, Any]) -> str:
 
 def report(out: Path, results: list[dict[str, Any]]) -> None:
     """Print, write and draw what the results amount to."""
+    out.mkdir(exist_ok=True)
     found = summary(results)
     (out / "summary.json").write_text(json.dumps(found, indent=1) + "\n")
     (out / "table.md").write_text(by_case(results) + "\n")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,24 @@ def rate(hits: int, trials: int) -> str:
         return "–"
     low, high = clopper_pearson(hits, trials)
     return f"{hits}/{trials} = {100 * hits / trials:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def wilson(hits: int, trials: int) -> tuple[float, float]:
+    """The 95 % score interval of a rate (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    z = float(stats.norm.isf((1 - LEVEL) / 2))
+    p, centre = hits / trials, (hits + z**2 / 2) / (trials + z**2)
+    half = z * np.sqrt(p * (1 - p) * trials + z**2 / 4) / (trials + z**2)
+    return max(centre - half, 0.0), min(centre + half, 1.0)
+
+
+def gap(first: tuple[int, int], second: tuple[int, int]) -> tuple[float, float, float]:
+    """A rate less another, hits and trials of each, with the 95 % interval of the difference.
+
+    Built from both Wilson intervals (Newcombe, Statistics in Medicine 17, 1998, method 10).
+    """
+    p, q = first[0] / first[1], second[0] / second[1]
+    (pl, pu), (ql, qu) = wilson(*first), wilson(*second)
+    return p - q, p - q - float(np.hypot(p - pl, qu - q)), p - q + float(np.hypot(pu - p, q - ql))
 
 
 def untestable(row: Mapping[str, Any]) -> bool:
@@ -88,6 +106,63 @@ def printed(found: Mapping[str, Any]) -> str:
         else:
             lines += [f"{f'{name}, {size} sigma':40} {rate(v['hits'], v['trials'])}" for size, v in value.items()]
     return "\n".join(lines)
+
+
+SEEN = 29.8  # the noncentrality that is found with 90 % power among the named effects, of three parameters
+
+
+def noncentrality(row: Mapping[str, Any]) -> float:
+    """What all numbers of a trial's table say of its effect together: squares in units of the noise."""
+    numbers = row["rows"] * (3 if row["stage"] == "poses" else 1)
+    return float(numbers * min(row["sizes"]) ** 2)
+
+
+_FIGURES: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], bool], Callable[[Mapping[str, Any]], bool]]] = {
+    "right: first name, or in a set of at most three": ("single", lambda r: True, lambda r: bool(r["right"])),
+    "the same where the rows can know (90 % power)": (
+        "single",
+        lambda r: noncentrality(r) >= SEEN,
+        lambda r: bool(r["right"]),
+    ),
+    "top 1: first of the names said": ("single", lambda r: "top1" in r, lambda r: bool(r["top1"])),
+    "unknown, with a right variable": ("outside", lambda r: True, lambda r: bool(r["right"])),
+    "the same where the rows can know": (
+        "outside",
+        lambda r: noncentrality(r) >= SEEN,
+        lambda r: bool(r["right"]),
+    ),
+    "false alarms, verdicts with nothing hidden": ("clean", lambda r: True, lambda r: not r["right"]),
+}
+SMALLEST = 0.4  # sigma
+
+
+def side_by_side(worlds: Mapping[str, Results]) -> str:
+    """The same figures of each world, all sizes from 0.4 sigma together, with Wilson intervals, and the gap of two."""
+    names = list(worlds)
+    heads = [f"{name} world" for name in names] + (["gap, points"] if len(names) == 2 else [])
+    lines = [f"{'':48}" + "".join(f"{h:32}" for h in heads)]
+    for title, (kind, counts, hit) in _FIGURES.items():
+        found: list[tuple[int, int]] = []
+        for rows in worlds.values():
+            mine = [r for r in rows if r["kind"] == kind and (kind == "clean" or _sized(r)) and counts(r)]
+            found.append((sum(hit(r) for r in mine), len(mine)))
+        cells = [_cell(*f) for f in found]
+        if len(names) == 2 and all(n for _, n in found):
+            difference, low, high = (100 * v for v in gap(found[0], found[1]))
+            cells.append(f"{difference:+.1f} ({low:+.1f} to {high:+.1f})")
+        lines.append(f"{title:48}" + "".join(f"{c:32}" for c in cells))
+    return "\n".join(lines)
+
+
+def _sized(row: Mapping[str, Any]) -> bool:
+    return row["size"] >= SMALLEST and not untestable(row)
+
+
+def _cell(hits: int, trials: int) -> str:
+    if not trials:
+        return "–"
+    low, high = wilson(hits, trials)
+    return f"{hits}/{trials} {100 * hits / trials:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def by_case(results: Results) -> str:

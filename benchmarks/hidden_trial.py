@@ -2,64 +2,63 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import process_time
 from typing import Any
 
-from hidden_cases import Bench, Case, start_model
+from hidden_cases import NOTHING, Case, start_model
+from hidden_worlds import World
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import EffectError, Stage
-from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.models.model import Model
-from experiments.campaign import Campaign, read_campaign
-from experiments.simulate import hidden_file, simulate
+from experiments.campaign import Campaign
 
 MOST_ALTERNATIVES = 3
 CONFUSABLE = 0.8
 
 
-def hidden_trial(case: Case, size: float, seed: int, poses: int, best: bool = True) -> dict[str, Any]:
+def hidden_trial(world: World, case: Case, size: float, seed: int, poses: int, best: bool = True) -> dict[str, Any]:
     """Hide a case's effects at a size each, and judge the stage's verdict."""
     with tempfile.TemporaryDirectory() as folder:
-        bench = Bench(case, seed, poses, Path(folder) / "arm")
+        bench = world.bench(case, seed, poses, Path(folder) / "arm")
         found = [bench.magnitude(name, size) for name in case.hidden]
         campaign = bench.campaign([m for m, _ in found])
-        told = [] if case.lacking else json.loads(hidden_file(bench.folder).read_text())
+        truth = truth_of(case, bench.places())
     model = start_model(case, campaign)
     start = process_time()
     verdict = diagnose(model, campaign, stages=[case.stage]).to_json()["stages"][case.stage]
     seconds = process_time() - start
-    truth = truth_of(case, told)
     out = {"kind": "outside" if case.depends_on else ("single" if len(case.hidden) == 1 else "several")}
-    out |= {"case": case.label, "stage": case.stage, "size": size, "seed": seed}
+    out |= {"case": case.label, "stage": case.stage, "size": size, "seed": seed, **bench.setup}
     out |= {"sizes": [s for _, s in found], "magnitudes": [m for m, _ in found], "truth": truth}
     out |= told_by(verdict) | {"seconds": seconds, "rows": rows_of(campaign, case.stage)}
     if case.depends_on:
-        right = verdict["verdict"] == "unknown" and bool(set(verdict["depends_on"]) & set(case.depends_on))
-        return out | {"right": right}
+        wanted = bench.depends_on()
+        right = verdict["verdict"] == "unknown" and bool(set(verdict["depends_on"]) & set(wanted))
+        return out | {"right": right, "wanted": list(wanted)}
     reached = best_possible(model, campaign, case.stage, truth) if best else None
-    return out | judged(verdict, truth) | {"best": reached}
+    return out | judged(verdict, truth, bench.present) | {"best": reached}
 
 
-def clean_trial(seed: int, poses: int) -> list[dict[str, Any]]:
-    """Hide nothing: a verdict of every stage."""
+def clean_trial(world: World, seed: int, poses: int, stages: Sequence[str]) -> list[dict[str, Any]]:
+    """Hide nothing: a verdict of every stage that is asked for."""
     with tempfile.TemporaryDirectory() as folder:
-        simulate(Path(folder) / "arm", seed=seed, poses=poses)
-        campaign = read_campaign(Path(folder) / "arm")
-    model = identify(campaign)
+        bench = world.bench(NOTHING, seed, poses, Path(folder) / "arm")
+        campaign = bench.campaign([])
+    model = start_model(NOTHING, campaign)
     out = []
-    for stage in model.stages:
+    for stage in [s for s in model.stages if s in stages]:
         start = process_time()
         verdict = diagnose(model, campaign, stages=[stage]).to_json()["stages"][stage]
-        row = {"kind": "clean", "case": f"nothing/{stage}", "stage": stage, "size": 0.0, "seed": seed}
+        row = {"kind": "clean", "case": f"nothing/{stage}", "stage": stage, "size": 0.0, "seed": seed, **bench.setup}
         row |= told_by(verdict) | {"seconds": process_time() - start, "rows": rows_of(campaign, stage)}
-        out.append(row | {"right": verdict["verdict"] == "adequate"})
+        true_of_it = verdict["verdict"] == "missing" and {c["name"] for c in verdict["candidates"]} <= bench.present
+        out.append(row | {"right": verdict["verdict"] == "adequate" or true_of_it})
     return out
 
 
@@ -69,14 +68,14 @@ def rows_of(campaign: Campaign, stage: Stage) -> int:
     return sum(len(campaign.tables[t]) for t in tables if t in campaign.tables)
 
 
-def truth_of(case: Case, told: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+def truth_of(case: Case, places: Sequence[str]) -> list[dict[str, str]]:
     """Family, name and place of each hidden effect; place ``""`` where it sits in one place only or everywhere."""
     known = catalogue()
     out = []
-    for k, name in enumerate(case.names):
+    for name, where in zip(case.names, places, strict=True):
         if name not in known:  # outside the library
             continue
-        place = "" if case.lacking or known[name].per == "robot" or known[name].tried == "jointly" else told[k]["where"]
+        place = "" if known[name].per == "robot" or known[name].tried == "jointly" else where
         if place:
             place = known[name].per + place.lstrip("abcdefghijklmnopqrstuvwxyz")
         out.append({"name": name, "family": known[name].family, "where": place})
@@ -96,13 +95,16 @@ def told_by(verdict: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def judged(verdict: Mapping[str, Any], truth: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+def judged(
+    verdict: Mapping[str, Any], truth: Sequence[Mapping[str, str]], present: frozenset[str] = frozenset()
+) -> dict[str, Any]:
     """First name right, all found, exact set.
 
     Right: `missing` with a true effect at its true place first, or `ambiguous` with it in a set of at most three whose
-    members these rows really cannot tell apart.
+    members these rows really cannot tell apart. `top1`: the first name of either is a true effect's. Names of effects
+    that the robot has without being asked (`present`) are true, and no answer to what was hidden: they do not count.
     """
-    candidates = verdict["candidates"]
+    candidates = [c for c in verdict["candidates"] if c["name"] not in present]
     confirmed = [c for c in candidates if not c["alternative"]]
     alternatives = [c for c in candidates if c["alternative"]]
 
@@ -113,7 +115,9 @@ def judged(verdict: Mapping[str, Any], truth: Sequence[Mapping[str, str]]) -> di
         return any(hits(c, t) for c in chosen)
 
     few = 0 < len(alternatives) <= MOST_ALTERNATIVES
-    if verdict["verdict"] == "missing":
+    if not candidates:
+        right = False
+    elif verdict["verdict"] == "missing":
         right = any(hits(confirmed[0], t) for t in truth)
     elif verdict["verdict"] == "ambiguous":
         right = any(hits(confirmed[0], t) for t in truth) if confirmed else any(one_of(alternatives, t) for t in truth)
@@ -123,7 +127,9 @@ def judged(verdict: Mapping[str, Any], truth: Sequence[Mapping[str, str]]) -> di
     found = [one_of(confirmed, t) or (few and one_of(alternatives, t)) for t in truth]
     extra = [c for c in confirmed if not any(hits(c, t) for t in truth)]
     first = candidates[0]["effect"] if candidates else verdict["verdict"]
-    return {"right": right, "found": sum(found), "exact": all(found) and not extra, "first": first}
+    named = verdict["verdict"] in ("missing", "ambiguous") and bool(candidates)
+    top1 = named and any(hits(candidates[0], t) for t in truth)
+    return {"right": right, "top1": top1, "found": sum(found), "exact": all(found) and not extra, "first": first}
 
 
 def best_possible(model: Model, campaign: Campaign, stage: Stage, truth: Sequence[Mapping[str, str]]) -> float | None:

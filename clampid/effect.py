@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 __all__ = [
     "AT_A_SLIDE",
+    "CAST_ARM",
     "FAMILIES",
     "PRESLIDING_LENGTHS",
     "RELAXATION_TIMES",
@@ -36,6 +37,8 @@ Within = Literal["q", "torque", "link_temperature"]
 JointKind = Literal["revolute", "prismatic", "helical"]
 Deviation = Callable[[Any, Any], Any]
 
+CAST_ARM = 730.0  # Nm: own weight about the shoulder of an arm for 20 kg, for which structural sizes are stated
+LEAST_MOMENT = 1.0  # Nm: lighter than a toy's arm
 WEAK = 10.0  # sizes: a prior that says next to nothing
 STAGES: tuple[Stage, ...] = ("free_air", "clamped", "poses")
 
@@ -179,6 +182,10 @@ class Parameter:
         Of a number at the motor whose size, bounds and grid are stated at the joint: the power of the gear ratio by
         which they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it), 1 for
         a speed and -2 for viscous friction. A description without gears has its motors at the joints.
+    moment
+        Of a compliance of the structure, Nm: the moment of an arm's own weight about its shoulder, stretched out, for
+        which size and bounds are stated. A lighter arm has smaller bearings and thinner walls, and yields by as much
+        under its own weight: size and bounds are larger in proportion. 0: the same for all arms.
     per
         ``robot``: one; ``joint``, ``link``, ``target``, ``anchor``, ``session``: one for each.
     bounds
@@ -207,6 +214,7 @@ class Parameter:
     held: Literal["nowhere", "first", "everywhere"] = "nowhere"
     gearing: int = 0
     share: bool = False
+    moment: float = 0.0
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -241,10 +249,18 @@ class Parameter:
         """The same with size, bounds and grid for a joint whose motor turns ``ratio`` times as fast."""
         if not self.gearing:
             return self
-        factor = abs(ratio) ** self.gearing
+        return replace(self._times(abs(ratio) ** self.gearing), gearing=0)
+
+    def of_weight(self, moment: float) -> Parameter:
+        """The same for an arm whose weight has a moment, Nm, about its shoulder."""
+        if not self.moment or moment >= self.moment:
+            return self
+        return replace(self._times(self.moment / max(moment, LEAST_MOMENT)), moment=0.0)
+
+    def _times(self, factor: float) -> Parameter:
         lower, upper = self.bounds
         grid = tuple(value * factor for value in self.grid)
-        return replace(self, size=self.size * factor, bounds=(lower * factor, upper * factor), grid=grid, gearing=0)
+        return replace(self, size=self.size * factor, bounds=(lower * factor, upper * factor), grid=grid)
 
 
 @dataclass(frozen=True)

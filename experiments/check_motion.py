@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy import stats
 
 from experiments.campaign import Campaign
 from experiments.check_angles import joint_angles
@@ -23,6 +24,11 @@ SAME_POSE_RAD = 1e-2
 # Springs of drives give way by milliradians under rated torque; an arm that moves more than this is not clamped. Soft
 # wrists give way by more: there it is this many times what the described spring does at the rated torque.
 CLAMPED_RAD, CLAMPED_SPRINGS = 0.05, 3.0
+
+# Returns that agree to the last digit are called copied where rounding would do that once in a thousand campaigns.
+BY_CHANCE = 1e-3
+LEAST_NOISE_M = 1e-5  # of instruments for robots, where none is stated
+ON_STEP = 0.01  # of a step, by which numbers may be off it
 
 _FROM_NEIGHBOURS = (
     "its zero offset, compliance and clearance cannot be told from its neighbours' and the frames' parameters"
@@ -127,7 +133,8 @@ def motion_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterato
     for table in POSES:
         if table in campaign.tables:
             yield from _directions(table, campaign.tables[table], n)
-            yield from _stops(table, campaign.tables[table], n)
+            stated = campaign.instrument.distance_std if table == "distances" else campaign.instrument.position_std
+            yield from _stops(table, campaign.tables[table], n, stated)
     if "poses" in campaign.tables:
         yield from _replicates(campaign)
     if "clamped" in campaign.tables:
@@ -153,7 +160,7 @@ def _directions(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
             yield Finding("warning", table, names[i], None, message)
 
 
-def _stops(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
+def _stops(table: str, frame: pd.DataFrame, n: int, noise: float | None) -> Iterator[Finding]:
     what = ["target", "anchor"] if "anchor" in frame else ["target"]
     again = np.flatnonzero(frame.duplicated(["pose", "visit", *what]).to_numpy())
     if again.size:
@@ -178,12 +185,30 @@ def _stops(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
     read, word = (["distance_m"], "distance") if "anchor" in frame else ([*POSITION], "position")
     copied = frame.duplicated(["pose", *what, *read]).to_numpy() & ~frame.duplicated(["pose", "visit", *what])
     rows = np.flatnonzero(copied)
-    if rows.size:
+    returns = np.count_nonzero(frame.duplicated(["pose", *what]) & ~frame.duplicated(["pose", "visit", *what]))
+    if rows.size and stats.binom.sf(rows.size - 1, returns, _same_by_rounding(frame[read], noise)) < BY_CHANCE:
         message = (
             f"{rows.size} returns have exactly the {word} of an earlier one, first in row {rows[0] + 1}: copied, not "
             "measured again"
         )
         yield Finding("warning", table, read[0], int(rows[0]) + 1, message)
+
+
+def _same_by_rounding(read: pd.DataFrame, noise: float | None) -> float:
+    """How probable it is that two readings of one point agree in all of their numbers because these are rounded.
+
+    Two readings, each with the noise [m] that the instrument is stated to have, fall on the same step with the density
+    of their difference at zero times the step. Numbers that are not on steps never agree by chance.
+    """
+    probability = 1.0
+    for values in read.to_numpy(dtype=np.float64).T:
+        apart = np.diff(np.unique(values))
+        step = float(apart.min(initial=np.inf))
+        on_steps = bool(np.all(np.abs(apart / step - np.round(apart / step)) < ON_STEP)) if apart.size else True
+        if not on_steps:
+            return 0.0
+        probability *= min(step / (2.0 * np.sqrt(np.pi) * (noise or LEAST_NOISE_M)), 1.0)
+    return probability
 
 
 def _replicates(campaign: Campaign) -> Iterator[Finding]:

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from experiments.campaign import Campaign, target_points
@@ -51,6 +52,12 @@ ORIENTATION_WRONG_RAD = 0.05
 _ITERATIONS = 8
 # A target nearer to the last joint's axis than the wrist's own errors is not moved by that joint.
 ON_AXIS_M = 0.005
+# A mistake is named where it fits better than the description by so much that chance does it once in a thousand
+# campaigns, over all mistakes that were tried. A median is worth 0.37 of the rows that a mean of squares would be.
+BY_CHANCE, OF_A_MEDIAN = 1e-3, 0.37
+TRIED = 50  # signs and pairs of up to eight joints, targets' names, and a mirror
+# Points on a line leave the base's turn about it to the targets' places: nothing says from which turn a fit finds it.
+TURNS = 12
 # Off a plane by as much as the points reach within it, an error seen in their thickness alone is twenty times larger.
 FLAT = 0.05
 
@@ -215,7 +222,8 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
     fit = _fit(poses, points, measured)
     residual = fit.distance
     size = float(np.median(residual))
-    mistaken = _mistaken_joints(campaign, table, points, measured, 0.2 * size) if size > SIGN_WRONG_M else None
+    good = min(0.2, _clearly_better(len(measured))) * size
+    mistaken = _mistaken_joints(campaign, table, points, measured, good) if size > SIGN_WRONG_M else None
     if mistaken:
         first, joints = mistaken
         message = (
@@ -226,11 +234,11 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
         return
     if size > CLEARLY_WRONG_M:
         far = f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame"
-        if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0]).distance) < 0.2 * size:
+        if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0]).distance) < good:
             message = f"{far}; they fit when mirrored: an axis has a wrong sign, or two are swapped"
             yield Finding("error", table, "x_m", None, message)
             return
-        swap = _swapped_targets(campaign, table, poses, measured, 0.2 * size)
+        swap = _swapped_targets(campaign, table, poses, measured, good)
         reason = f"they fit with {swap}" if swap else "wrong robot, joint order or sign?"
         severity: Literal["error", "warning"] = "error" if swap else "warning"
         yield Finding(severity, table, "target" if swap else "x_m", None, f"{far}; {reason}")
@@ -249,6 +257,16 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
             f"{residual[worst] * 1e3:.0f} mm, row {worst + 1}): probably mismeasured or mislabelled"
         )
         yield Finding("warning", table, "x_m", worst + 1, message)
+
+
+def _clearly_better(rows: int) -> float:
+    """Below which ratio of two fits' median distances, of so many points, the better one is no chance.
+
+    An F test of what both leave beyond the nine numbers that are fitted, shared out over about as many mistakes as are
+    tried; zero where the points are too few to tell.
+    """
+    freedom = OF_A_MEDIAN * (3 * rows - 9)
+    return float(stats.f.isf(BY_CHANCE / TRIED, freedom, freedom) ** -0.5) if freedom > 0 else 0.0
 
 
 def _mistaken_joints(
@@ -317,15 +335,28 @@ def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> _Fit:
     """Lay nominal points on measured ones; bad rows do not pull the fit.
 
     Fitted are the base frame and one offset common to all targets, since neither is known to better than centimetres
-    on a real cell: first the frame in closed form, then both by Gauss–Newton.
+    on a real cell: first the frame in closed form, then both by Gauss–Newton. Of points on a line the closed form knows
+    no turn about it: the best of several is taken.
     """
     turn = poses[:, :3, :3]
     nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", turn, points)
     near = _near(measured)
     here, there = nominal[near].mean(axis=0), measured[near].mean(axis=0)
-    base = nearest_rotation(nominal[near] - here, measured[near] - there)
-    shift, offset = there - base @ here, np.zeros(3)
-    keep = np.ones(len(nominal), dtype=bool)
+    first = nearest_rotation(nominal[near] - here, measured[near] - there)
+    _, extent, axes = np.linalg.svd(measured[near] - there)
+    starts = [first]
+    if len(extent) == 3 and extent[1] < FLAT * extent[0]:
+        angles = 2.0 * np.pi / TURNS * np.arange(1, TURNS)
+        starts += [Rotation.from_rotvec(angle * axes[0]).as_matrix() @ first for angle in angles]
+    fits = [_descended(turn, nominal, measured, start, there - start @ here) for start in starts]
+    return min(fits, key=lambda fit: float(np.median(fit.distance)))
+
+
+def _descended(
+    turn: FloatArray, nominal: FloatArray, measured: FloatArray, base: FloatArray, shift: FloatArray
+) -> _Fit:
+    """The best frame and offset from a frame on, by Gauss–Newton over the rows that are not far off."""
+    offset = np.zeros(3)
     for _ in range(_ITERATIONS):
         turned = (nominal + turn @ offset) @ base.T  # (rows, 3)
         error = measured - turned - shift

@@ -12,10 +12,11 @@ from scipy import linalg
 
 from kinematics.robot import Link, RobotDescription
 
-__all__ = ["links_of", "usual_covariance", "usual_links"]
+__all__ = ["links_of", "own_moment", "usual_covariance", "usual_links"]
 
 Array = npt.NDArray[np.float64]
 
+GRAVITY = 9.81  # m/s²
 AREAL = 13.6
 """kg/m²: what moves beyond a joint, over the square of the reach from there. Beyond joint 2, by
 their bundled descriptions: KUKA KR20 R1810 28.5, Universal Robots UR10 6.5; this is the geometric mean."""
@@ -52,6 +53,14 @@ def usual_covariance(robot: RobotDescription) -> Array:
         mean.append(np.r_[link.mass, link.mass * centre])
     whole = np.concatenate(mean)
     return np.asarray(linalg.block_diag(*blocks) + BUILD**2 * np.outer(whole, whole))
+
+
+def own_moment(robot: RobotDescription) -> float:
+    """Moment of the arm's weight about its shoulder, the joint after the first, Nm, were it stretched out level."""
+    _, length = _along(robot)
+    reach = np.r_[0.0, np.cumsum(length[1:])]  # along the arm from the shoulder to each joint after it, and the flange
+    middle = 0.5 * (reach[1:] + reach[:-1])
+    return float(GRAVITY * sum(link.mass * at for link, at in zip(links_of(robot)[1:], middle, strict=True)))
 
 
 def _along(robot: RobotDescription) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from clampid.evidence.columns import Sums
 from clampid.evidence.score import Scored, Space, explained_by
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
+from clampid.slots import Term
 from clampid.stages.pose_rows import join_rows
 from clampid.stages.rows import Array, Integers, Rows
 
@@ -31,6 +32,7 @@ __all__ = [
     "probe_held_out_fall",
     "same_effect",
     "stability",
+    "terms_p",
 ]
 
 FOLDS = 5
@@ -158,8 +160,21 @@ def event_p(estimate: Estimate, name: str, seed: int) -> float:
 
     By the noise that is left with the event: without it, the noise is taken for so lasting that a step is one row's.
     """
+    return _own_p(estimate, [k for k, slot in enumerate(estimate.slots) if slot.effect == name], seed)
+
+
+def terms_p(estimate: Estimate, terms: Sequence[Term], seed: int) -> float:
+    """The same of amplitudes that an estimate has for some terms, on the rows of its fit."""
+    shape = estimate.experiment.shapes()
+    wanted = {(t.effect, t.place) for t in terms}
+    own = [k for k, slot in enumerate(estimate.slots) if (slot.effect, slot.place) in wanted and not shape[k]]
+    return _own_p(estimate, own, seed) if own else 1.0
+
+
+def _own_p(estimate: Estimate, numbers: Sequence[int], seed: int) -> float:
+    """One-sided p of what some of an estimate's parameters bring, units predicted by the other four fifths."""
     white, count = estimate.whitened, len(estimate.theta)
-    own = np.array([k for k, slot in enumerate(estimate.slots) if slot.effect == name], dtype=int)
+    own = np.array(numbers, dtype=int)
     order = np.r_[np.setdiff1d(np.arange(count), own), own]
     J, precision = white.jacobian[:, order], estimate.prior_precision[np.ix_(order, order)]
     first = count - len(own)

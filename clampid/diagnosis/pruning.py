@@ -25,9 +25,19 @@ def pruned(
 
     That statistic is a linear model's. A friction that decides on flanks may hardly be known and yet be needed: where
     the fit without all that does not pay loses more than they cost, they are dropped one by one, while it does not.
+
+    Places at which it comes out beyond its bounds, such as a clearance below zero, are dropped before: what it explains
+    there it does by what it cannot be. None may be left.
     """
+    new = list(new)
+    while possible := [t for t in new if not _impossible(trial.estimate, t)]:
+        if len(possible) == len(new):
+            break
+        trial, new = refit([*before, *possible], trial, {}), possible
+    if not possible:
+        return trial, []
     if len(new) < 2:
-        return trial, list(new)
+        return trial, new
     estimate = trial.estimate
     cost = _costs(estimate, new)
     lacks = {term: of_term - _wald(estimate, _of(estimate, term)) for term, of_term in cost.items()}
@@ -87,6 +97,14 @@ def _wald(estimate: Estimate, own: Sequence[int]) -> float:
 
 def _of(estimate: Estimate, term: Term) -> list[int]:
     return [k for k, s in enumerate(estimate.slots) if s.effect == term.effect and s.place == term.place]
+
+
+def _impossible(estimate: Estimate, term: Term) -> bool:
+    """Whether all amplitudes of a term that a fit has lie beyond their bounds."""
+    own, (lower, upper) = _of(estimate, term), estimate.experiment.bounds()
+    index = [k for k in own if not estimate.experiment.shapes()[k]]
+    theta = estimate.theta[index]
+    return bool(index) and bool(np.all((theta < lower[index]) | (theta > upper[index])))
 
 
 def _costs(estimate: Estimate, terms: Sequence[Term]) -> dict[Term, float]:

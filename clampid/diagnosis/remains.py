@@ -13,7 +13,7 @@ that there the probe's size decides.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,9 @@ from clampid.diagnosis.confirm import Fall, cross_fitted_fall, probe_held_out_fa
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
 from clampid.diagnosis.look import Look
-from clampid.diagnosis.trial import HELD_OUT_RATE, HeldOut
+from clampid.diagnosis.trial import HELD_OUT_RATE, HeldOut, either_p
 from clampid.display import error_text
+from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Rows
 
@@ -85,11 +86,7 @@ def remains_of(look: Look, estimate: Estimate, held: HeldOut, verification: Rows
     """
     if not look.fires or look.probe is None:
         return None
-    fall: Fall
-    if verification is None:
-        fall = cross_fitted_fall(estimate, look.probe, seed)
-    else:
-        fall = probe_held_out_fall(estimate, verification, look.probe.candidate, seed)
+    fall = _fall(look.probe, estimate, verification, seed)
     if fall.p > HELD_OUT_RATE:
         return None
     size = float(np.sqrt(max(fall.share, 0.0))) * held.rms
@@ -98,6 +95,20 @@ def remains_of(look: Look, estimate: Estimate, held: HeldOut, verification: Rows
     large = size >= MATTERS * floor and not (poses and held.rms <= floor)
     found = variables_of(look)
     return Remains(tuple(found), look.probe.candidate.places, size, fall.p, large or above_the_floor(held, CLEARLY))
+
+
+def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: int) -> Fall:
+    """What a probe takes from rows that no fit has seen: as a name's, on the verification table or on the poses.
+
+    Where the table alone, of a few visits, does not tell, the poses may, at the other half of the rate; the table's own
+    error has to fall in any case.
+    """
+    if verification is None:
+        return cross_fitted_fall(estimate, probe, seed)
+    fall = probe_held_out_fall(estimate, verification, probe.candidate, seed)
+    if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
+        return fall
+    return replace(fall, p=either_p(fall.p, cross_fitted_fall(estimate, probe, seed).p))
 
 
 def above_the_floor(held: HeldOut, rate: float) -> bool:

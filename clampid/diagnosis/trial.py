@@ -9,7 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from clampid.diagnosis.alongside import Step, alongside, step_towards
-from clampid.diagnosis.confirm import event_p, first_without_parts, held_out_p, same_effect, stability
+from clampid.diagnosis.confirm import (
+    cross_fitted_fall,
+    event_p,
+    first_without_parts,
+    held_out_p,
+    same_effect,
+    stability,
+    terms_p,
+)
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.folds import Folds
@@ -36,7 +44,7 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Tried", "Undecided", "held_out"]
+__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Tried", "Undecided", "either_p", "held_out"]
 
 HELD_OUT_RATE = 0.05
 STABLE = 0.6  # the majority of five parts of the rows
@@ -44,6 +52,7 @@ GROUPS = 3  # of look-alikes, after which no more are looked for beside them
 RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
 ONLY_BESIDE = "the held-out error falls only beside what these rows cannot tell apart"
+IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -277,10 +286,10 @@ class Bench:
             if step is not None and step.falls and step.linear and s.assumed <= MOSTLY and self._plain(s):
                 trial, kept = fitted, list[Term]()
                 new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
-                p, falls = self._confirmed(held, new)
+                p, falls = self._confirmed(held, new, s, fitted.estimate)
             else:  # one step is not the fit: only this tells
                 _, trial, kept, new = self._fitted_along(s, step, fitted)
-                p, falls = _falls(s, trial.estimate, held, new, self.seed)
+                p, falls = self._falls(s, trial.estimate, kept, held, new)
             if falls:
                 return Undecided([best, *rivals], look)
             refusal = refusal or Tried(s, look, trial, kept, new, p, 0.0, NO_FALL)
@@ -291,15 +300,50 @@ class Bench:
         effect = self.effects[s.candidate.name]
         return effect.event is None and effect.scanned is None
 
-    def _confirmed(self, held: HeldOut, new: HeldOut) -> tuple[float, bool]:
+    def _confirmed(self, held: HeldOut, new: HeldOut, s: Scored, without: Estimate) -> tuple[float, bool]:
         """One-sided p of the fall of the held-out error, and whether it falls at all and that is no chance."""
         p = held.p_above(new, new.noise, self.seed)
+        if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
+            p = either_p(p, cross_fitted_fall(without, s, self.seed).p)
         return p, p <= HELD_OUT_RATE and held.exceed(new)
+
+    def _falls(
+        self, best: Scored, trial: Estimate, kept: Sequence[Term], held: HeldOut, new: HeldOut
+    ) -> tuple[float, bool]:
+        """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
+
+        No other sweep tells of an event; other blocks of its own do. Of what shows within a few degrees of one joint a
+        verification table may have no row; other visits there do, and it must not raise that table's error.
+
+        A verification table of a few visits hardly tells a fall from chance that all the poses together make certain.
+        Half of the rate is for it, half for the poses, a fifth of them predicted by the others at a time; the error of
+        the table, which everybody reads, has to fall in any case.
+
+        The errors as they are printed are to fall as well: whitened errors of a log see what is brief, and alone they
+        would call missing what raises the error that everybody reads.
+
+        What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower
+        an error that the model without it reaches, too; it must not raise it.
+        """
+        effect = self.effects[best.candidate.name]
+        if effect.event is not None:
+            p = event_p(trial, effect.name, self.seed)
+            return p, p <= HELD_OUT_RATE
+        if effect.scanned is not None:
+            p = event_p(trial, effect.name, self.seed)
+            return p, p <= HELD_OUT_RATE and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
+        p = held.p_above(new, new.noise, self.seed)
+        if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
+            p = either_p(p, terms_p(trial, kept, self.seed))
+        told = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
+        return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told
 
     def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
-        (best, trial, kept, new), level = self._likeliest(fits)
-        p_held, falls = _falls(best, trial.estimate, held, new, self.seed)
+        (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
+        p_held, falls = self._falls(best, trial.estimate, kept, held, new)
+        if not kept:
+            return Tried(best, look, trial, kept, new, p_held, 0.0, IMPOSSIBLE)
         if falls and level:
             return Undecided([best, *(fit.scored for fit in level)], look)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
@@ -431,25 +475,6 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
     return scores_tell and s.freedom > best.freedom and s.bic < best.bic
 
 
-def _falls(best: Scored, trial: Estimate, held: HeldOut, new: HeldOut, seed: int) -> tuple[float, bool]:
-    """One-sided p of the fall of the held-out error, and whether that confirms a candidate.
-
-    No other sweep tells of an event; other blocks of its own do. Of what shows within a few degrees of one joint a
-    verification table may have no row; other visits there do, and it must not raise that table's error.
-
-    The errors as they are printed are to fall as well: whitened errors of a log see what is brief, and alone they would
-    call missing what raises the error that everybody reads.
-
-    What is told by a prior, such as a tool other than declared that the links' masses can stand for, need not lower an
-    error that the model without it reaches, too; it must not raise it.
-    """
-    effect = trial.experiment.effects[best.candidate.name]
-    if effect.event is not None:
-        p = event_p(trial, effect.name, seed)
-        return p, p <= HELD_OUT_RATE
-    if effect.scanned is not None:
-        p = event_p(trial, effect.name, seed)
-        return p, p <= HELD_OUT_RATE and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
-    p = held.p_above(new, new.noise, seed)
-    told = best.assumed > MOSTLY and new.p_above(held, new.noise, seed) > HELD_OUT_RATE
-    return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told
+def either_p(verified: float, crossed: float) -> float:
+    """The p of a fall that one of two tests shows: on a verification table, or on parts of the rows of the fit."""
+    return min(2.0 * min(verified, crossed), 1.0)

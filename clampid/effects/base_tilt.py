@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.algebra import rows
-from clampid.effect import Effect, Parameter
+from clampid.effect import CAST_ARM, Effect, Parameter
 
 
 def tilt(p: Any, x: Any) -> Any:
@@ -25,6 +25,7 @@ EFFECT = Effect(
             1e-7,
             bounds=(-5e-5 if name == "cxy" else 0.0, 5e-5),
             meaning=f"tilt of the base about {a} by moment about {b}",
+            moment=CAST_ARM,
         )
         for name, a, b in (("cxx", "x", "x"), ("cxy", "x and y", "y and x"), ("cyy", "y", "y"))
     ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.algebra import before, turning
-from clampid.effect import Effect, Parameter
+from clampid.effect import CAST_ARM, Effect, Parameter
 
 
 def tilt(p: Any, x: Any) -> Any:
@@ -18,7 +18,17 @@ EFFECT = Effect(
     name="bearing_tilt",
     family="bearing_tilt",
     acts={"link_twist": tilt},
-    parameters=(Parameter("c", "rad/Nm", 5e-7, "joint", (0.0, 1e-5), "tilt of the bearing across its axis by moment"),),
+    parameters=(
+        Parameter(
+            "c",
+            "rad/Nm",
+            5e-7,
+            "joint",
+            (0.0, 1e-5),
+            "tilt of the bearing across its axis by moment",
+            moment=CAST_ARM,
+        ),
+    ),
     needs=("transverse_moment",),
     stages=("poses",),
     equation="w_i = c_i M_i, M_i the moment across the axis of joint i",

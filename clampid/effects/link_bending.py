@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.algebra import across_rows, columns, cross_rows, norms, turning
-from clampid.effect import Effect, Parameter
+from clampid.effect import CAST_ARM, Effect, Parameter
 
 
 def bending(p: Any, x: Any) -> Any:
@@ -23,7 +23,9 @@ EFFECT = Effect(
     name="link_bending",
     family="link_bending",
     acts={"link_twist": bending},
-    parameters=(Parameter("f", "1/(N m^2)", 2e-7, "link", (0.0, 5e-5), "flexibility of the link, 1/(E I)"),),
+    parameters=(
+        Parameter("f", "1/(N m^2)", 2e-7, "link", (0.0, 5e-5), "flexibility of the link, 1/(E I)", moment=CAST_ARM),
+    ),
     needs=("link_force", "link_moment"),
     stages=("poses",),
     equation="w = (M L + F L^2/2)/(E I), v = (M L^2/2 + F L^3/3)/(E I), M and F across the beam",

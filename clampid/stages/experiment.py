@@ -16,6 +16,7 @@ from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
 from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
+from kinematics.masses import own_moment
 
 __all__ = ["HELD", "Experiment", "experiment", "parameter_of"]
 
@@ -213,8 +214,10 @@ class Experiment:
 
 
 def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescription) -> Parameter:
-    """The parameter that a slot is a value of, with unit, size and bounds for this robot's gear at that joint."""
+    """The parameter that a slot is a value of, with unit, size and bounds for this robot's weight and gear there."""
     parameter = replace(find_parameter(slot, effects), unit=unit_of(slot, effects, robot))
+    if parameter.moment:
+        parameter = parameter.of_weight(own_moment(robot))
     if not parameter.gearing:
         return parameter
     joint = int(slot.place.removeprefix("joint")) - 1

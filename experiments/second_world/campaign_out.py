@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.second_world.arrays import Array, exp_so3, rpy_of
+from experiments.second_world.arrays import Array, exp_so3, rpy_of, rpy_rotation
 from experiments.second_world.individual import Robot
 from experiments.second_world.session import Session
 from experiments.second_world.urdf_text import urdf_text
@@ -22,10 +22,17 @@ def _list(values: Array) -> str:
 
 
 def base_section(session: Session, rng: np.random.Generator) -> str:
-    """State where the base stands, as well as somebody measured it."""
-    seen = session.instrument
-    R = seen.rotation @ exp_so3(_BASE_STD_RAD * rng.standard_normal(3))
-    position = seen.position_m + _BASE_STD_M * rng.standard_normal(3)
+    """
+    State where the base stands, as well as somebody measured it.
+
+    The base is the one of the description, whose first joint stands where the robot's own does: a base plate off which
+    that joint is by the tolerance of its making would be known less well than is stated.
+    """
+    seen, (nominal, built) = session.instrument, (a.joints[0] for a in (session.robot.nominal, session.robot.arm))
+    turn = rpy_rotation(built.rpy_rad) @ rpy_rotation(nominal.rpy_rad).T
+    shift = built.xyz_m - turn @ nominal.xyz_m
+    R = seen.rotation @ turn @ exp_so3(_BASE_STD_RAD * rng.standard_normal(3))
+    position = seen.position_m + seen.rotation @ shift + _BASE_STD_M * rng.standard_normal(3)
     return (
         f"\n[base]\nposition_m = {_list(position)}\nrpy_rad = {_list(rpy_of(R))}\n"
         f"position_std_m = {_BASE_STD_M}\nrpy_std_rad = {_BASE_STD_RAD}\n"

@@ -198,7 +198,8 @@ def stale_rows(q: Array, run: Integers) -> Bools:
     joint moves in before and after: after r repeated rows it is r + 1 usual changes (a robot that really stopped for
     a sample goes on with one; so do positions whose rounding is coarser than their change a row). Positions that are
     held for the same few rows throughout, as where their source is slower than the log, have no usual change:
-    they count where at least one row in five of those in fast motion is held.
+    they count where at least one row in five of those in fast motion is held. Rows after which any joint goes back are
+    a stop between two motions, and no hold.
 
     Parameters
     ----------
@@ -235,10 +236,17 @@ def stale_rows(q: Array, run: Integers) -> Bools:
     usual = np.take_along_axis(ordered, np.minimum(middle, 2 * NEIGHBOURS - 1)[:, None], axis=1)[:, 0]
     repeats = (ends - starts + 1)[:, None]
     single = onward & (moving > NEIGHBOURS) & (np.abs(jump) >= (repeats + MISSING) * usual)
-    bad = np.flatnonzero((single | (onward & _held(change, same, jump))).any(axis=1))
-    mark = np.zeros(len(q) + 1, dtype=np.int64)
-    np.add.at(mark, starts[bad], 1)
-    np.add.at(mark, ends[bad] + 1, -1)
+    back = np.any(before.sum(axis=1) * after.sum(axis=1) < 0.0, axis=1)  # rounding aside, a joint goes one way
+    held = onward & _held(change, same & ~_rows(starts[back], ends[back], len(q)), jump) & ~back[:, None]
+    bad = np.flatnonzero((single | held).any(axis=1))
+    return _rows(starts[bad], ends[bad], len(q))
+
+
+def _rows(starts: Integers, ends: Integers, count: int) -> Bools:
+    """Which of so many rows lie in one of the stretches, ends included."""
+    mark = np.zeros(count + 1, dtype=np.int64)
+    np.add.at(mark, starts, 1)
+    np.add.at(mark, ends + 1, -1)
     return np.asarray(np.cumsum(mark[:-1]) > 0)
 
 

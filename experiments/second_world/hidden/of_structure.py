@@ -127,7 +127,7 @@ def _links(*numbers: int) -> Callable[[int], tuple[str, ...]]:
 
 def _bent_links(n: int) -> tuple[str, ...]:
     """Links with a length: not the ones inside a seven-axis arm's double joints."""
-    return ("link3", "link2", "link5") if n == 7 else ("link2", "link3")
+    return ("link3", "link5") if n == 7 else ("link2", "link3")
 
 
 def _warm_links(n: int) -> tuple[str, ...]:

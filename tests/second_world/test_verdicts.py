@@ -1,0 +1,81 @@
+"""What `diagnose` must say of robots of the second world, which the first one does not have."""
+
+import numpy as np
+
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify, standard_effects
+from experiments.campaign import read_campaign
+from experiments.second_world import HIDDEN, draw_robot, magnitude_for, measure
+from experiments.second_world.arrays import stream
+from experiments.second_world.campaign_out import base_section
+from experiments.second_world.session import open_session
+
+
+def verdict_of(folder, without=""):
+    campaign = read_campaign(folder)
+    terms = {
+        stage: [t.effect for t in found if t.effect != without] for stage, found in standard_effects([campaign]).items()
+    }
+    model = identify(campaign, terms)
+    return diagnose(model, campaign, stages=["poses"]).stages["poses"]
+
+
+def named(verdict):
+    return [(c["name"], tuple(c["where"])) for c in verdict.candidates]
+
+
+def test_friction_that_winds_up_no_spring_is_named_and_no_negative_lost_motion(tmp_path):
+    robot = draw_robot("big6", 1014, mounting="wall")
+    measure(robot, tmp_path / "c", program="quick", noise="white", seed=3)
+    verdict = verdict_of(tmp_path / "c")
+    assert (verdict.verdict, {name for name, _ in named(verdict)}) == ("missing", {"unsprung_friction"})
+    expected = 2.0 * robot.compliance_rad_Nm * robot.coulomb_Nm  # by which springs wound up would stand apart
+    for p in verdict.candidates[0]["parameters"]:
+        joint = int(p["name"].partition("@joint")[2])
+        assert p["value"] > 0.0
+        assert abs(p["value"] - expected[joint - 1]) < 4.0 * p["std"]
+
+
+def test_a_few_verification_poses_do_not_hide_what_all_poses_tell(tmp_path):
+    robot = draw_robot("seven7", 1, compliance=False)
+    session = {"program": "slow", "noise": "walk", "seed": 1}
+    magnitude = magnitude_for(robot, "joint_compliance", "joint3", 0.4, beyond_standard=True, **session)
+    measure(robot, tmp_path / "c", hidden=[("joint_compliance", "joint3", magnitude)], **session)
+    verdict = verdict_of(tmp_path / "c", without="joint_compliance")
+    assert verdict.verdict == "missing"
+    assert ("joint_compliance", ("joint3",)) in named(verdict)
+
+
+def test_the_bearings_of_a_light_arm_may_tilt(tmp_path):
+    robot = draw_robot("seven7", 1)
+    measure(robot, tmp_path / "c", program="slow", noise="white", seed=1, hidden=[("bearing_tilt", "joint3", 1.2)])
+    verdict = verdict_of(tmp_path / "c")
+    assert verdict.verdict in ("missing", "ambiguous")
+    assert ("bearing_tilt", ("joint3",)) in named(verdict)
+
+
+def test_a_light_arm_on_a_soft_stand_lacks_a_tilt_of_the_base_alone(tmp_path):
+    robot = draw_robot("small6", 3)
+    measure(robot, tmp_path / "c", program="slow", noise="white", seed=3, hidden=[("base_tilt", "base", 4.0)])
+    verdict = verdict_of(tmp_path / "c")
+    assert named(verdict)[0] == ("base_tilt", ("base",))
+    assert "bearing_tilt" not in {name for name, _ in named(verdict)[1:]}
+    values = {p["name"].partition("@")[0]: p["value"] for p in verdict.candidates[0]["parameters"]}
+    assert min(values["base_tilt.cxx"], values["base_tilt.cyy"]) > 0.0
+
+
+def test_the_stated_base_is_the_one_that_the_first_joint_shows():
+    robot = draw_robot("offset6", 2)
+    session = open_session(robot, "few", "five_speeds", "pink", 2)
+    text = base_section(session, stream(2, "base"))
+    stated = np.array([float(v) for v in text.partition("position_m = [")[2].partition("]")[0].split(",")])
+    shown = session.instrument.position_m + session.instrument.rotation @ robot.arm.joints[0].xyz_m
+    assert np.linalg.norm(stated - shown) < 5.0 * 2e-4
+    assert np.linalg.norm(stated - session.instrument.position_m) > np.linalg.norm(stated - shown)
+
+
+def test_no_link_without_length_bends():
+    for name in ("seven7", "offset6"):
+        arm = draw_robot(name, 1).nominal
+        for place in HIDDEN["link_bending"].places(arm.n):
+            assert np.linalg.norm(arm.joints[int(place.removeprefix("link"))].xyz_m) > 0.05
