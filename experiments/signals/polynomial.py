@@ -164,10 +164,11 @@ def _through_grid(values: Array, known: Array, wanted: Array, half: int, order: 
     """The same by convolution on even steps, between which and the stamps cubic splines go.
 
     A spline that goes through the samples is exact for cubics, as the polynomial is; what it makes of noise between
-    them is far quicker than a window of many samples lets through.
+    them is far quicker than a window of many samples lets through. The grid ends where the samples do, so that time
+    turned round has the same one, and nothing is extrapolated.
     """
-    grid = known[0] + step * np.arange(int((known[-1] - known[0]) / step) + 1)
-    even = _stretch(CubicSpline(known, values)(grid), grid, grid, half, order, step)
+    grid, step = np.linspace(known[0], known[-1], int(np.ceil((known[-1] - known[0]) / step)) + 1, retstep=True)
+    even = _stretch(CubicSpline(known, values)(grid), grid, grid, half, order, float(step))
     return np.asarray(CubicSpline(grid, even)(wanted))
 
 
