@@ -16,10 +16,11 @@ import numpy as np
 
 from clampid.chain.chain import Chain, Deviations
 from clampid.stages.pose_kernel import kernel, link_points
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array, Integers, Rows
 from kinematics.screws import log_so3
 
 __all__ = [
+    "MANY",
     "by_parameter",
     "by_station",
     "constants_of",
@@ -27,12 +28,14 @@ __all__ = [
     "flanks",
     "held",
     "link_vectors",
+    "moved",
     "predict",
     "pressing",
     "residual",
 ]
 
 _NOTHING = np.zeros(0)
+MANY = 24  # parameters of one entry of a chain, from which on they are worth a product of their own
 
 
 def link_vectors(robot: Any) -> Array:
@@ -114,14 +117,24 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
     return chain.evaluate(theta, held(rows, chain, theta) if follows else rows.signals)
 
 
-def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
+def residual(rows: Rows, chain: Chain, theta: Array, first: int = 0) -> tuple[Array, Array]:
     """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; zero where nothing was read.
 
-    m = 3, with rotations 6, with distances 7.
+    The derivative is that by the parameters from the ``first`` on. m = 3, with rotations 6, with distances 7.
     """
     deviations = evaluate(rows, chain, theta)
     error, sensitivity = by_station(rows, deviations)
-    return error, by_parameter(sensitivity, deviations, chain)
+    return error, by_parameter(sensitivity, deviations, chain, first)
+
+
+def moved(rows: Rows, chain: Chain, theta: Array, steps: Array) -> Array:
+    """What steps ``(P, k)`` do to the prediction ``(N, m, k)``, to first order."""
+    deviations = evaluate(rows, chain, theta)
+    sensitivity = by_station(rows, deviations)[1]
+    out = np.zeros((*sensitivity.shape[:2], steps.shape[1]))
+    for a, run in chain.runs:
+        out += sensitivity[:, :, a, None] * (deviations.partials[:, run] @ steps[deviations.parameter[run]])[:, None]
+    return out
 
 
 def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
@@ -154,17 +167,34 @@ def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
     return error, seen
 
 
-def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:
-    """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves."""
-    jacobian = np.zeros((*sensitivity.shape[:2], len(chain.slots)))
-    own, several = chain.moves_one, chain.moves_several
-    at, of = deviations.station[own], deviations.parameter[own]
-    jacobian[:, :, of] = sensitivity[:, :, at] * deviations.partials[:, None, own]
+def _consecutive(index: Integers) -> slice | Integers:
+    """Numbers that follow each other as a slice, which copies nothing."""
+    following = len(index) > 0 and index[-1] - index[0] == len(index) - 1
+    return slice(int(index[0]), int(index[-1]) + 1) if following else index
+
+
+def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain, first: int = 0) -> Array:
+    """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves.
+
+    Of the parameters from the ``first`` on, ``(N, m, P - first)``.
+    """
+    jacobian = np.zeros((*sensitivity.shape[:2], len(chain.slots) - first))
+    station, parameter = deviations.station, deviations.parameter
+    own, several = (k[parameter[k] >= first] for k in (chain.moves_one, chain.moves_several))
+    few = np.ones(len(own), dtype=bool)
+    for a, run in chain.runs:
+        mine = slice(*np.searchsorted(own, [run.start, run.stop]))
+        entries, into = _consecutive(own[mine]), _consecutive(parameter[own[mine]] - first)
+        if len(own[mine]) >= MANY and isinstance(entries, slice) and isinstance(into, slice):  # a curve's
+            np.multiply(sensitivity[:, :, a, None], deviations.partials[:, None, entries], out=jacobian[:, :, into])
+            few[mine] = False
+    at, of = station[own[few]], parameter[own[few]] - first
+    jacobian[:, :, of] = sensitivity[:, :, at] * deviations.partials[:, None, own[few]]
     if several.size:
-        stations, row = np.unique(deviations.station[several], return_inverse=True)
-        parameters, column = np.unique(deviations.parameter[several], return_inverse=True)
+        stations, row = np.unique(station[several], return_inverse=True)
+        parameters, column = np.unique(parameter[several], return_inverse=True)
         # Loads move all joints and are moved by all masses, so that the block is nearly full.
         block = np.zeros((len(sensitivity), len(stations), len(parameters)))
         block[:, row, column] = deviations.partials[:, several]
-        jacobian[:, :, parameters] = sensitivity[:, :, stations] @ block
+        jacobian[:, :, parameters - first] = sensitivity[:, :, stations] @ block
     return jacobian
