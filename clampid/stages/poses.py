@@ -10,13 +10,14 @@ X_0 is a constant guess of where the instrument sees the base; M_0 and M_i come 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from clampid.chain.chain import Chain, Deviations
 from clampid.stages.pose_kernel import kernel, link_points
-from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
 __all__ = [
@@ -167,12 +168,6 @@ def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
     return error, seen
 
 
-def _consecutive(index: Integers) -> slice | Integers:
-    """Numbers that follow each other as a slice, which copies nothing."""
-    following = len(index) > 0 and index[-1] - index[0] == len(index) - 1
-    return slice(int(index[0]), int(index[-1]) + 1) if following else index
-
-
 def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain, first: int = 0) -> Array:
     """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves.
 
@@ -182,12 +177,13 @@ def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain, first
     station, parameter = deviations.station, deviations.parameter
     own, several = (k[parameter[k] >= first] for k in (chain.moves_one, chain.moves_several))
     few = np.ones(len(own), dtype=bool)
-    for a, run in chain.runs:
-        mine = slice(*np.searchsorted(own, [run.start, run.stop]))
-        entries, into = _consecutive(own[mine]), _consecutive(parameter[own[mine]] - first)
-        if len(own[mine]) >= MANY and isinstance(entries, slice) and isinstance(into, slice):  # a curve's
-            np.multiply(sensitivity[:, :, a, None], deviations.partials[:, None, entries], out=jacobian[:, :, into])
-            few[mine] = False
+    # Of a curve's parameters, which stand beside each other, products are written where they belong.
+    apart = (np.diff(own) != 1) | (np.diff(parameter[own]) != 1) | (np.diff(station[own]) != 0)
+    for i, j in pairwise([0, *(np.flatnonzero(apart) + 1).tolist(), len(own)]):
+        if j - i >= MANY:
+            lever, by = sensitivity[:, :, station[own[i]], None], deviations.partials[:, None, own[i] : own[j - 1] + 1]
+            np.multiply(lever, by, out=jacobian[:, :, parameter[own[i]] - first : parameter[own[j - 1]] - first + 1])
+            few[i:j] = False
     at, of = station[own[few]], parameter[own[few]] - first
     jacobian[:, :, of] = sensitivity[:, :, at] * deviations.partials[:, None, own[few]]
     if several.size:
