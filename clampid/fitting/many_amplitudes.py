@@ -159,8 +159,15 @@ class _Jacobian:
 
 def _columns(s: Array, d: Deviations, entries: Integers) -> tuple[Integers, Array]:
     """The parameters ``(p,)`` of some entries of the derivatives, and their columns ``(N, m, p)``."""
-    parameters, column = np.unique(d.parameter[entries], return_inverse=True)
-    stations, row = np.unique(d.station[entries], return_inverse=True)
-    block = np.zeros((len(s), len(stations), len(parameters)))
-    block[:, row, column] = d.partials[:, entries]
-    return parameters, s[:, :, stations] @ block
+    parameters, column, count = np.unique(d.parameter[entries], return_inverse=True, return_counts=True)
+    out = np.zeros((*s.shape[:2], len(parameters)))
+    one = count[column] == 1
+    out[:, :, column[one]] = s[:, :, d.station[entries[one]]] * d.partials[:, None, entries[one]]
+    several = entries[~one]
+    if len(several):  # loads move all joints and are moved by all masses, so that the block is nearly full
+        of, column = np.unique(d.parameter[several], return_inverse=True)
+        stations, row = np.unique(d.station[several], return_inverse=True)
+        block = np.zeros((len(s), len(stations), len(of)))
+        block[:, row, column] = d.partials[:, several]
+        out[:, :, np.searchsorted(parameters, of)] = s[:, :, stations] @ block
+    return parameters, out
