@@ -29,6 +29,7 @@ __all__ = [
     "floor",
     "fmax",
     "fourier",
+    "harmonics",
     "interleave",
     "log",
     "norm",
@@ -159,6 +160,19 @@ def at_link(number: int, motion: Sequence[Any], x: Any) -> Any:
     twists = ca.SX(x.transmission.shape[0], 6)
     twists[number - 1, :] = ca.horzcat(*motion)
     return twists
+
+
+def harmonics(angle: Any, orders: int) -> list[tuple[Any, Any]]:
+    """(sin k u, cos k u) for k = 1 ... orders, each turned on from the one before: a sine takes ten times as long.
+
+    The rounding grows with the order, to some 1e-15 times k.
+    """
+    s, c = sin(angle), cos(angle)
+    out = [(s, c)]
+    for _ in range(orders - 1):
+        a, b = out[-1]
+        out.append((a * c + b * s, b * c - a * s))
+    return out
 
 
 def fourier(name: str, angle: Any, orders: int) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -66,7 +67,7 @@ class Deviations:
     partials
         ``(N, nonzeros)``: d values / d parameters.
     station, parameter
-        ``(nonzeros,)``: which entry of S and which parameter each column of ``partials`` belongs to.
+        ``(nonzeros,)``: which entry of S, in their order, and which parameter each column of ``partials`` belongs to.
     by_torque
         ``(N, S, n)``: d values / d joint torque, in the stage ``clamped``; else None.
     """
@@ -88,6 +89,8 @@ class Chain:
         Station → slice of the entries S.
     least
         What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
+    affine
+        Whether the derivatives are the same at all parameters: no slot is a shape, no torque another effect's load.
     flank_function
         In ``poses``, where an effect reads flanks: what decides on them. Else None.
     yield_function
@@ -108,12 +111,19 @@ class Chain:
     flank_function: Blocks | None = None
     yield_function: Blocks | None = None
     lean: Array | None = None
+    affine: bool = False
 
     @cached_property
     def moves_one(self) -> npt.NDArray[np.int64]:
         """Which columns of the partials belong to a parameter that moves no other entry of S."""
         _, which, count = np.unique(self.parameter, return_inverse=True, return_counts=True)
         return np.flatnonzero(count[which] == 1)
+
+    @cached_property
+    def runs(self) -> list[tuple[int, slice]]:
+        """The entries of S that parameters move, and which columns of the partials are of each."""
+        edges = [0, *(np.flatnonzero(np.diff(self.station)) + 1).tolist(), len(self.station)]
+        return [(int(self.station[i]), slice(i, j)) for i, j in pairwise(edges) if j > i]
 
     @cached_property
     def moves_several(self) -> npt.NDArray[np.int64]:
@@ -227,7 +237,9 @@ def build_chain(
     stacked = ca.densify(ca.vertcat(*values))
     jacobian = ca.jacobian(stacked, theta)
     station_of, parameter_of = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
-    outputs = [stacked, jacobian.nz[:] if jacobian.nnz() else ca.SX(0, 1)]
+    by_station = np.argsort(station_of, kind="stable")
+    station_of, parameter_of = station_of[by_station], parameter_of[by_station]
+    outputs = [stacked, jacobian.nz[by_station.tolist()] if jacobian.nnz() else ca.SX(0, 1)]
     if stage == "clamped":
         outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
     pressing = None
@@ -251,6 +263,7 @@ def build_chain(
         least,
         None if pressing is None else Blocks(ca.Function("pressing", inputs, [pressing])),
         None if yields is None else Blocks(ca.Function("yields", inputs, [yields])),
+        affine=not ca.depends_on(outputs[1], theta),
     )
 
 

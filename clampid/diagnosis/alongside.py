@@ -11,6 +11,7 @@ from clampid.evidence.score import Scored
 from clampid.fitting.descent import newton_step
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of
+from clampid.stages.rows import Array, Integers
 
 __all__ = ["Step", "alongside", "step_towards"]
 
@@ -34,21 +35,52 @@ def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
     if c.prior is not None:
         precision[range(count, count + new), range(count, count + new)] = 1.0 / c.prior**2
     precision[np.ix_(old, old)] = estimate.prior_precision
-    jacobian = np.zeros((len(white.residual), len(theta)))
-    jacobian[:, old] = white.jacobian
-    jacobian[:, count : count + new] = c.columns.dense(len(white.residual))
+    at, D = np.arange(count, count + new), c.columns.dense(len(white.residual))
+    normal, moment = np.zeros_like(precision), precision @ (mean - theta)
+    cross = white.jacobian.T @ np.c_[D, white.residual]
+    normal[np.ix_(old, old)] += white.normal
+    normal[np.ix_(old, at)] += cross[:, :-1]
+    normal[np.ix_(at, old)] += cross[:, :-1].T
+    normal[np.ix_(at, at)] += D.T @ D
+    moment[old] += cross[:, -1]
+    moment[at] += D.T @ white.residual
     free = np.ones(len(theta), dtype=bool)
     free[old] = ~limits_of(estimate.experiment).resting(estimate.theta)
-    moment = jacobian.T @ white.residual + precision @ (mean - theta)
-    step = newton_step(jacobian.T @ jacobian + precision, moment, experiment.sizes(), 0.0, free)
+    step = newton_step(normal + precision, moment, experiment.sizes(), 0.0, free)
+    left = white.residual - white.jacobian @ step[old] - D @ step[at]
+    joined = _Joined(white, D, normal, old, at)
     return replace(
         estimate,
         experiment=experiment,
         theta=theta + step,
-        whitened=Whitened(white.residual - jacobian @ step, jacobian, white.entry, white.channel),
+        whitened=Whitened(left, joined, white.entry, white.channel),
         prior_precision=precision,
         prior_mean=mean,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Joined:
+    """The Jacobian of a fit and a candidate's columns D ``(M, k)`` in it: :class:`clampid.fitting.noise.Late`.
+
+    ``old`` and ``at`` say which parameters are the fit's and the candidate's; J'J is ``square``.
+    """
+
+    white: Whitened
+    D: Array
+    square: Array
+    old: Integers
+    at: Integers
+
+    def dense(self) -> Array:
+        """J ``(M, P)``."""
+        out = np.zeros((len(self.D), len(self.square)))
+        out[:, self.old], out[:, self.at] = self.white.jacobian, self.D
+        return out
+
+    def normal(self) -> Array:
+        """J'J ``(P, P)``."""
+        return self.square
 
 
 @dataclass(frozen=True)
@@ -91,9 +123,9 @@ def step_towards(estimate: Estimate, s: Scored) -> Step | None:
     if near is None:
         return None
     trial = near.experiment.with_flanks(near.theta)
-    residual, jacobian = trial.residual(limits_of(trial).clipped(near.theta))
+    residual = trial.error(limits_of(trial).clipped(near.theta))
     if not np.all(np.isfinite(residual)):
         return Step(near, 0.0, -np.inf)
-    white = near.noise.whiten(trial.rows, residual, jacobian[:, :, :0])
+    white = near.noise.whiten(trial.rows, residual, np.zeros((*residual.shape, 0)))
     before, linear = estimate.point.cost, float(near.whitened.residual @ near.whitened.residual)
     return Step(near, before - linear, before - float(white.residual @ white.residual))

@@ -121,9 +121,18 @@ def _one(
     fitted = opened.refit(stage, rows)
     before = {s: m for s, m in opened.stages.items() if s != stage}
 
+    done: dict[tuple[object, ...], FittedStage] = {}
+
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
         known, held, told = {**last.model.values(), **start}, opened.held(stage), opened.stages[stage].told
-        return fit_stage(rows, opened.effects, terms, before, known, held, told, last=last.estimate)
+        # Poses may be looked through twice, and then most of what is fitted is the same. A fit of a log is too large.
+        key = (tuple(terms), tuple(known.items()), float(last.estimate.noise.sigma.sum()))
+        found = done.get(key)
+        if found is None:
+            found = fit_stage(rows, opened.effects, terms, before, known, held, told, last=last.estimate)
+            if stage == "poses":
+                done[key] = found
+        return found
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
 

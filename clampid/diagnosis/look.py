@@ -66,6 +66,11 @@ class Look:
         return best if best is not None and self.named_null.p_familywise(best.log_p) <= RATE else None
 
     @property
+    def remembered(self) -> Look:
+        """What a verdict says of it later, without what is as large as its rows."""
+        return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0])
+
+    @property
     def fires(self) -> bool:
         """Whether the best probe stands out of its null."""
         return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
@@ -113,11 +118,12 @@ def look_at(
     space = space_of(estimate, blocks_of_visits(estimate.experiment.rows, block)).beside(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
+    free = [s.remembered for s in free]
     fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
     named = score(space, named_candidates(estimate, effects, fired))
     events = event_scores(estimate, space, effects)
     named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
-    named += events
+    named = [s.remembered for s in named] + events
     local = scan(estimate, space, effects, flips, seed)
     named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
     robot = estimate.experiment.rows.robot

@@ -75,11 +75,14 @@ def runs_to_choose(
     rate = float(f"{rate:.4g}")
     fastest = _fastest(estimate, limits)
     kinds = _kinds(cell, limits, [*(s for s in SHARES if s < 0.9 * fastest), fastest], min(TIME, ROWS / rate), seed)
+    # Of a dense log several rows are one number to the noise: one row is imagined for each of these.
+    noise = estimate.noise
+    sparse = replace(estimate, noise=replace(noise, together=1))
     told: list[Array] = []
     for start in range(0, len(kinds), CHUNK):
         few = [kind.course for kind in kinds[start : start + CHUNK]]
-        rows = _imagined_rows(campaign, estimate, cell, few, rate, state, fastest)
-        told += told_by(estimate, candidates, rows, rows.constants["run"])
+        rows = _imagined_rows(campaign, estimate, cell, few, rate / noise.together, state, fastest)
+        told += told_by(sparse, candidates, rows, rows.constants["run"])
     nuisance, columns = joined(told, candidates, len(estimate.slots))
     assumed = (*assumed, f"the robot is {TEMPERATURES[state]}", "only the floor is in the way")
 

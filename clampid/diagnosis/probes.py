@@ -8,14 +8,12 @@ and on what it depends.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import Columns, Products, channel_starts, columns_from
+from clampid.evidence.columns import Columns, Levers, Products, channel_starts, columns_from
 from clampid.evidence.of_size import SIZES
-from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
@@ -77,7 +75,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
     found: list[Candidate | None] = []
-    levers = _whitened(estimate, sensitivity[:, :, offsets["joint_angle"]])
+    levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
     air = _air(rows)
     common = [*_by_other_joints(rows), *air]
     for j in range(n):
@@ -95,7 +93,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     frames = [("base", offsets["base_twist"].start), ("flange", offsets["link_twist"].stop - 6)]
     frames += [(f"link{i + 1}", offsets["link_twist"].start + 6 * i) for i in range(n - 1)]
     for name, start in frames:
-        frame = _whitened(estimate, sensitivity[:, :, start : start + 6])
+        frame = _levers(estimate, sensitivity[:, :, start : start + 6])
         found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
@@ -132,24 +130,24 @@ def _by_other_joints(rows: Rows) -> list[Covariate]:
     return out
 
 
-def _whitened(estimate: Estimate, unit: Array) -> Whitened:
-    """What a unit at each of some places ``(N, m, k)`` does to the measurement, whitened ``(M, k)``."""
-    return estimate.noise.whiten(estimate.experiment.rows, np.zeros(unit.shape[:2]), unit)
+def _levers(estimate: Estimate, unit: Array) -> Levers:
+    """What a unit at each of some places ``(N, m, k)`` does to the measurement, whitened."""
+    rows = estimate.experiment.rows
+    white = estimate.noise.whiten(rows, np.zeros(unit.shape[:2]), unit)
+    return Levers(white.jacobian, white.entry, len(rows))
 
 
 def _at(
-    levers: Whitened, chosen: Sequence[int], place: str, what: str, variables: Sequence[str], x: Array
+    levers: Levers, chosen: Sequence[int], place: str, what: str, variables: Sequence[str], x: Array
 ) -> Candidate | None:
     """A pose probe: levers at a place, times functions of the row ``(N, f)``; positions and rotations are white."""
-    lever = levers.jacobian[:, list(chosen)]
-    if not np.any(lever) or not np.any(x):
+    if not np.any(levers.values[:, list(chosen)]) or not np.any(x):
         return None
-    columns = (lever[:, :, None] * x[levers.entry][:, None, :]).reshape(len(lever), -1)
-    kept = columns_from(replace(levers, jacobian=columns), list(range(columns.shape[1])))
-    return Candidate(f"{what} at {place}", "probe", (), (), {}, kept, tuple(variables), (place,))
+    columns = Products(levers, tuple(chosen), (x,) * len(chosen))
+    return Candidate(f"{what} at {place}", "probe", (), (), {}, columns, tuple(variables), (place,))
 
 
-def _periodic(rows: Rows, white: Whitened) -> Candidate | None:
+def _periodic(rows: Rows, levers: Levers) -> Candidate | None:
     """Errors of all joint angles, each any periodic function of its own joint, down to a few degrees' width.
 
     All joints at once: one alone would take for its own what the others leave, and find nothing clear. Their many
@@ -158,15 +156,15 @@ def _periodic(rows: Rows, white: Whitened) -> Candidate | None:
 
     Parameters
     ----------
-    white
-        ``(M, n)``: what a unit of each joint's angle does to the measurement, whitened.
+    levers
+        Of the joints' angles.
     """
-    seen = np.any(white.jacobian, axis=0)
+    seen = np.any(levers.values, axis=0)
     if not seen.any():
         return None
     joints = np.flatnonzero(seen)
-    functions = np.stack([_harmonics(rows.signals["q"][:, j], PERIODIC) for j in joints])
-    columns = Products(np.ascontiguousarray(white.jacobian[:, joints]), white.entry, functions)
+    functions = tuple(_harmonics(rows.signals["q"][:, j], PERIODIC) for j in joints)
+    columns = Products(levers, tuple(joints.tolist()), functions)
     return Candidate(
         name=JOINT_ANGLE_PERIODIC,
         family="probe",

@@ -238,6 +238,7 @@ class Bench:
             if best is None or look.only_stands_in(best):
                 break
             found = self._tried(best, look, fitted, held, refused)
+            found = replace(found, look=look.remembered)
             if isinstance(found, Undecided) or not found.reason:
                 return found, refused
             refused.append(found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from clampid.algebra import cos, sin
+from clampid.algebra import harmonics
 from clampid.effect import Effect, Parameter
 
 HARMONICS = 48
@@ -26,8 +26,8 @@ ERROR = 3e-4
 def error(p: Any, x: Any) -> Any:
     """Dq = r times the sum over k of a_k sin kq + b_k cos kq."""
     total = 0.0
-    for k in range(1, HARMONICS + 1):
-        total = total + getattr(p, f"a{k}") * sin(k * x.q) + getattr(p, f"b{k}") * cos(k * x.q)
+    for k, (sine, cosine) in enumerate(harmonics(x.q, HARMONICS), start=1):
+        total = total + getattr(p, f"a{k}") * sine + getattr(p, f"b{k}") * cosine
     return p.rms * total
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from clampid.algebra import cos, sin
+from clampid.algebra import harmonics
 from clampid.effect import Effect, Parameter
 
 LOW = (1, 2)
@@ -37,12 +37,17 @@ def error(p: Any, x: Any) -> Any:
     """Dq = s g(s q - phase) + own(q); g and own are sums over k of a_k sin ku + b_k cos ku."""
     u = p.sense * x.q - p.phase
     curve, seat, rest = 0.0, 0.0, 0.0
+    on_disc, on_joint = (dict(enumerate(harmonics(v, SHARED.stop - 1), start=1)) for v in (u, x.q))
     for k in LOW:
-        seat = seat + getattr(p, f"own_a{k}") * sin(k * x.q) + getattr(p, f"own_b{k}") * cos(k * x.q)
+        seat = seat + _part(p, f"own_a{k}", f"own_b{k}", on_joint[k])
     for k in SHARED:
-        curve = curve + getattr(p, f"a{k}") * sin(k * u) + getattr(p, f"b{k}") * cos(k * u)
-        rest = rest + getattr(p, f"own_a{k}") * sin(k * x.q) + getattr(p, f"own_b{k}") * cos(k * x.q)
+        curve = curve + _part(p, f"a{k}", f"b{k}", on_disc[k])
+        rest = rest + _part(p, f"own_a{k}", f"own_b{k}", on_joint[k])
     return p.sense * curve + seat + p.deviation * rest
+
+
+def _part(p: Any, a: str, b: str, of: tuple[Any, Any]) -> Any:
+    return getattr(p, a) * of[0] + getattr(p, b) * of[1]
 
 
 def _sines(prefix: str, k: int, unit: str, size: float, per: Literal["robot", "joint"]) -> tuple[Parameter, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
@@ -10,7 +11,9 @@ from scipy import sparse
 from clampid.fitting.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Columns", "Products", "Sums", "channel_starts", "columns_from"]
+__all__ = ["Columns", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
+
+FEW = 8  # functions, below which they are not worth sums over the entries of each row
 
 
 @dataclass(frozen=True)
@@ -100,79 +103,107 @@ class Columns:
         return out
 
 
+@dataclass(frozen=True, eq=False)
+class Levers:
+    """What a unit at each of some places does to each whitened entry ``(M, n)``; ``entry`` ``(M,)``: the row it is of.
+
+    Candidates of one place share its sums over the entries of each row, of which the last are kept.
+    """
+
+    values: Array
+    entry: Integers
+    rows: int
+    last: dict[int, tuple[object, Array]] = field(default_factory=dict, repr=False)
+
+    def by_row(self, weights: Array) -> Array:
+        """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
+        return np.asarray(np.bincount(self.entry, weights, minlength=self.rows), dtype=float)
+
+    def times(self, place: int, functions: Array, other: Array) -> Array:
+        """``(f, r)``: a place's lever times functions ``(N, f)`` of each row, times other ``(M, r)``."""
+        known = place in self.last and self.last[place][0] is other
+        if not known and functions.shape[1] < FEW:
+            lines = np.take(functions.T, self.entry, axis=1) * self.values[:, place]
+            return np.asarray(lines @ other[: len(self.entry)])
+        return np.asarray(functions.T @ self._times(place, other))
+
+    def _times(self, place: int, other: Array) -> Array:
+        """``(N, r)``: a place's lever times other ``(M, r)``, summed over the entries of each row."""
+        if place not in self.last or self.last[place][0] is not other:
+            out = np.zeros((self.rows, other.shape[1]))
+            for mine in np.split(np.arange(len(self.entry)), np.flatnonzero(np.diff(self.entry) <= 0) + 1):
+                out[self.entry[mine]] += other[mine] * self.values[mine, place, None]  # each row once at most
+            self.last.clear()  # others' places are done: of one with hundreds of columns these are 20 MB
+            self.last[place] = other, out
+        return self.last[place][1]
+
+    def summed(self, place: int, sums: Sums) -> sparse.csr_matrix:
+        """``(groups, N)``: a place's lever, by weighted sums over groups of entries, for each row."""
+        count = len(self.entry)
+        to_row = sparse.csr_matrix((self.values[:, place], (np.arange(count), self.entry)), shape=(count, self.rows))
+        return sums.over(0, count) @ to_row
+
+
 @dataclass(frozen=True)
 class Products:
-    """Whitened columns ``(M, n f)`` that are products of a lever and functions of each row: every place's in turn.
+    """Whitened columns ``(M, k)`` that are products of a lever and functions of each row: every place's in turn.
 
     A place's columns are D = diag(lever) F, F the same for all entries of a row, so that sums over entries are taken
     once a row and not once a column: of hundreds of columns the table itself is never written down.
 
     Attributes
     ----------
-    lever
-        ``(M, n)``: what a unit at each place does to each whitened entry.
-    entry
-        ``(M,)``: the row that each entry came from.
+    places
+        Those of the levers.
     functions
-        ``(n, N, f)``: the functions of each place in each row.
+        ``(N, f)`` of each place: its functions in each row.
     """
 
-    lever: Array
-    entry: Integers
-    functions: Array
+    levers: Levers
+    places: tuple[int, ...]
+    functions: tuple[Array, ...]
 
     @property
     def width(self) -> int:
         """Number of columns."""
-        return int(self.functions.shape[0] * self.functions.shape[2])
+        return sum(F.shape[1] for F in self.functions)
 
-    def _by_row(self, weights: Array) -> Array:
-        """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
-        return np.asarray(np.bincount(self.entry, weights, minlength=self.functions.shape[1]), dtype=float)
+    @property
+    def _placed(self) -> list[tuple[int, Array, slice]]:
+        """The places, the functions of each, and where their columns stand."""
+        starts = np.cumsum([0, *(F.shape[1] for F in self.functions)]).tolist()
+        own = [slice(*both) for both in pairwise(starts)]
+        return list(zip(self.places, self.functions, own, strict=True))
 
     def gram(self) -> Array:
         """``(k, k)``: D'D."""
-        n, _, f = self.functions.shape
-        out = np.zeros((n, f, n, f))
-        for i in range(n):
-            for j in range(i, n):
-                weight = self._by_row(self.lever[:, i] * self.lever[:, j])
-                block = (self.functions[i] * weight[:, None]).T @ self.functions[j]
-                out[i, :, j], out[j, :, i] = block, block.T
-        return out.reshape(self.width, self.width)
+        out, lever = np.zeros((self.width, self.width)), self.levers.values
+        for number, (i, F, mine) in enumerate(self._placed):
+            for j, G, theirs in self._placed[number:]:
+                block = (F * self.levers.by_row(lever[:, i] * lever[:, j])[:, None]).T @ G
+                out[mine, theirs], out[theirs, mine] = block, block.T
+        return out
 
     def times(self, other: Array) -> Array:
         """``(k, …)``: D' other, for other ``(M, …)``, of which only the first M entries count."""
-        flat = other[: len(self.entry)].reshape(len(self.entry), -1)
-        selector = sparse.csr_matrix(
-            (np.ones(len(self.entry)), (self.entry, np.arange(len(self.entry)))),
-            shape=(self.functions.shape[1], len(self.entry)),
-        )
-        parts = [
-            F.T @ (selector @ (flat * lever[:, None])) for F, lever in zip(self.functions, self.lever.T, strict=True)
-        ]
-        return np.concatenate(parts).reshape(self.width, *other.shape[1:])
+        if other.ndim == 1:
+            row = [self.levers.by_row(self.levers.values[:, i] * other[: len(self.levers.entry)]) for i in self.places]
+            return np.concatenate([F.T @ sums for F, sums in zip(self.functions, row, strict=True)])
+        return np.concatenate([self.levers.times(i, F, other) for i, F, _ in self._placed])
 
     def cross(self, other: Columns | Products) -> Array:
         """``(k, k')``: D' D'."""
-        return self.times(other.dense(len(self.entry)))
+        return self.times(other.dense(len(self.levers.entry)))
 
     def summed(self, sums: Sums) -> Array:
         """``(groups, k)``: weighted sums of the columns over groups of entries."""
-        count, used = self.functions.shape[1], sums.over(0, len(self.entry))
-        parts = []
-        for F, lever in zip(self.functions, self.lever.T, strict=True):
-            to_row = sparse.csr_matrix(
-                (lever, (np.arange(len(self.entry)), self.entry)), shape=(len(self.entry), count)
-            )
-            parts.append((used @ to_row) @ F)
-        return np.hstack(parts)
+        return np.hstack([self.levers.summed(i, sums) @ F for i, F, _ in self._placed])
 
     def dense(self, entries: int) -> Array:
         """``(entries, k)``."""
-        out = np.zeros((entries, self.width))
-        parts = [F[self.entry] * lever[:, None] for F, lever in zip(self.functions, self.lever.T, strict=True)]
-        out[: len(self.entry)] = np.hstack(parts)
+        out, entry = np.zeros((entries, self.width)), self.levers.entry
+        for i, F, mine in self._placed:
+            out[: len(entry), mine] = F[entry] * self.levers.values[:, i, None]
         return out
 
 

@@ -80,7 +80,7 @@ def rows_say(estimate: Estimate, chosen: Integers) -> tuple[Array, Array]:
     not the inverse of an information. The prior of the chosen must be about zero, and of each alone.
     """
     white, r = estimate.whitened, estimate.whitened.residual
-    inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
+    inverse = inverse_of(white.normal + estimate.prior_precision)
     told = len(estimate.theta) - float(np.sum(inverse * estimate.prior_precision))  # by the rows, not the prior
     scale = max(float(r @ r) / max(len(r) - told, 1.0), 1e-12)
     posterior = inverse_of(inverse[np.ix_(chosen, chosen)] * scale)

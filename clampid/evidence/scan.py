@@ -208,9 +208,10 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
         if any(not bounds[name][0] <= value <= bounds[name][1] for name, value in shapes.items()):
             return 0.0
         c = _column(estimate, tried, shapes)
-        own = space.basis[: space.rows].T @ c
+        some = np.flatnonzero(c)  # a few visits
+        own = c[some] @ space.basis[some]
         left = float(c @ c - own @ own)
-        return -(float(c @ space.residual[: space.rows]) ** 2) / left if left > WEAK * float(c @ c) > 0.0 else 0.0
+        return -(float(c[some] @ space.residual[some]) ** 2) / left if left > WEAK * float(c @ c) > 0.0 else 0.0
 
     start = np.array(list(at.values()))
     simplex = np.vstack([start, *(start + step[name] * np.eye(len(at))[k] for k, name in enumerate(at))])

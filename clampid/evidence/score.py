@@ -98,6 +98,11 @@ class Space:
         scale = max(float(np.sqrt(residual @ residual / freedom)), 1e-12)
         return replace(self, residual=residual, basis=basis, scale=scale, freedom=freedom)
 
+    @property
+    def remembered(self) -> Space:
+        """What a verdict needs of it later: not the basis, which is as large as the rows and all that is active."""
+        return replace(self, residual=self.residual[:0], basis=self.basis[:0], unit=self.unit[:0])
+
     @cached_property
     def by_unit(self) -> Sums:
         """Each unit's share of a column's product with the residual of the null, U units.
@@ -179,6 +184,11 @@ class Scored:
     unit_limit: Array
 
     @property
+    def remembered(self) -> Scored:
+        """The same without its parts, once the null has been drawn."""
+        return replace(self, parts=self.parts[:0])
+
+    @property
     def freedom(self) -> int:
         """Independent directions of the candidate in these rows."""
         return int(self.weights.shape[1])
@@ -247,8 +257,10 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     weak = 1.0 / np.sqrt(np.diag(precision)) >= (1.0 - 1e-9) * WEAK_PRIOR * size
     residual = np.r_[white.residual, root @ np.where(weak, 0.0, estimate.prior_mean - estimate.theta)]
     jacobian = np.vstack([white.jacobian, root])
-    norms = np.linalg.norm(jacobian, axis=0)
-    basis = _span(jacobian / np.where(norms > 0, norms, 1.0))
+    norms = np.sqrt(np.einsum("mp,mp->p", jacobian, jacobian))  # without a table of squares
+    jacobian /= np.where(norms > 0, norms, 1.0)
+    basis = _span(jacobian)
+    del jacobian
     residual = residual - basis @ (basis.T @ residual)
     count = len(white.residual)
     unit = (estimate.experiment.rows.unit if unit is None else unit)[white.entry]

@@ -155,7 +155,7 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
     The unknown constants of a run or sweep are found from it, all else fixed.
     """
     if not experiment.offsets:
-        return experiment.residual(theta)[0]
+        return experiment.error(theta)
     count = len(experiment.slots)
     full = np.r_[theta, np.zeros(experiment.offsets)]
     if experiment.stage == "clamped":
@@ -176,13 +176,14 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     """
     experiment, white = estimate.experiment.with_flanks(estimate.theta), estimate.whitened
     part = _parts(rows, seed)
-    residual, jacobian = experiment.residual(estimate.theta)
+    residual = experiment.error(estimate.theta)
     size = experiment.sizes()
     its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.held()), part[white.entry]
     shared = np.setdiff1d(np.arange(len(size)), its_own)
     normals = {k: _normal(white.jacobian[of_part == k], white.residual[of_part == k]) for k in np.unique(of_part)}
     free = ~limits_of(experiment).resting(estimate.theta)
     lever = estimate.prior_precision @ (estimate.prior_mean - estimate.theta)
+    steps: dict[int, Array] = {}
     for k, (A_out, b_out) in normals.items():
         others = [n for j, n in normals.items() if j != k]
         if not others:
@@ -196,8 +197,10 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
             left = b_out[its_own] - A_out[np.ix_(its_own, shared)] @ step[shared] + lever[its_own]
             alone = newton_step(A_out[np.ix_(its_own, its_own)] + weak, left, size[its_own], 0.0, shown)
             step[its_own] = np.where(shown, alone, step[its_own])
-        mine = part == k
-        residual[mine] -= jacobian[mine] @ step
+        steps[k] = step
+    moves = experiment.moved(estimate.theta, np.array([*steps.values()]).reshape(len(steps), len(size)).T)
+    for number, k in enumerate(steps):
+        residual[part == k] -= moves[part == k][:, :, number]
     return rows, residual
 
 

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from scipy import linalg
 
 from clampid.stages.rows import Array, Bools
 
-__all__ = ["ITERATIONS", "NEGLIGIBLE", "Limits", "Point", "covariance_of", "descend", "inverse_of", "newton_step"]
+__all__ = [
+    "ITERATIONS",
+    "NEGLIGIBLE",
+    "Chord",
+    "Limits",
+    "Point",
+    "covariance_of",
+    "descend",
+    "inverse_of",
+    "newton_step",
+]
 
 ITERATIONS = 30
 DAMPING_START, DAMPING_END = 1e-3, 1e8
@@ -19,6 +29,7 @@ DAMPING_START, DAMPING_END = 1e-3, 1e8
 # squares problems, 2004, sect. 3.2. Tens up and down instead made every second step fail along a bent valley.
 RAISED, LOWERED = 2.0, 1 / 3
 IDLE_GAIN, IDLE_STEPS = 1e-6, 3  # so many steps that gain less than this share of the cost end the search
+CHORD = 0.1  # of its promise: a step that keeps as much, or exceeds it by no more, was taken by a good enough matrix
 NEGLIGIBLE = 1e-3  # a step that promises less than this of a unit of chi-square moves nothing by its error
 
 
@@ -62,8 +73,40 @@ class Limits:
         return np.asarray(self.bounded & ((theta <= self.lower) | (theta >= self.upper)))
 
 
+@dataclass
+class Chord(Generic[PointT]):
+    """The normal matrix of a point passed before, kept for later ones while steps keep their promise.
+
+    Where a model is nearly linear it hardly changes, and it may cost many times what a gradient does. With gradients of
+    their own points, searches end where they would with matrices of their own. Source: the chord method, Kelley,
+    Iterative methods for linear and nonlinear equations, 1995, sect. 5.4.
+
+    Attributes
+    ----------
+    gradient
+        The downhill gradient ``(P,)`` of half the cost at a point.
+    matrix
+        ``(P, P)``, without the prior's; None before the first point. It may come from an earlier search.
+    """
+
+    gradient: Callable[[PointT], Array]
+    matrix: Array | None = None
+
+    def normal(self, point: PointT, kept: float) -> tuple[Array, Array]:
+        """Normal matrix and gradient at a point, to which a step has led that has ``kept`` so much of its promise."""
+        if self.matrix is not None and abs(kept - 1.0) <= CHORD:
+            return self.matrix, self.gradient(point)
+        self.matrix, g = point.normal()
+        return self.matrix, g
+
+
 def descend(
-    at: Callable[[Array], PointT], theta: Array, precision: Array, mean: Array, limits: Limits
+    at: Callable[[Array], PointT],
+    theta: Array,
+    precision: Array,
+    mean: Array,
+    limits: Limits,
+    chord: Chord[PointT] | None = None,
 ) -> tuple[PointT, int]:
     """The lowest point from ``theta`` downhill, prior included, by damped Gauss-Newton; and the iterations it took.
 
@@ -73,18 +116,21 @@ def descend(
         The cost at a parameter vector.
     precision, mean
         The prior: ``(P, P)`` and ``(P,)``.
+    chord
+        What keeps a normal matrix while it is good enough; by default every point has its own.
     """
 
     def whole(point: PointT) -> float:
         off = point.theta - mean
         return point.cost + float(off @ precision @ off)
 
-    def normal(point: PointT) -> tuple[Array, Array]:
-        A, g = point.normal()
+    def normal(point: PointT, kept: float = 1.0) -> tuple[Array, Array]:
+        A, g = point.normal() if chord is None else chord.normal(point, kept)
         return A + precision, g - precision @ (point.theta - mean)
 
     best = at(theta)
     cost, (A, g) = whole(best), normal(best)
+    own = chord is None  # whether the matrix is this point's own
     damping, raise_by, idle, iteration = 0.0, RAISED, 0, 0
     while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
         iteration += 1
@@ -96,6 +142,9 @@ def descend(
         moved = best.theta + step
         trial = at(limits.clipped(moved))
         reached = whole(trial)
+        if reached > cost and chord is not None and not own:
+            (A, g), own = normal(best, 0.0), True
+            continue
         if reached > cost:
             damping, raise_by = max(raise_by * damping, DAMPING_START), RAISED * raise_by
             continue
@@ -103,7 +152,8 @@ def descend(
         # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
         idle = idle + 1 if reached > cost * (1 - IDLE_GAIN) else 0
         best, cost = trial, reached
-        A, g = normal(best)
+        A, g = normal(best, kept)
+        own = chord is None or abs(kept - 1.0) > CHORD
         damping, raise_by = damping * max(LOWERED, 1.0 - (2.0 * kept - 1.0) ** 3), RAISED
         damping = damping if damping >= DAMPING_START else 0.0
     return best, iteration

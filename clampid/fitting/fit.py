@@ -78,7 +78,8 @@ def fit(
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
-    estimate = _past_clearances(solve(experiment, theta, model, precision, mean))
+    early = experiment.stage != "poses" or noise is not None  # else another search follows, with the noise learned
+    estimate = _past_clearances(solve(experiment, theta, model, precision, mean, errors=early))
     whole, agreed = experiment.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
         if experiment.stage == "poses":  # a wrong row may have pulled others off that are right
@@ -92,13 +93,15 @@ def fit(
             break
         rejected = bad
         experiment = experiment.with_rows(whole.without(rejected))
-        estimate = solve(experiment, estimate.theta, model, precision, mean)
+        estimate = solve(experiment, estimate.theta, model, precision, mean, errors=early)
     if noise is None:
-        for _ in range(1 if experiment.stage == "poses" and weights is None else 2):
+        rounds = 1 if experiment.stage == "poses" and weights is None else 2
+        for number in range(rounds):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
             if experiment.stage == "free_air" and estimate.noise.settled(model):
                 break
-            estimate = solve(experiment, estimate.theta, model, precision, mean)
+            errors = early or number == rounds - 1
+            estimate = solve(experiment, estimate.theta, model, precision, mean, errors=errors)
     if experiment.stage == "poses":
         estimate = _along_bars(estimate, priors)
         estimate = with_repeatability(without_unknown_friction(estimate))

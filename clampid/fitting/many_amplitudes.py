@@ -24,14 +24,12 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["AmplitudePoint", "has_many_amplitudes"]
 
-MANY = 24  # amplitudes at one station, from which on its block is worth a product of its own
-
 
 def has_many_amplitudes(experiment: Experiment, noise: Noise) -> bool:
     """Whether normal equations of this experiment are found faster by stations."""
     if experiment.stage != "poses" or noise.autocorrelations:
         return False
-    return bool(np.bincount(experiment.chain.station, minlength=1).max() >= MANY)
+    return bool(np.bincount(experiment.chain.station, minlength=1).max() >= poses.MANY)
 
 
 @dataclass(frozen=True)
@@ -56,9 +54,11 @@ class AmplitudePoint:
 
     @cached_property
     def white(self) -> Whitened:
-        """Residual and Jacobian, whitened."""
-        jacobian = poses.by_parameter(self.sensitivity, self.deviations, self.experiment.chain)
-        return self.noise.whiten(self.experiment.rows, self.residual, jacobian)
+        """Residual and Jacobian, whitened; the latter is made when it is asked for."""
+        channel, entry = np.nonzero(self.experiment.rows.used.T)
+        known = self.__dict__.get("_normal", (None, None))[0]
+        late = _Jacobian(self.experiment, self.noise, self.theta, known)
+        return Whitened(self._residual[entry, channel], late, entry, channel)
 
     @property
     def cost(self) -> float:
@@ -74,6 +74,15 @@ class AmplitudePoint:
         """Normal matrix ``(P, P)`` and downhill gradient ``(P,)``."""
         return self._normal
 
+    def gradient(self) -> Array:
+        """The gradient ``(P,)`` alone, in a hundredth of the time."""
+        d = self.deviations
+        pull = np.einsum("nms,nm->ns", self._levers, self._residual)
+        out = np.zeros(len(self.theta))
+        for a, run in self.experiment.chain.runs:
+            np.add.at(out, d.parameter[run], d.partials[:, run].T @ pull[:, a])
+        return out
+
     def covariance(self, precision: Array) -> Array:
         """Covariance ``(P, P)`` of a fit that has ended here, with a prior of ``precision`` ``(P, P)``."""
         return covariance_of(self._normal[0], precision, self.cost, self.count)
@@ -81,6 +90,14 @@ class AmplitudePoint:
     @cached_property
     def _residual(self) -> Array:
         return self._whitened(self.residual)
+
+    @cached_property
+    def _levers(self) -> Array:
+        """What a unit at each station does to the measurements ``(N, m, S)``, whitened."""
+        moved = np.unique(self.deviations.station)
+        out = np.zeros_like(self.sensitivity)
+        out[:, :, moved] = self._whitened(self.sensitivity[:, :, moved])
+        return out
 
     def _whitened(self, values: Array) -> Array:
         """Numbers ``(N, m, …)`` in units of their noise, zero where they are not used."""
@@ -90,41 +107,67 @@ class AmplitudePoint:
 
     @cached_property
     def _normal(self) -> tuple[Array, Array]:
-        d, r = self.deviations, self._residual
-        moved = np.unique(d.station)
-        s = np.zeros_like(self.sensitivity)
-        s[:, :, moved] = self._whitened(self.sensitivity[:, :, moved])
-        entries = {int(a): np.flatnonzero(d.station == a) for a in moved}
-        many = {a: index for a, index in entries.items() if len(index) >= MANY}
-        few = np.concatenate([i for a, i in entries.items() if a not in many] or [np.zeros(0, np.int64)])
-        A, g = np.zeros((len(self.theta), len(self.theta))), np.zeros(len(self.theta))
+        d, s = self.deviations, self._levers
+        many = [(a, run) for a, run in self.experiment.chain.runs if run.stop - run.start >= poses.MANY]
+        apart = np.ones(len(d.station), dtype=bool)
+        for _, run in many:
+            apart[run] = False
+        A = np.zeros((len(self.theta), len(self.theta)))
 
-        parameters, J = _columns(s, d, few)
-        A[np.ix_(parameters, parameters)] += np.tensordot(J, J, axes=((0, 1), (0, 1)))
-        g[parameters] += np.tensordot(J, r, axes=((0, 1), (0, 1)))
-        partials = {a: d.partials[:, index] for a, index in many.items()}
-        for a, index in many.items():
-            own = d.parameter[index]
-            g[own] += partials[a].T @ np.sum(s[:, :, a] * r, axis=1)
-            cross = partials[a].T @ np.einsum("nc,ncp->np", s[:, :, a], J)
+        parameters, J = _columns(s, d, np.flatnonzero(apart))
+        flat = J.reshape(-1, J.shape[2])
+        A[np.ix_(parameters, parameters)] += flat.T @ flat
+        levers = [np.ascontiguousarray(s[:, :, a]) for a, _ in many]
+        for k, (a, run) in enumerate(many):
+            own, partials = d.parameter[run], d.partials[:, run]
+            cross = partials.T @ np.einsum("nc,ncp->np", levers[k], J)
             A[np.ix_(own, parameters)] += cross
             A[np.ix_(parameters, own)] += cross.T
-            for b in many:
-                if b < a:
-                    continue
-                together = np.sum(s[:, :, a] * s[:, :, b], axis=1)
-                block = partials[a].T @ (together[:, None] * partials[b])
-                theirs = d.parameter[many[b]]
+            for lever, (b, other) in zip(levers[k:], many[k:], strict=True):
+                together = np.sum(levers[k] * lever, axis=1)
+                block = partials.T @ (together[:, None] * d.partials[:, other])
+                theirs = d.parameter[other]
                 A[np.ix_(own, theirs)] += block
                 if b != a:
                     A[np.ix_(theirs, own)] += block.T
-        return A, g
+        return A, self.gradient()
+
+
+@dataclass(frozen=True, eq=False)
+class _Jacobian:
+    """The whitened Jacobian of a point, as :class:`clampid.fitting.noise.Late` has it, made of what the point is at."""
+
+    experiment: Experiment
+    noise: Noise
+    theta: Array
+    square: Array | None
+
+    def normal(self) -> Array:
+        """J'J ``(P, P)``."""
+        return self._point._normal[0] if self.square is None else self.square
+
+    @property
+    def _point(self) -> AmplitudePoint:
+        return AmplitudePoint.at(self.experiment, self.noise, self.theta)
+
+    def dense(self) -> Array:
+        """J ``(M, P)``."""
+        point = self._point
+        channel, entry = np.nonzero(self.experiment.rows.used.T)
+        return poses.by_parameter(point._levers, point.deviations, self.experiment.chain)[entry, channel]
 
 
 def _columns(s: Array, d: Deviations, entries: Integers) -> tuple[Integers, Array]:
     """The parameters ``(p,)`` of some entries of the derivatives, and their columns ``(N, m, p)``."""
-    parameters, column = np.unique(d.parameter[entries], return_inverse=True)
-    stations, row = np.unique(d.station[entries], return_inverse=True)
-    block = np.zeros((len(s), len(stations), len(parameters)))
-    block[:, row, column] = d.partials[:, entries]
-    return parameters, s[:, :, stations] @ block
+    parameters, column, count = np.unique(d.parameter[entries], return_inverse=True, return_counts=True)
+    out = np.zeros((*s.shape[:2], len(parameters)))
+    one = count[column] == 1
+    out[:, :, column[one]] = s[:, :, d.station[entries[one]]] * d.partials[:, None, entries[one]]
+    several = entries[~one]
+    if len(several):  # loads move all joints and are moved by all masses, so that the block is nearly full
+        of, column = np.unique(d.parameter[several], return_inverse=True)
+        stations, row = np.unique(d.station[several], return_inverse=True)
+        block = np.zeros((len(s), len(stations), len(of)))
+        block[:, row, column] = d.partials[:, several]
+        out[:, :, np.searchsorted(parameters, of)] = s[:, :, stations] @ block
+    return parameters, out

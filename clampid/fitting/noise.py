@@ -7,6 +7,8 @@ and are correlated, so that residual and columns alike pass the filter of `clamp
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +18,22 @@ from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorr
 from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 from experiments.signals import segments
 
-__all__ = ["Noise", "Whitened", "initial_noise", "learn_noise"]
+__all__ = ["Late", "Noise", "Whitened", "initial_noise", "learn_noise"]
 
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
+
+
+class Late(Protocol):
+    """A whitened Jacobian that is made when it is asked for."""
+
+    def __hash__(self) -> int:
+        """Each its own."""
+
+    def dense(self) -> Array:
+        """J ``(M, P)``."""
+
+    def normal(self) -> Array:
+        """J'J ``(P, P)``, for which J need not be made."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +41,40 @@ class Whitened:
     """Whitened residual ``(M,)`` and Jacobian ``(M, P)``, one entry per used number, or per group of them.
 
     ``entry`` ``(M,)`` is the row, of a group the middle one, ``channel`` ``(M,)`` the column of ``measured`` that each
-    entry came from.
+    entry came from. Of Jacobians that are made when they are asked for only the last few are kept: a diagnosis
+    remembers dozens of fits, and one of hundreds of amplitudes has 100 MB.
     """
 
     residual: Array
-    jacobian: Array
+    source: Array | Late
     entry: Integers
     channel: Integers
+
+    @property
+    def jacobian(self) -> Array:
+        """``(M, P)``."""
+        return self.source if isinstance(self.source, np.ndarray) else _made(self.source)
+
+    @cached_property
+    def normal(self) -> Array:
+        """J'J ``(P, P)``."""
+        J = self.source
+        return np.asarray(J.T @ J) if isinstance(J, np.ndarray) else J.normal()
+
+    def moved(self, step: Array) -> Whitened:
+        """The same at parameters ``(P,)`` that are a step away, of a model that is linear in them."""
+        there = Whitened(self.residual - self.jacobian @ step, self.source, self.entry, self.channel)
+        there.__dict__["normal"] = self.normal
+        return there
+
+    def with_jacobian_of(self, other: Whitened) -> Whitened:
+        """The residual of this, and the Jacobian of another one of the same rows."""
+        return Whitened(self.residual, other.source, self.entry, self.channel)
+
+
+@lru_cache(maxsize=2)  # of the fit that is judged, and of the one that it is judged against
+def _made(late: Late) -> Array:
+    return late.dense()
 
 
 @dataclass(frozen=True)
@@ -77,8 +119,9 @@ class Noise:
             index = np.flatnonzero(used)
             if not len(index):
                 continue
-            touched = np.any(jacobian[index, c], axis=0)  # most columns of a log touch one motor only
-            both = self.whiten_channel(rows, c, np.c_[residual[:, c], jacobian[:, c, touched]])
+            own = jacobian[:, c]
+            touched = np.any(own, axis=0)  # most columns of a log touch one motor only
+            both = self.whiten_channel(rows, c, np.c_[residual[:, c], own[:, touched]])
             r, j = both[:, 0], np.zeros((len(both), jacobian.shape[2]))
             j[:, touched] = both[:, 1:]
             parts_r.append(r)

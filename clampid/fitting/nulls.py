@@ -24,11 +24,10 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
     In units of reasonable sizes the information of the data has eigenvalues; one below 1 means that the combination is
     not known to within such a size. Parameters with no information at all are named alone.
     """
-    J = estimate.whitened.jacobian
     size = estimate.experiment.sizes()
-    scaled = (J * size) if J.size else J
+    information = estimate.whitened.normal * np.outer(size, size)
     return named_directions(
-        scaled.T @ scaled, size, estimate.slots, estimate.prior_precision, assumed_of(estimate.experiment), limit
+        information, size, estimate.slots, estimate.prior_precision, assumed_of(estimate.experiment), limit
     )
 
 

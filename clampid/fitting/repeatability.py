@@ -15,7 +15,7 @@ A^-1 (sum_v X_v' cov(r_v) X_v + prior precision) A^-1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from clampid.stages.rows import Array, Integers
 __all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]
 
 FEWEST = 20  # visits with more than one point or distance; of fewer no seven variances can be told
-VISITS = 2000  # at once, for the memory they take
+NUMBERS = 4096  # at once, for the memory they take
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
 
 
@@ -63,20 +63,24 @@ def visit_scatter(white: Whitened, by_joint: Array, visit: Integers, covariance:
     """
     n = by_joint.shape[1]
     products, observed, several = np.zeros((n + 1, n + 1)), np.zeros(n + 1), 0
-    for rows in _groups(visit):
-        if (
-            len(rows) <= 3 and np.ptp(white.entry[rows]) == 0
-        ):  # one point or distance: whether instrument or robot is off cannot be told
+    for members in _batches(visit):
+        one = np.ptp(white.entry[members], axis=1) == 0
+        # Of one point or distance it cannot be told whether instrument or robot is off.
+        rows = members[~one] if members.shape[1] <= 3 else members
+        if not len(rows):
             continue
-        several += 1
+        several += len(rows)
         X, J = white.jacobian[rows], by_joint[rows]
-        share, turn = linalg.eigh(np.eye(len(rows)) - X @ covariance @ X.T)
-        residual = turn @ (turn.T @ white.residual[rows] / np.sqrt(np.maximum(share, ABSORBED)))
-        gram = J.T @ J
-        products[0, 0] += len(rows)
-        products[0, 1:] += np.diag(gram)
-        products[1:, 1:] += gram**2
-        observed += np.r_[residual @ residual, (J.T @ residual) ** 2]
+        hat = (X.reshape(-1, len(covariance)) @ covariance).reshape(X.shape) @ np.swapaxes(X, 1, 2)
+        share, turn = np.linalg.eigh(np.eye(rows.shape[1]) - hat)
+        turned = np.einsum("vji,vj->vi", turn, white.residual[rows]) / np.sqrt(np.maximum(share, ABSORBED))
+        residual = np.einsum("vij,vj->vi", turn, turned)
+        gram = np.swapaxes(J, 1, 2) @ J
+        products[0, 0] += rows.size
+        products[0, 1:] += np.einsum("vii->i", gram)
+        products[1:, 1:] += np.sum(gram**2, axis=0)
+        observed[0] += np.sum(residual**2)
+        observed[1:] += np.sum(np.einsum("vji,vj->vi", J, residual) ** 2, axis=0)
     if several < FEWEST:
         return None
     products[1:, 0] = products[0, 1:]
@@ -103,27 +107,33 @@ def clustered_covariance(
     """
     # Balanced, since parameters are of very different sizes.
     size = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-    X = white.jacobian * size
-    middle = shared_moments(X, by_joint, visit, scatter) + precision * np.outer(size, size)
+    middle = (shared_moments(white, by_joint, visit, scatter) + precision) * np.outer(size, size)
     balanced = inverse / np.outer(size, size)
     covariance = balanced @ middle @ balanced
     return np.asarray(0.5 * (covariance + covariance.T) * np.outer(size, size))
 
 
-def shared_moments(X: Array, by_joint: Array, visit: Integers, scatter: Scatter) -> Array:
-    """Covariance ``(P, P)`` of Xᵀ r, r the whitened noise ``(M,)`` of visits that share where the robot has stopped."""
-    out = scatter.noise * (X.T @ X)
-    groups = _groups(visit)
-    for start in range(0, len(groups), VISITS):
-        shared = [(by_joint[rows] * scatter.joints).T @ X[rows] for rows in groups[start : start + VISITS]]
-        together = np.concatenate(shared)  # one product of many visits: of each its own, P² would be summed as often
+def shared_moments(white: Whitened, by_joint: Array, visit: Integers, scatter: Scatter) -> Array:
+    """Covariance ``(P, P)`` of Jᵀ r, r the whitened noise ``(M,)`` of visits that share where the robot has stopped."""
+    out, X = scatter.noise * white.normal, white.jacobian
+    for rows in _batches(visit):
+        shared = np.swapaxes(by_joint[rows] * scatter.joints, 1, 2) @ X[rows]
+        together = shared.reshape(-1, X.shape[1])  # of each visit its own product, P² would be summed as often
         out += together.T @ together
     return np.asarray(out)
 
 
-def _groups(visit: Integers) -> list[Integers]:
+def _batches(visit: Integers) -> Iterator[Integers]:
+    """The numbers ``(visits, size)`` of visits of one size, a few thousand numbers at once for the memory they take."""
     order = np.argsort(visit, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(visit[order])) + 1)
+    groups = np.split(order, np.flatnonzero(np.diff(visit[order])) + 1)
+    by_size: dict[int, list[Integers]] = {}
+    for rows in groups:
+        by_size.setdefault(len(rows), []).append(rows)
+    for size, alike in by_size.items():
+        most = max(NUMBERS // max(size, 1), 1)
+        for start in range(0, len(alike), most):
+            yield np.array(alike[start : start + most])
 
 
 def sums_over(group: Integers, count: int) -> Callable[[Array], Array]:

@@ -90,7 +90,7 @@ def with_rest_friction(
         if any(s.effect == CLEARANCE and s.place in places for s in added):
             return RestFriction(start, None)
         if not added:
-            free = _misses(experiment, experiment.residual(theta)[0])
+            free = _misses(experiment, experiment.error(theta))
             return RestFriction(start, None if free else _held(experiment, open_, theta))
     estimate = _solved(experiment, priors, open_, theta)
     for _ in range(ROUNDS):

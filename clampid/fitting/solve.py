@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from clampid.fitting.descent import Limits, covariance_of, descend, inverse_of
+from clampid.fitting.descent import Chord, Limits, covariance_of, descend, inverse_of
 from clampid.fitting.flanks import mirrored, settled
 from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import Noise, Whitened
@@ -24,6 +24,7 @@ __all__ = [
     "clamping_offsets",
     "holding",
     "limits_of",
+    "point_at",
     "prior_of",
     "solve",
     "stage_point",
@@ -114,10 +115,10 @@ class StagePoint:
     residual: Array
     white: Whitened
 
-    @cached_property
+    @property
     def matrix(self) -> Array:
         """Normal matrix ``(P, P)``."""
-        return np.asarray(self.white.jacobian.T @ self.white.jacobian)
+        return self.white.normal
 
     @property
     def cost(self) -> float:
@@ -151,10 +152,24 @@ def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoin
     return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
 
 
-def _point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
-    """The same for a search, which needs no Jacobian on its way."""
+def _points(experiment: Experiment, noise: Noise, start: Array) -> Callable[[Array], StagePoint]:
+    """What gives the points of a search: of a model linear in its parameters, all from the first."""
+    if not experiment.affine:
+        return lambda theta: stage_point(experiment, noise, theta)
+    residual, jacobian = experiment.residual(start)
+    _must_be_finite(experiment, residual)
+    white = noise.whiten(experiment.rows, residual, jacobian)
+    return lambda theta: StagePoint(theta, residual - jacobian @ (theta - start), white.moved(theta - start))
+
+
+def point_at(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
+    """The same with a Jacobian that is made when it is asked for, where it is large."""
     if not has_many_amplitudes(experiment, noise):
         return stage_point(experiment, noise, theta)
+    return _amplitude_point(experiment, noise, theta)
+
+
+def _amplitude_point(experiment: Experiment, noise: Noise, theta: Array) -> AmplitudePoint:
     point = AmplitudePoint.at(experiment, noise, theta)
     _must_be_finite(experiment, point.residual)
     return point
@@ -171,10 +186,17 @@ def limits_of(experiment: Experiment) -> Limits:
     return Limits(experiment.sizes(), lower, upper, experiment.bounded())
 
 
-def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
+def solve(
+    experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array, *, errors: bool = True
+) -> Estimate:
     """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
 
     The flanks on which gears rest follow the loads (:mod:`clampid.fitting.flanks`).
+
+    Parameters
+    ----------
+    errors
+        Whether the covariance is wanted; else it is empty. Of hundreds of amplitudes it takes as long as the search.
 
     Raises
     ------
@@ -184,9 +206,10 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
     theta = limits_of(experiment).clipped(theta)
 
     def cost(held: Sequence[Experiment], at: Array) -> float:
-        return _point(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
+        return point_at(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
     known: dict[bytes, Experiment] = {}
+    chord = Chord(AmplitudePoint.gradient) if has_many_amplitudes(experiment, noise) else None
 
     def held_at(at: Array) -> Experiment:
         """Flanks and loads where a parameter vector puts them, found once."""
@@ -195,49 +218,54 @@ def solve(experiment: Experiment, theta: Array, noise: Noise, precision: Array, 
             known[key] = experiment.with_flanks(at)
         return known[key]
 
-    def found(start: Array) -> Estimate:
-        end = settled(
-            start,
-            lambda at: [held_at(at)],
-            lambda held, at: _search(held[0], at, noise, precision, mean),
-            cost,
-        )
-        return _at_its_own(end, held_at(end.theta))
+    def search(held: Sequence[Experiment], at: Array) -> _End:
+        limits, one = limits_of(experiment), held[0]
+        if chord is None:
+            return _End(*descend(_points(one, noise, at), at, precision, mean, limits), one)
+        return _End(*descend(lambda x: _amplitude_point(one, noise, x), at, precision, mean, limits, chord), one)
 
-    estimate = found(theta)
-    image = mirrored(experiment, estimate.theta)
+    def found(start: Array) -> _End:
+        end = settled(start, lambda at: [held_at(at)], search, cost)
+        own = held_at(end.theta)  # the flanks and loads that it gives, which its predictions will have
+        return end if _follows_alike(end.experiment, own) else end._replace(point=point_at(own, noise, end.theta))
+
+    end = found(theta)
+    image = mirrored(experiment, end.theta)
     if image is not None:
         upright = found(image)
         if mirrored(experiment, upright.theta) is None:
-            estimate = upright
-    return replace(estimate, experiment=experiment)
-
-
-def _at_its_own(estimate: Estimate, held: Experiment) -> Estimate:
-    """The estimate on the flanks and loads that it gives, which its predictions will have."""
-    before, after = (e.rows.signals for e in (estimate.experiment, held))
-    if before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after):
-        return estimate
-    there = stage_point(held, estimate.noise, estimate.theta)
-    covariance = there.covariance(estimate.prior_precision)
-    return replace(estimate, whitened=there.white, residual=there.residual, covariance=covariance)
-
-
-def _search(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Estimate:
-    """Damped Gauss-Newton with flanks held."""
-    best, iterations = descend(lambda at: _point(experiment, noise, at), theta, precision, mean, limits_of(experiment))
+            end = upright
     return Estimate(
         experiment=experiment,
-        theta=best.theta,
-        covariance=best.covariance(precision),
+        theta=end.theta,
+        covariance=end.point.covariance(precision) if errors else np.zeros((0, 0)),
         noise=noise,
-        whitened=best.white,
-        residual=best.residual,
+        whitened=end.point.white,
+        residual=end.point.residual,
         outliers=np.zeros(len(experiment.rows), dtype=bool),
         prior_precision=precision,
         prior_mean=mean,
-        iterations=iterations,
+        iterations=end.iterations,
     )
+
+
+class _End(NamedTuple):
+    """Where a search with flanks held has ended, after how many iterations, and with which experiment."""
+
+    point: StagePoint | AmplitudePoint
+    iterations: int
+    experiment: Experiment
+
+    @property
+    def theta(self) -> Array:
+        """Where ``(P + K,)``."""
+        return self.point.theta
+
+
+def _follows_alike(held: Experiment, other: Experiment) -> bool:
+    """Whether two experiments have the same flanks and loads."""
+    before, after = held.rows.signals, other.rows.signals
+    return before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after)
 
 
 def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
@@ -307,5 +335,4 @@ def whitened_columns(estimate: Estimate, extra: Sequence[Slot], values: Sequence
     count = len(estimate.slots)
     trial = estimate.experiment.with_slots((*estimate.slots, *extra))
     theta = np.r_[estimate.theta[:count], values, estimate.theta[count:]]
-    residual, jacobian = trial.residual(theta)
-    return estimate.noise.whiten(estimate.experiment.rows, residual, jacobian[:, :, count : count + len(extra)])
+    return estimate.noise.whiten(estimate.experiment.rows, *trial.derivative(theta, count))

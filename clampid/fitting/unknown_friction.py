@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.fitting.solve import Estimate, holding, solve, stage_point
+from clampid.fitting.solve import Estimate, holding, point_at, solve
 from clampid.stages.experiment import HELD
 from clampid.stages.rows import Array
 
@@ -59,8 +59,8 @@ def without_unknown_friction(estimate: Estimate) -> Estimate:
     moot, value = _moot(found, shown)
     theta[moot] = value
     # The flanks stay those of the fit.
-    there = stage_point(found.experiment.with_flanks(found.theta), estimate.noise, theta)
-    found = replace(found, whitened=replace(found.whitened, jacobian=there.white.jacobian))
+    there = point_at(found.experiment.with_flanks(found.theta), estimate.noise, theta)
+    found = replace(found, whitened=found.whitened.with_jacobian_of(there.white))
     return replace(found, covariance=found.point.covariance(found.prior_precision))
 
 
@@ -70,7 +70,7 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     moot, value = _moot(estimate, unknown)
     theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(experiment, precision, moot, HELD)
     theta[moot] = at_zero[moot] = value
-    found = solve(experiment, theta, estimate.noise, held, at_zero)
+    found = solve(experiment, theta, estimate.noise, held, at_zero, errors=False)
     return replace(found, covariance=found.point.covariance(precision), prior_precision=precision, prior_mean=mean)
 
 

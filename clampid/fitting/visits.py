@@ -22,7 +22,7 @@ def with_repeatability(estimate: Estimate) -> Estimate:
     """The same fit, its covariance that of visits whose numbers share where the robot has stopped."""
     white = estimate.whitened
     by_joint, visit = _by_joint(estimate, white, estimate.theta)
-    inverse = inverse_of(white.jacobian.T @ white.jacobian + estimate.prior_precision)
+    inverse = inverse_of(white.normal + estimate.prior_precision)
     scatter = visit_scatter(white, by_joint, visit, inverse)
     if scatter is None:
         return estimate
@@ -47,7 +47,7 @@ def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
         raise ValueError("expected a fit of poses that tells measurement and repeatability apart, found none")
     white = point.white
     by_joint, visit = _by_joint(estimate, white, point.theta)
-    return shared_moments(white.jacobian, by_joint, visit, estimate.scatter)
+    return shared_moments(white, by_joint, visit, estimate.scatter)
 
 
 def variance_along(estimate: Estimate, chosen: Integers) -> float:

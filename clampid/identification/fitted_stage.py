@@ -208,5 +208,5 @@ def _model_of(
 
 def _information(estimate: Estimate) -> Array:
     """What the rows tell of the slots ``(P, P)``, in units of reasonable sizes, without the prior."""
-    scaled = estimate.whitened.jacobian * estimate.experiment.sizes()
-    return projected(scaled.T @ scaled, len(estimate.slots))
+    size = estimate.experiment.sizes()
+    return projected(estimate.whitened.normal * np.outer(size, size), len(estimate.slots))

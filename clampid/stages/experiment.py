@@ -67,6 +67,44 @@ class Experiment:
             case _:
                 return clamped.residual(self.rows, self.chain, own, extra)
 
+    @property
+    def affine(self) -> bool:
+        """Whether the prediction's derivative is the same at all parameters."""
+        return self.stage == "free_air" and self.chain.affine
+
+    def error(self, theta: Array) -> Array:
+        """Measured less predicted ``(N, m)`` alone, SI."""
+        own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
+        match self.stage:
+            case "poses":
+                return poses.residual(self.rows, self.chain, own, len(own))[0]
+            case "free_air":
+                return torques.error(self.rows, self.chain, own, extra)
+            case _:
+                return clamped.residual(self.rows, self.chain, own, extra)[0]
+
+    def derivative(self, theta: Array, first: int) -> tuple[Array, Array]:
+        """The same with the derivative by the slots from the ``first`` on, ``(N, m, P - first)``."""
+        own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
+        match self.stage:
+            case "poses":
+                return poses.residual(self.rows, self.chain, own, first)
+            case "free_air":
+                residual, jacobian = torques.residual(self.rows, self.chain, own, extra, first)
+                return residual, jacobian[:, :, : len(own) - first]
+            case _:
+                residual, jacobian = clamped.residual(self.rows, self.chain, own, extra)
+                return residual, jacobian[:, :, first : len(own)]
+
+    def moved(self, theta: Array, steps: Array) -> Array:
+        """What steps ``(P + K, k)`` do to the prediction ``(N, m, k)``, to first order."""
+        own = theta[: len(self.slots)]
+        if self.stage == "poses":
+            return poses.moved(self.rows, self.chain, own, steps)
+        if self.stage == "free_air":
+            return torques.moved(self.rows, self.chain, own, steps)
+        return np.asarray(self.residual(theta)[1] @ steps)
+
     def by_joint(self, theta: Array) -> Array:
         """In poses, what a small turn of each joint does to the prediction ``(N, m, n)``, m/rad and rad/rad."""
         deviations = poses.evaluate(self.rows, self.chain, theta[: len(self.slots)])

@@ -10,6 +10,7 @@ X_0 is a constant guess of where the instrument sees the base; M_0 and M_i come 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
 __all__ = [
+    "MANY",
     "by_parameter",
     "by_station",
     "constants_of",
@@ -27,12 +29,14 @@ __all__ = [
     "flanks",
     "held",
     "link_vectors",
+    "moved",
     "predict",
     "pressing",
     "residual",
 ]
 
 _NOTHING = np.zeros(0)
+MANY = 24  # parameters of one entry of a chain, from which on they are worth a product of their own
 
 
 def link_vectors(robot: Any) -> Array:
@@ -114,14 +118,24 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
     return chain.evaluate(theta, held(rows, chain, theta) if follows else rows.signals)
 
 
-def residual(rows: Rows, chain: Chain, theta: Array) -> tuple[Array, Array]:
+def residual(rows: Rows, chain: Chain, theta: Array, first: int = 0) -> tuple[Array, Array]:
     """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P)``; zero where nothing was read.
 
-    m = 3, with rotations 6, with distances 7.
+    The derivative is that by the parameters from the ``first`` on. m = 3, with rotations 6, with distances 7.
     """
     deviations = evaluate(rows, chain, theta)
     error, sensitivity = by_station(rows, deviations)
-    return error, by_parameter(sensitivity, deviations, chain)
+    return error, by_parameter(sensitivity, deviations, chain, first)
+
+
+def moved(rows: Rows, chain: Chain, theta: Array, steps: Array) -> Array:
+    """What steps ``(P, k)`` do to the prediction ``(N, m, k)``, to first order."""
+    deviations = evaluate(rows, chain, theta)
+    sensitivity = by_station(rows, deviations)[1]
+    out = np.zeros((*sensitivity.shape[:2], steps.shape[1]))
+    for a, run in chain.runs:
+        out += sensitivity[:, :, a, None] * (deviations.partials[:, run] @ steps[deviations.parameter[run]])[:, None]
+    return out
 
 
 def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
@@ -154,17 +168,29 @@ def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
     return error, seen
 
 
-def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain) -> Array:
-    """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves."""
-    jacobian = np.zeros((*sensitivity.shape[:2], len(chain.slots)))
-    own, several = chain.moves_one, chain.moves_several
-    at, of = deviations.station[own], deviations.parameter[own]
-    jacobian[:, :, of] = sensitivity[:, :, at] * deviations.partials[:, None, own]
+def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain, first: int = 0) -> Array:
+    """Chain rule: d measurement / d parameters ``(N, m, P)``, the sum over the stations that a parameter moves.
+
+    Of the parameters from the ``first`` on, ``(N, m, P - first)``.
+    """
+    jacobian = np.zeros((*sensitivity.shape[:2], len(chain.slots) - first))
+    station, parameter = deviations.station, deviations.parameter
+    own, several = (k[parameter[k] >= first] for k in (chain.moves_one, chain.moves_several))
+    few = np.ones(len(own), dtype=bool)
+    # Of a curve's parameters, which stand beside each other, products are written where they belong.
+    apart = (np.diff(own) != 1) | (np.diff(parameter[own]) != 1) | (np.diff(station[own]) != 0)
+    for i, j in pairwise([0, *(np.flatnonzero(apart) + 1).tolist(), len(own)]):
+        if j - i >= MANY:
+            lever, by = sensitivity[:, :, station[own[i]], None], deviations.partials[:, None, own[i] : own[j - 1] + 1]
+            np.multiply(lever, by, out=jacobian[:, :, parameter[own[i]] - first : parameter[own[j - 1]] - first + 1])
+            few[i:j] = False
+    at, of = station[own[few]], parameter[own[few]] - first
+    jacobian[:, :, of] = sensitivity[:, :, at] * deviations.partials[:, None, own[few]]
     if several.size:
-        stations, row = np.unique(deviations.station[several], return_inverse=True)
-        parameters, column = np.unique(deviations.parameter[several], return_inverse=True)
+        stations, row = np.unique(station[several], return_inverse=True)
+        parameters, column = np.unique(parameter[several], return_inverse=True)
         # Loads move all joints and are moved by all masses, so that the block is nearly full.
         block = np.zeros((len(sensitivity), len(stations), len(parameters)))
         block[:, row, column] = deviations.partials[:, several]
-        jacobian[:, :, parameters] = sensitivity[:, :, stations] @ block
+        jacobian[:, :, parameters - first] = sensitivity[:, :, stations] @ block
     return jacobian

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clampid.chain.chain import Chain
+from clampid.chain.chain import Chain, Deviations
 from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.loads import described_weight, gravity_signals, inertial_signals, weight_rate
@@ -22,21 +22,55 @@ from experiments.campaign import Campaign
 from experiments.log_windows import LogTable, windows
 from experiments.signals import segments, typical_step
 
-__all__ = ["residual", "torque_rows"]
+__all__ = ["error", "moved", "residual", "torque_rows"]
 
 BLOCK_S = 2.0  # rows this close in time share their noise and are flipped together
 BLOCKS = 200  # at least, where a log is short: fewer could not say what is one chance in a hundred
 BLOCK_ROWS = 24  # at least: twice as far as the noise is taken to remember itself
 
 
-def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array]:
+def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int = 0) -> tuple[Array, Array]:
     """Measured less predicted motor torques ``(N, n)``, Nm, and the prediction's derivative ``(N, n, P + K)``.
 
-    ``offsets`` ``(K,)``, Nm at the joint: the friction of joints that stood still for a whole run.
+    The derivative is that by the slots from the ``first`` on, then by the ``offsets`` ``(K,)``, Nm at the joint: the
+    friction of joints that stood still for a whole run.
     """
     deviations = chain.evaluate(theta, rows.signals)
     T = np.asarray(rows.robot.transmission)
     n = rows.robot.n
+    sensitivity = np.concatenate([T, np.eye(n)], axis=1)  # (n, 2n): joint torques, then motor torques
+    # In memory row after row: a table of which each entry is written alone takes five times as long.
+    jacobian = np.zeros((n, len(chain.slots) - first + len(offsets), len(rows)))
+    partials = np.ascontiguousarray(deviations.partials.T)
+    for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
+        for motor in np.flatnonzero(sensitivity[:, station]) if parameter >= first else ():
+            jacobian[motor, parameter - first] += sensitivity[motor, station] * partials[k]
+    for k, (run, still) in enumerate(rows.constants["offset_keys"]):
+        of_run = rows.constants["run"] == run
+        jacobian[:, len(chain.slots) - first + k, of_run] = T[:, still, None]
+    return _error(rows, chain, deviations, offsets), jacobian.transpose(2, 0, 1)
+
+
+def error(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
+    """Measured less predicted motor torques ``(N, n)``, Nm; arguments as of :func:`residual`."""
+    return _error(rows, chain, chain.evaluate(theta, rows.signals), offsets)
+
+
+def moved(rows: Rows, chain: Chain, theta: Array, steps: Array) -> Array:
+    """What steps ``(P + K, k)`` do to the prediction ``(N, n, k)``, to first order."""
+    d, T, count = chain.evaluate(theta, rows.signals), np.asarray(rows.robot.transmission), len(chain.slots)
+    by_station = np.zeros((len(rows), d.values.shape[1], steps.shape[1]))
+    for a, run in chain.runs:
+        by_station[:, a] = d.partials[:, run] @ steps[d.parameter[run]]
+    n = rows.robot.n
+    joint, motor = (by_station[:, chain.offsets[name]] for name in ("joint_torque", "motor_torque"))
+    for k in range(steps.shape[1]) if len(steps) > count else ():
+        joint[:, :, k] += rows.offset_table(steps[count:, k])
+    return np.asarray(np.einsum("ij,njk->nik", T, joint[:, :n]) + motor)
+
+
+def _error(rows: Rows, chain: Chain, deviations: Deviations, offsets: Array) -> Array:
+    T = np.asarray(rows.robot.transmission)
     joint = (
         rows.signals["gravity_torque"]
         + rows.signals["inertia_torque"]
@@ -44,14 +78,7 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     )
     joint = joint + rows.offset_table(offsets)
     predicted = joint @ T.T + deviations.values[:, chain.offsets["motor_torque"]]
-    sensitivity = np.concatenate([T, np.eye(n)], axis=1)  # (n, 2n): joint torques, then motor torques
-    jacobian = np.zeros((len(rows), n, len(chain.slots) + len(offsets)))
-    for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
-        for motor in np.flatnonzero(sensitivity[:, station]):
-            jacobian[:, motor, parameter] += sensitivity[motor, station] * deviations.partials[:, k]
-    for k, (run, still) in enumerate(rows.constants["offset_keys"]):
-        jacobian[rows.constants["run"] == run, :, len(chain.slots) + k] = T[:, still]
-    return rows.measured - predicted, jacobian
+    return np.asarray(rows.measured - predicted)
 
 
 def torque_rows(

@@ -15,7 +15,7 @@ from clampid.comparison.compare import compare
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.look import RATE
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
-from clampid.evidence.columns import Columns, Products, Sums
+from clampid.evidence.columns import Columns, Levers, Products, Sums
 from clampid.evidence.score import flip_maxima, score, space_of
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
@@ -128,14 +128,15 @@ def test_without_a_faulty_disc_the_probe_is_silent(simulated: Simulated, robot: 
 def test_products_are_the_columns_that_they_stand_for():
     rng = np.random.default_rng(0)
     entry = np.repeat(np.arange(20), 3)
-    columns = Products(rng.normal(size=(60, 2)), entry, rng.normal(size=(2, 20, 5)))
+    levers = Levers(rng.normal(size=(60, 2)), entry, 20)
+    columns = Products(levers, (0, 1), (rng.normal(size=(20, 5)), rng.normal(size=(20, 12))))
     D = columns.dense(64)
-    assert D.shape == (64, 10)
+    assert D.shape == (64, 17)
     assert not D[60:].any()
-    for j in range(2):
-        for f in range(5):
-            expected = columns.lever[:, j] * columns.functions[j, entry, f]
-            np.testing.assert_allclose(D[:60, 5 * j + f], expected)
+    for j, first in enumerate((0, 5)):
+        for f in range(columns.functions[j].shape[1]):
+            expected = levers.values[:, j] * columns.functions[j][entry, f]
+            np.testing.assert_allclose(D[:60, first + f], expected)
     other, by_unit = rng.normal(size=(64, 4)), sparse.csc_matrix(rng.normal(size=(7, 64)))
     np.testing.assert_allclose(columns.gram(), D.T @ D)
     np.testing.assert_allclose(columns.times(other), D.T @ other)
