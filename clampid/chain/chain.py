@@ -127,7 +127,7 @@ class Chain:
 
     @cached_property
     def bends(self) -> npt.NDArray[np.bool_]:
-        """Of which parameters ``(P,)`` the derivatives depend on parameters; in all others the deviations are linear."""
+        """Of which parameters ``(P,)`` derivatives depend on parameters; in all others deviations are linear."""
         theta, row = ca.SX.sym("theta", len(self.slots)), ca.SX.sym("row", self.function.function.nnz_in(1))
         derivatives = self.function.function(theta, row)[1]
         depend = np.unique(ca.jacobian_sparsity(derivatives, theta).get_triplet()[0]).astype(np.int64)
