@@ -8,7 +8,7 @@ is one casadi function of a row's signals and of the parameters, with its deriva
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from types import SimpleNamespace
@@ -124,6 +124,36 @@ class Chain:
         """The entries of S that parameters move, and which columns of the partials are of each."""
         edges = [0, *(np.flatnonzero(np.diff(self.station)) + 1).tolist(), len(self.station)]
         return [(int(self.station[i]), slice(i, j)) for i, j in pairwise(edges) if j > i]
+
+    @cached_property
+    def bends(self) -> npt.NDArray[np.bool_]:
+        """Of which parameters ``(P,)`` derivatives depend on parameters; in all others deviations are linear."""
+        theta, row = ca.SX.sym("theta", len(self.slots)), ca.SX.sym("row", self.function.function.nnz_in(1))
+        derivatives = self.function.function(theta, row)[1]
+        depend = np.unique(ca.jacobian_sparsity(derivatives, theta).get_triplet()[0]).astype(np.int64)
+        out = np.zeros(len(self.slots), dtype=bool)
+        out[self.parameter[depend]] = True
+        return out
+
+    @cached_property
+    def bent(self) -> Chain:
+        """The chain of those parameters alone, all others zero; of the stage ``free_air``, which has no flanks."""
+        own = np.flatnonzero(self.bends)
+        theta, row = ca.SX.sym("theta", len(own)), ca.SX.sym("row", self.function.function.nnz_in(1))
+        every = ca.SX(len(self.slots), 1)
+        every[own.tolist()] = theta
+        values, derivatives = self.function.function(every, row)
+        kept = np.flatnonzero(self.bends[self.parameter])
+        outputs = [values, derivatives[kept.tolist()]]
+        return replace(
+            self,
+            slots=tuple(self.slots[k] for k in own),
+            function=Blocks(ca.Function("bent", [theta, row], outputs)),
+            station=self.station[kept],
+            parameter=np.searchsorted(own, self.parameter[kept]),
+            least=self.least[own],
+            affine=False,
+        )
 
     @cached_property
     def moves_several(self) -> npt.NDArray[np.int64]:

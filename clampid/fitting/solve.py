@@ -12,6 +12,7 @@ from clampid.fitting.descent import Chord, Limits, covariance_of, descend, inver
 from clampid.fitting.flanks import mirrored, settled
 from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import Noise, Whitened
+from clampid.fitting.parted_log import PartedLog, PartedPoint
 from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment
@@ -152,8 +153,13 @@ def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoin
     return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
 
 
-def _points(experiment: Experiment, noise: Noise, start: Array) -> Callable[[Array], StagePoint]:
-    """What gives the points of a search: of a model linear in its parameters, all from the first."""
+def _points(experiment: Experiment, noise: Noise, start: Array) -> Callable[[Array], StagePoint | PartedPoint]:
+    """What gives the points of a search: of a model linear in its parameters, all from the first.
+
+    Of a log, of which the derivative is large, the linear parameters' is taken from the first point, too.
+    """
+    if experiment.stage == "free_air" and not experiment.affine and not experiment.chain.bends.all():
+        return PartedLog.of(experiment, noise, start).at
     if not experiment.affine:
         return lambda theta: stage_point(experiment, noise, theta)
     residual, jacobian = experiment.residual(start)
@@ -252,7 +258,7 @@ def solve(
 class _End(NamedTuple):
     """Where a search with flanks held has ended, after how many iterations, and with which experiment."""
 
-    point: StagePoint | AmplitudePoint
+    point: StagePoint | PartedPoint | AmplitudePoint
     iterations: int
     experiment: Experiment
 

@@ -17,8 +17,10 @@ from clampid.evidence.score import score, space_of
 from clampid.fitting.descent import Chord, Limits, descend
 from clampid.fitting.fit import fit
 from clampid.fitting.noise import learn_noise
+from clampid.fitting.parted_log import PartedLog
 from clampid.fitting.solve import prior_of, solve, stage_point
 from clampid.identification.fitted_stage import active_slots
+from clampid.identification.identify import stage_rows
 from clampid.slots import Term
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
@@ -153,3 +155,21 @@ def test_a_linear_log_is_searched_from_its_first_derivative(few_rows: dict[Stage
     np.testing.assert_allclose(found.residual, there.residual, atol=1e-9 * scale)
     np.testing.assert_allclose(found.whitened.residual, there.white.residual, atol=1e-8)
     np.testing.assert_allclose(found.whitened.normal, there.matrix, atol=1e-9 * there.matrix.max())
+
+
+@pytest.mark.parametrize("shaped", ["stribeck_friction", "load_dependent_friction"])
+def test_a_log_by_parts_is_the_whole_log(tiny: Campaign, shaped: str):
+    """Residual, gradient, products and Jacobian at another point are those of the whole derivative made there."""
+    known, layout = catalogue(), layout_of([tiny])
+    names = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction", shaped)
+    rows = stage_rows([tiny], layout, "free_air")
+    trial = experiment(rows, known, active_slots(rows, known, [Term(name) for name in names]))
+    assert 0 < trial.chain.bends.sum() < len(trial.slots)
+    rng, start = np.random.default_rng(1), trial.start()
+    noise = learn_noise(rows, trial.residual(start)[0])
+    away = start + 0.01 * trial.sizes() * rng.standard_normal(len(start))
+    parted, whole = PartedLog.of(trial, noise, start).at(away), stage_point(trial, noise, away)
+    np.testing.assert_allclose(parted.residual, whole.residual, atol=1e-11 * np.abs(whole.residual).max())
+    for mine, theirs in zip(parted.normal(), whole.normal(), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
+    np.testing.assert_allclose(parted.white.jacobian, whole.white.jacobian, atol=1e-9)
