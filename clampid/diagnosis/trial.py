@@ -35,7 +35,7 @@ from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.score import Scored, canonical
+from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.accuracy import Floor, cross_validated, predicted, rms_of, size_of
 from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
@@ -53,6 +53,7 @@ RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
 ONLY_BESIDE = "the held-out error falls only beside what these rows cannot tell apart"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
+ONE = 1.0  # what chance explains by one number, in units of the residual's variance
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -182,10 +183,13 @@ class Undecided:
     look: Look
 
     def alike(self, effects: Mapping[str, Effect]) -> bool:
-        """Whether it makes no difference which of them it is: their columns are one, and no other stage reads any."""
+        """Whether it makes no difference which of them it is: they explain the same, and no other stage reads any."""
         first, *others = self.members
-        one = all(canonical(first, s) > ALIASED for s in others)
-        return one and not any("poses" in effects[s.candidate.name].stages for s in self.members)
+        for s in others:
+            both = explained_together(self.look.space, first, s)
+            if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
+                return False
+        return not any("poses" in effects[s.candidate.name].stages for s in self.members)
 
 
 class _Along(NamedTuple):
