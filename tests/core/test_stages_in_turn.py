@@ -77,7 +77,7 @@ def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable
     campaign = simulated(seed=2, poses=100, tables=tables, hidden=("torque_offset@joint2",))
     opened = reopen(identify(campaign, {"free_air": ["gravity", "coulomb_friction", "viscous_friction"]}), campaign)
     fitted = opened.refit("free_air", opened.rows("free_air"))
-    look = look_at(fitted.estimate, dict(opened.effects), flips=19, seed=0)
+    look = look_at(fitted.estimate, dict(opened.effects), flips=19, seed=0).remembered
     at = {s.candidate.name: s for s in look.named if s.candidate.places == ("joint2",)}
     offset, friction, cable = (at[name] for name in ("torque_offset", "asymmetric_friction", "dress_pack"))
     assert Undecided([offset, friction], look).alike(opened.effects)
