@@ -126,13 +126,12 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
         if name in header.tables:
             source = TableFile(path / header.tables[name])
             layout = table_format(name, header.robot.n)
-            if name in header.at_joints:
-                frame = validate_table(read_table(source.path), layout, source, header.targets)
-                tables[name] = _at_motors(frame, np.asarray(header.robot.transmission))
-            elif name in LOGS and is_long(source.path, held):
+            behind_gears = name in header.at_joints
+            if name in LOGS and not behind_gears and is_long(source.path, held):
                 long[name], tables[name] = read_long(source.path, layout, header.robot.n)
-            else:
-                tables[name] = validate_table(read_table(source.path), layout, source, header.targets)
+                continue
+            frame = validate_table(read_table(source.path), layout, source, header.targets)
+            tables[name] = _at_motors(frame, np.asarray(header.robot.transmission)) if behind_gears else frame
     _refuse_absent_sensors(header, tables, path)
     hashed: dict[str, pd.DataFrame | Path] = {**tables, **{name: path / header.tables[name] for name in long}}
     return Campaign(
