@@ -75,5 +75,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = F_c z, dz/dt = |w|/s (sign(w) - z) - z/t",
     source=("Olsson1998",),
-    revealed_by="friction_at_rest",
+    asked=True,
 )
