@@ -246,8 +246,9 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
                 own.append((f"harmonics of q{other}", (f"q{other}",), _harmonics(s["q"][:, k], OTHERS)))
                 own.append((f"motion of motor {other}", (f"qd{other}",), s["motor_motion"][:, k, None]))
                 moved = np.column_stack([sign, w])
-                turned = sign[:, None] * waves[k]
-                own.append((f"motion times q{other}", (f"qd{name}", f"q{other}"), turned))
+                own.append((f"motion times q{other}", (f"qd{name}", f"q{other}"), sign[:, None] * waves[k]))
+                dragged = s["motor_motion"][:, k, None] * waves[k]
+                own.append((f"motion of motor {other} times q{other}", (f"qd{other}", f"q{other}"), dragged))
                 borne = moved * sizes[:, k, None]
                 own.append((f"motion times load of motor {other}", (f"qd{name}", f"tau{other}"), borne))
         own += pairs
