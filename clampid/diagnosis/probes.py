@@ -24,6 +24,7 @@ __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
 HARMONICS = 3
 OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth and cables come several times a turn
+SWINGS = 4  # of what turns and shifts all points, over the campaign
 RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
 PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
@@ -75,6 +76,9 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     s = rows.signals
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
+    passing = np.column_stack(
+        [slow, _harmonics(2.0 * np.pi * s["elapsed"] / max(np.ptp(s["elapsed"]), 1e-300), SWINGS)]
+    )
     found: list[Candidate | None] = []
     levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
     air = _air(rows)
@@ -96,6 +100,8 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     for name, start in frames:
         frame = _levers(estimate, sensitivity[:, :, start : start + 6])
         found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
+        if name == "base":  # or the instrument, which sees the same
+            found.append(_at(frame, range(6), name, "swing in time", ("time",), passing))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
         found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
