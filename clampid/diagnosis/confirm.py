@@ -41,10 +41,14 @@ FLIPS = 999
 
 @dataclass(frozen=True)
 class Fall:
-    """By what share of themselves whitened squared errors of rows not fitted fall, and the one-sided p of that."""
+    """By what share of themselves whitened squared errors of rows not fitted fall, and the one-sided p of that.
+
+    ``error``: the share's standard error, from what the units fall by.
+    """
 
     p: float
     share: float
+    error: float = 0.0
 
 
 def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, seed: int) -> list[Scored]:
@@ -132,7 +136,11 @@ def probe_held_out_fall(estimate: Estimate, verification: Rows, probe: Candidate
 
 def _fall(before: Array, after: Array, unit: Integers, seed: int) -> Fall:
     """What squared errors ``(N,)`` fall by from before to after."""
-    return Fall(held_out_p(before, after, unit, seed), float(np.sum(before - after) / max(np.sum(before), 1e-300)))
+    _, index = np.unique(unit, return_inverse=True)
+    whole, total = np.bincount(index, before), max(float(np.sum(before)), 1e-300)
+    share = float(np.sum(before - after)) / total
+    off = np.bincount(index, before - after) - share * whole  # of a ratio of sums
+    return Fall(held_out_p(before, after, unit, seed), share, float(np.sqrt(off @ off)) / total)
 
 
 def _assumed(candidate: Candidate) -> Array:

@@ -24,7 +24,7 @@ __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
 HARMONICS = 3
 OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth and cables come several times a turn
-SWINGS = 4  # of what turns and shifts all points, over the campaign
+SWINGS = 8  # of an instrument's readings over the campaign: air conditioning, doors
 RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
 PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
@@ -76,9 +76,6 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     s = rows.signals
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
-    passing = np.column_stack(
-        [slow, _harmonics(2.0 * np.pi * s["elapsed"] / max(np.ptp(s["elapsed"]), 1e-300), SWINGS)]
-    )
     found: list[Candidate | None] = []
     levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
     air = _air(rows)
@@ -100,8 +97,6 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     for name, start in frames:
         frame = _levers(estimate, sensitivity[:, :, start : start + 6])
         found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
-        if name == "base":  # or the instrument, which sees the same
-            found.append(_at(frame, range(6), name, "swing in time", ("time",), passing))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
         found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
@@ -112,14 +107,17 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
                 found.append(_at(frame, range(6), name, f"q{k + 1}", (f"q{k + 1}",), wave))
                 found.append(_at(frame, range(6), name, f"dir{k + 1}", (f"dir{k + 1}",), d))
     place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
-    readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k]) for k, a in enumerate("xyz")]
+    readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k, None]) for k, a in enumerate("xyz")]
     for (i, a), (k, b) in combinations_with_replacement(enumerate("xyz"), 2):
         both = tuple(dict.fromkeys((a, b)))
-        readings.append((f"position along {a} times {b}", both, place[:, i] * place[:, k]))
-    readings += [(what, variables, x[:, 0]) for what, variables, x in air]
-    for what, variables, reading in readings:
-        columns = np.zeros((len(rows), width, 3))
-        columns[:, np.arange(3), np.arange(3)] = reading[:, None]
+        readings.append((f"position along {a} times {b}", both, (place[:, i] * place[:, k])[:, None]))
+    share = s["elapsed"] / max(float(np.ptp(s["elapsed"])), 1e-300)
+    swings = np.column_stack([slow, _harmonics(2.0 * np.pi * share, SWINGS)])
+    for what, variables, reading in (*readings, *air, ("swing in time", ("time",), swings)):
+        count = reading.shape[1]
+        columns = np.zeros((len(rows), width, 3 * count))
+        for axis in range(3):
+            columns[:, axis, axis * count : (axis + 1) * count] = reading
         found.append(_probe(estimate, "instrument", what, variables, columns))
     found.append(_periodic(rows, levers))
     return [p for p in found if p is not None]

@@ -8,7 +8,8 @@ the noise floor's with it or without it.
 
 The floor of poses comes from returns and from the instrument, which no model has shaped: an error at or below it has
 no room for anything that matters. A log's is taken from what a fit leaves and may hold some of what the fit lacks, so
-that there the probe's size decides.
+that there the probe's size beside the noise of its motor decides: a note is what is clearly smaller than that (one
+sided, :data:`CLEARLY`).
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Remains:
     where
         The joint, frame or motor.
     size
-        rms of what the probe takes from the held-out error, in the stage's unit.
+        rms of what the probe takes from the held-out error, in the stage's unit: of poses, or of the motor where it is.
     p
         One-sided, of that fall.
     matters
@@ -71,9 +72,9 @@ class Remains:
 
     def sentence(self, unit: str, floor: float) -> str:
         """For people, where it does not matter."""
-        size = error_text(self.size, unit)
+        size, at = error_text(self.size, unit), f" at {', '.join(self.where)}" if unit == "sigma" else ""
         return (
-            f"At the noise floor a pattern of {size} rms is left that depends on {', '.join(self.depends_on)}; too "
+            f"At the noise floor a pattern of {size} rms{at} is left that depends on {', '.join(self.depends_on)}; too "
             f"small beside the floor of {error_text(floor, unit)} to change the verdict."
         )
 
@@ -89,21 +90,38 @@ def remains_of(look: Look, estimate: Estimate, held: HeldOut, verification: Rows
     fall = _fall(look.probe, estimate, verification, seed)
     if fall.p > HELD_OUT_RATE:
         return None
-    size = float(np.sqrt(max(fall.share, 0.0))) * held.rms
-    poses = estimate.experiment.stage == "poses"
-    floor = held.floor.norm if poses else 1.0
-    large = size >= MATTERS * floor and not (poses and held.rms <= floor)
+    where, poses = look.probe.candidate.places, estimate.experiment.stage == "poses"
+
+    def size_of(share: float) -> float:
+        return float(np.sqrt(max(share, 0.0) * _per_motor(held.rows, where))) * held.rms
+
+    size = size_of(fall.share)
+    if poses:
+        large = size >= MATTERS * held.floor.norm > 0.0 and held.rms > held.floor.norm
+    else:
+        large = size_of(fall.share + float(stats.norm.isf(CLEARLY)) * fall.error) >= MATTERS
     found = variables_of(look)
-    return Remains(tuple(found), look.probe.candidate.places, size, fall.p, large or above_the_floor(held, CLEARLY))
+    return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held, CLEARLY))
+
+
+def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
+    """How many times as many numbers the rows have as the motor to which a probe of torques belongs; of poses 1.
+
+    What one motor shows matters beside that motor's noise, however many others there are.
+    """
+    motors = {f"motor{k + 1}": int(count) for k, count in enumerate(rows.used.sum(axis=0))}
+    if rows.stage == "poses" or not set(where) <= set(motors):
+        return 1.0
+    return sum(motors.values()) / max(sum(motors[place] for place in where), 1)
 
 
 def _fall(probe: Scored, estimate: Estimate, verification: Rows | None, seed: int) -> Fall:
     """What a probe takes from rows that no fit has seen: as a name's, on the verification table or on the poses.
 
     Where the table alone, of a few visits, does not tell, the poses may, at the other half of the rate; the table's own
-    error has to fall in any case.
+    error has to fall in any case. Of what swings in time a table measured later knows nothing.
     """
-    if verification is None:
+    if verification is None or probe.candidate.depends_on == ("time",):
         return cross_fitted_fall(estimate, probe, seed)
     fall = probe_held_out_fall(estimate, verification, probe.candidate, seed)
     if fall.p <= 0.5 * HELD_OUT_RATE or fall.share <= 0.0:
