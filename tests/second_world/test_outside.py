@@ -1,0 +1,48 @@
+"""What no library has is called unknown, with the variables that it depends on: two of them, too, and time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from clampid.diagnosis.diagnose import diagnose
+from clampid.identification.identify import identify
+from experiments.campaign import read_campaign
+from experiments.second_world import draw_robot, measure
+
+POSES = ("free_air", "poses", "verification")
+
+
+@pytest.mark.parametrize(
+    ("name", "where", "magnitude", "robot", "program", "noise", "depends_on"),
+    [
+        ("time_of_day", "instrument", 0.94, "seven7", "many", "white", {"time"}),
+        ("layered_air", "instrument", 1.5, "seven7", "many", "white", {"z"}),
+    ],
+)
+@pytest.mark.slow
+def test_what_the_instrument_does_depends_on_time_or_on_a_square(
+    name: str, where: str, magnitude: float, robot: str, program: str, noise: str, depends_on: set[str], tmp_path: Path
+) -> None:
+    """Nothing of it is a joint's error, and the swing takes five turns over the campaign."""
+    arm = draw_robot(robot, 11, mounting="wall")
+    measure(arm, tmp_path, hidden=[(name, where, magnitude)], tables=POSES, program=program, noise=noise, seed=11)
+    campaign = read_campaign(tmp_path)
+    poses = diagnose(identify(campaign), campaign, stages=["poses"]).stages["poses"]
+    assert poses.verdict == "unknown"
+    assert depends_on <= set(poses.depends_on)
+
+
+def test_friction_by_another_joints_load_is_found_at_its_motor(tmp_path: Path) -> None:
+    """As of a bearing that two joints share: by one motor's speed times another's load."""
+    arm = draw_robot("seven7", 11, mounting="wall")
+    hidden = [("friction_of_both", "joint1+joint2", 0.4)]
+    measure(arm, tmp_path, hidden=hidden, tables=("free_air",), log="trapezoids_10hz", noise="white", seed=11)
+    campaign = read_campaign(tmp_path)
+    log = diagnose(identify(campaign), campaign).stages["free_air"]
+    assert log.verdict == "unknown"
+    assert set(log.depends_on) == {"qd1", "tau2"}
+    assert log.look is not None
+    assert log.look.probe is not None
+    assert log.look.probe.candidate.places == ("motor1",)
