@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clampid.catalogue import with_user_effects
 from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
 from clampid.models.curves import angle_errors
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, write_text
+from clampid.models.own_effects import effects_of
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from experiments.temperatures import REFERENCE_TEMPERATURE
@@ -343,7 +343,7 @@ def angle_table(
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none")
     parts = []
-    known = with_user_effects(effects_from)
+    known = effects_of(model, effects_from)
     for j, (low, high) in enumerate(zip(*ranges(nominal), strict=True)):
         q = np.zeros((round((high - low) / ANGLES) + 1, nominal.n))
         q[:, j] = np.linspace(low, high, len(q))

@@ -6,8 +6,6 @@ It is one JSON file that a person can read. Nothing in it is changed in place: e
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +19,7 @@ from clampid.fitting.bootstrap import Bootstrap
 from clampid.models.ranges import Ranges, read_ranges
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
+from experiments.outputs import write_text
 
 __all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model", "write_text"]
 
@@ -166,23 +165,6 @@ class Model:
 def save_model(model: Model, path: str | Path) -> None:
     """Write a model as readable JSON, through a temporary name."""
     write_text(path, json.dumps(_to_json(model), indent=1, allow_nan=False) + "\n")
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file under a temporary name and rename it, so that nothing half-written is left behind."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 def load_model(path: str | Path) -> Model:
