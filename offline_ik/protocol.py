@@ -134,6 +134,7 @@ class Speaker:
     _timed: bool = field(init=False)
     _stops: int = field(init=False, default=0)
     _moves: int = field(init=False, default=0)
+    _moving: bool = field(init=False, default=False)
     _convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -142,6 +143,11 @@ class Speaker:
         self._since = self.clock() - (self.detector.cell.running or 0.0)
         if self.link is not None:
             _refuse_other_robot(self.detector.robot.name, self.link.state().get("robot"), "the linked one is")
+
+    @property
+    def moved(self) -> bool:
+        """Whether a move was begun here that nobody has stopped since."""
+        return self._moving
 
     def answer(self, line: bytes, session: Session) -> bytes:
         """The answer to one line, newline included; never raises for what a client may send."""
@@ -316,6 +322,7 @@ class Speaker:
             raise RequestError("stop: no robot is linked; there is nothing to stop")
         self._stops += 1
         self.link.stop()
+        self._moving = False
         return Told({"link": finite(dict(self.link.state()))})
 
     def _move(self, given: Mapping[str, str], session: Session) -> Later:
@@ -334,6 +341,7 @@ class Speaker:
                 if self._moves != moves or not np.abs(link.posture() - here).max() <= SETTLED:
                     raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
                 self._moves += 1
+                self._moving = True
                 link.move(ways.chosen[0].postures, self.detector.cell.speed)
             return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 

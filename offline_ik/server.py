@@ -6,10 +6,13 @@ import asyncio
 import contextlib
 import gc
 import ipaddress
+import os
 import signal
+import socket
 import sys
+import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -19,7 +22,7 @@ from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Job, Session, Speaker
 
-__all__ = ["Limits", "Server", "parse_address", "serve", "settle"]
+__all__ = ["Limits", "Server", "parse_address", "serve", "settle", "take"]
 
 LINE_BYTES = 4096  # of a request
 PENDING = 64  # requests that a client may have waiting; beyond, it is not read
@@ -27,7 +30,9 @@ TURN = 8  # requests of one client before others have their turn
 WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
 PATIENCE = 30.0  # s for a line to be completed
 CLIENTS = 256
+BACKLOG = 100  # connections that wait to be accepted
 CUT_OFF = b"\n"  # stands, as no line can, for one that the end of its connection cut off
+GRACE = 0.8  # s that a stop waits for the robot's link, and then for a computation that is under way
 SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
 
 
@@ -185,6 +190,13 @@ class _Client(asyncio.Protocol):
             self.timer.cancel()
             self.timer = None
 
+    def tell_end(self, line: bytes) -> None:
+        """Say a last line, and hang up once it is sent."""
+        if self.transport is not None and not self.transport.is_closing():
+            self.transport.write(line)
+            self.transport.close()
+        self.ended = self.session.closed = True
+
     def _too_slow(self) -> None:
         self.timer = None
         if self.lines or not self.reading:  # it is we who are behind: the rest of the line may lie unread
@@ -215,10 +227,11 @@ class Server:
         self.speaker, self.limits = speaker, limits or Limits()
         self.clients: set[_Client] = set()
         self.failures = 0
-        self._server: asyncio.Server | None = None
+        self._servers: list[asyncio.Server] = []
         self._thread = ThreadPoolExecutor(1, "clampid")
         self._twin: Detector = speaker.detector.twin
         self._switched = sys.getswitchinterval()
+        self._busy = False
 
     def reply(self, line: bytes, session: Session) -> bytes | Job:
         """The answer to a line; an error of the program itself is one client's answer, not everyone's end."""
@@ -232,8 +245,12 @@ class Server:
         return asyncio.get_running_loop().run_in_executor(self._thread, self._run, job, self.speaker.detector.cell)
 
     def _run(self, job: Job, cell: Cell) -> Any:
-        self._twin = self._twin.within(cell)
-        return job.run(self._twin)
+        self._busy = True
+        try:
+            self._twin = self._twin.within(cell)
+            return job.run(self._twin)
+        finally:
+            self._busy = False
 
     def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes:
         """The answer of a job that has been computed."""
@@ -246,31 +263,81 @@ class Server:
         self.failures += 1
         return self.speaker.refuse(f"internal error: {type(error).__name__}: {error}")
 
-    async def start(self, host: str, port: int) -> tuple[str, int]:
-        """Listen; the address that was taken (port 0 takes a free one)."""
+    async def start(self, host: str, port: int, taken: Sequence[socket.socket] | None = None) -> tuple[str, int]:
+        """Listen; the address that was taken (port 0 takes a free one).
+
+        Parameters
+        ----------
+        taken
+            Of :func:`take`, where the address was taken before.
+        """
         sys.setswitchinterval(SWITCH)
-        self._server = await asyncio.get_running_loop().create_server(lambda: _Client(self), host, port)
-        name = self._server.sockets[0].getsockname()
+        loop, found = asyncio.get_running_loop(), take(host, port) if taken is None else taken
+        self._servers = [await loop.create_server(lambda: _Client(self), sock=one) for one in found]
+        name = found[0].getsockname()
         return str(name[0]), int(name[1])
 
     async def run(self) -> None:
         """Serve until cancelled."""
-        if self._server is None:
+        if not self._servers:
             raise RuntimeError("start the server before it can run")
-        await self._server.serve_forever()
+        # Not serve_forever: from Python 3.12 on it waits, once cancelled, for clients to hang up by themselves.
+        await asyncio.get_running_loop().create_future()
 
-    async def close(self) -> None:
-        """Stop listening and hang up."""
-        if self._server is not None:
-            self._server.close()
-        for hang_up in (asyncio.Transport.close, asyncio.Transport.abort):  # what a client does not read is dropped
-            for client in list(self.clients):
-                if client.transport is not None:
-                    hang_up(client.transport)
-            for _ in range(3):  # a closed transport tells so on a later turn of the loop
-                await asyncio.sleep(0)
-        self._thread.shutdown(cancel_futures=True)
+    async def close(self) -> bool:
+        """Stop listening, stop a robot that was sent on its way, tell the clients, and hang up.
+
+        Returns
+        -------
+        bool
+            Whether the computation that was under way has ended, too.
+        """
+        for server in self._servers:
+            server.close()
+        stopped = await self._stop_robot()
+        for client in list(self.clients):
+            client.tell_end(self.speaker.refuse(f"the server stops{stopped}"))
+        for _ in range(3):  # a closed transport tells so on a later turn of the loop
+            await asyncio.sleep(0)
+        for client in list(self.clients):  # what a client does not read is dropped
+            if client.transport is not None:
+                client.transport.abort()
+        for _ in range(3):
+            await asyncio.sleep(0)
+        self._thread.shutdown(wait=False, cancel_futures=True)
         sys.setswitchinterval(self._switched)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GRACE):
+                while self._busy:
+                    await asyncio.sleep(0.01)
+        return not self._busy
+
+    async def _stop_robot(self) -> str:
+        """Once the server is gone no client can stop the robot, so that a move does not outlive it."""
+        link = self.speaker.link
+        if link is None or not self.speaker.moved:
+            return ""
+        # In a thread of its own: a controller that does not answer must not keep the server from ending.
+        done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+        def stop() -> None:
+            try:
+                link.stop()
+                said = "; the robot was stopped"
+            except Exception as error:  # a link may raise anything; it is told, and the server ends all the same
+                said = f"; the robot could not be stopped: {error}"
+            with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+                done.get_loop().call_soon_threadsafe(answered, said)
+
+        def answered(said: str) -> None:
+            if not done.done():
+                done.set_result(said)
+
+        threading.Thread(target=stop, name="clampid-stop", daemon=True).start()
+        try:
+            return await asyncio.wait_for(done, GRACE)
+        except TimeoutError:
+            return "; the robot did not answer when it was to be stopped"
 
 
 def parse_address(text: str) -> tuple[str, int]:
@@ -285,6 +352,34 @@ def parse_address(text: str) -> tuple[str, int]:
     if not colon or not host or not port.isdigit() or int(port) > 65535:
         raise DetectorError(f"expected HOST:PORT, found {text!r}")
     return host.strip("[]"), int(port)
+
+
+def take(host: str, port: int) -> list[socket.socket]:
+    """Take an address, so that nobody else does while the server is made ready; one socket for each of its forms.
+
+    Raises
+    ------
+    DetectorError
+        It is in use, not of this machine, or not permitted.
+    """
+    found: list[socket.socket] = []
+    try:
+        forms = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        for family, kind, protocol, _, address in dict.fromkeys(forms):
+            one = socket.socket(family, kind, protocol)
+            found.append(one)
+            if os.name == "posix":
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                one.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            one.bind((address[0], found[0].getsockname()[1] if len(found) > 1 else port, *address[2:]))
+            # An address is refused to a second listener only: bound alone, two servers could hold it.
+            one.listen(BACKLOG)
+    except OSError as error:
+        for one in found:
+            one.close()
+        raise DetectorError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+    return found
 
 
 def is_loopback(host: str) -> bool:
@@ -302,8 +397,15 @@ def settle() -> None:
     gc.freeze()
 
 
-def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) -> None:
-    """Serve until interrupted; ``say`` is told the address.
+def serve(
+    speaker: Speaker, host: str, port: int, say: Callable[[str], None], taken: Sequence[socket.socket] | None = None
+) -> bool:
+    """Serve until interrupted (SIGINT, SIGTERM); ``say`` is told the address. ``taken``: of :func:`take`.
+
+    Returns
+    -------
+    bool
+        Whether nothing is left running: False where a computation did not end within the time that a stop has.
 
     Raises
     ------
@@ -311,23 +413,22 @@ def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) ->
         The address cannot be listened on.
     """
 
-    async def run() -> None:
+    async def run() -> bool:
         server = Server(speaker)
         settle()
-        try:
-            at = await server.start(host, port)
-        except OSError as error:
-            raise DetectorError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+        at = await server.start(host, port, taken)
         # Said, not left to the interpreter: started in the background of a shell, it would not hear an interrupt.
         loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(server.run())
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError):  # Windows hears an interrupt by itself
                 loop.add_signal_handler(number, serving.cancel)
         say(f"listening on {at[0]}:{at[1]}")
+        ended = False
         try:
             with contextlib.suppress(asyncio.CancelledError):
                 await serving
         finally:
-            await server.close()
+            ended = await server.close()
+        return ended
 
-    asyncio.run(run())
+    return asyncio.run(run())

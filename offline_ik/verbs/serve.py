@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -36,10 +38,11 @@ def serve(
     """Answer where detector positions lie, one request a line, one JSON answer a line, until interrupted."""
     out = Output(quiet)
     from offline_ik.protocol import Speaker
-    from offline_ik.server import is_loopback, parse_address
+    from offline_ik.server import is_loopback, parse_address, take
     from offline_ik.server import serve as serve_forever
 
     host, port = parse_address(listen)
+    taken = take(host, port)  # before the compiling: a port in use is said at once
     linked = None if link is None else _linked(link)
     with out.working("compiling"):
         detector = opened(model, cell, robot, effects_from, running)
@@ -51,7 +54,10 @@ def serve(
         out.warn(note)
     if not is_loopback(host):
         out.warn(f"anyone who reaches {host} can ask, and move a linked robot: there is no password")
-    serve_forever(speaker, host, port, out.say)
+    if not serve_forever(speaker, host, port, out.say, taken):
+        # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
+        sys.stdout.flush()
+        os._exit(0)
 
 
 def _linked(address: str) -> RobotLink:
