@@ -21,10 +21,11 @@ from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
 from clampid.models.curves import angle_errors
 from clampid.models.described import robot_of
-from clampid.models.model import Model, ModelError, write_text
+from clampid.models.model import Model, ModelError
 from clampid.models.own_effects import effects_of
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
+from experiments.outputs import write_text
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward

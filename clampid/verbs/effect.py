@@ -41,7 +41,7 @@ def new(
     """Write the file of an effect with a given dependence; it works as it stands, and is there to be completed."""
     out = Output(quiet)
     if output is not None:
-        output_file(output)
+        output_file(output, "text")
 
     from clampid.diagnosis.effect_new import effect_new
 

@@ -13,7 +13,7 @@ class CallError(ValueError):
 
 _WRONG_INPUT = (
     ("experiments.errors", "CampaignError"),
-    ("experiments.outputs", "OutputError"),
+    ("experiments.targets", "OutputError"),
     ("experiments.simulate", "SimulationError"),
     ("kinematics.robot", "DescriptionError"),
     ("kinematics.dh_conversion", "DHError"),

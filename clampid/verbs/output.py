@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clampid.verbs.errors import CallError
+from experiments.targets import Kind, check_output, is_stdout
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,9 +34,9 @@ class Output:
     """
 
     def __init__(self, quiet: bool = False, json: str | None = None) -> None:
-        self.quiet, self.json = quiet, json
-        if json is not None and json != "-":
-            output_file(Path(json))
+        self.quiet, self.json = quiet, "-" if json is not None and is_stdout(json) else json
+        if self.json is not None and self.json != "-":
+            output_file(Path(self.json), "json")
 
     @cached_property
     def console(self) -> Console:
@@ -101,7 +101,7 @@ class Output:
             sys.stdout.write(text)
             sys.stdout.flush()
         else:
-            from clampid.models.model import write_text
+            from experiments.outputs import write_text
 
             write_text(self.json, text)
 
@@ -123,22 +123,15 @@ def finite(data: Any) -> Any:
             raise TypeError(f"cannot write {type(data).__name__} as JSON")
 
 
-def output_file(path: Path) -> Path:
-    """The path, if a file can go there: said before the work, not after it.
+def output_file(path: Path, kind: Kind | None = None) -> Path:
+    """The path, if a file of a kind can go there: said before the work, not after it.
 
     Raises
     ------
-    CallError
-        It is a folder, or lies in something that is none.
+    OutputError
+        It cannot; see :func:`experiments.targets.check_output`.
     """
-    if path.is_dir():
-        raise CallError(f"{path}: expected a file to write to, found a folder")
-    for parent in path.absolute().parents:
-        if parent.exists():
-            if not parent.is_dir():
-                raise CallError(f"{path}: expected {parent} to be a folder, found a file")
-            break
-    return path
+    return check_output(path, kind)
 
 
 def _plain(cell: str) -> Any:

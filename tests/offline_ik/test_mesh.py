@@ -70,7 +70,7 @@ def test_a_plate_is_thickened(kind: str, tmp_path: Path) -> None:
 def test_a_vertex_that_is_no_place_is_refused(kind: str, value: float, tmp_path: Path) -> None:
     corners = TETRAHEDRON.copy()
     corners[1, 2, 1] = value
-    with pytest.raises(MeshError, match="finite numbers|m away"):
+    with pytest.raises(MeshError, match=r"finite numbers|m away"):
         read_mesh(WRITERS[kind](tmp_path / f"odd{kind}", corners))
 
 
@@ -115,7 +115,7 @@ def test_any_triangles_are_a_body_or_refused(data: st.DataObject, tmp_path: Path
 
 @pytest.mark.parametrize("content", ["plate", "nan"])
 def test_ik_survives_it(content: str, model_file: Path, cell_file: Path, tmp_path: Path) -> None:
-    corners = PLATE.copy() + [0.0, 0.0, 5.0]
+    corners = PLATE + np.array([0.0, 0.0, 5.0])
     if content == "nan":
         corners[0, 0, 0] = np.nan
     text_stl(tmp_path / "stage.stl", corners)
