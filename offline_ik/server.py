@@ -11,202 +11,21 @@ import signal
 import socket
 import sys
 import threading
-from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 from offline_ik.cell import Cell
+from offline_ik.client import LINE_BYTES, Client, Limits
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Job, Session, Speaker
 
-__all__ = ["Limits", "Server", "parse_address", "serve", "settle", "take"]
+__all__ = ["LINE_BYTES", "Limits", "Server", "parse_address", "serve", "settle", "take"]
 
-LINE_BYTES = 4096  # of a request
-PENDING = 64  # requests that a client may have waiting; beyond, it is not read
-TURN = 8  # requests of one client before others have their turn
-WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
-PATIENCE = 30.0  # s for a line to be completed
-CLIENTS = 256
 BACKLOG = 100  # connections that wait to be accepted
-CUT_OFF = b"\n"  # stands, as no line can, for one that the end of its connection cut off
 GRACE = 0.8  # s that a stop waits for the robot's link, and then for a computation that is under way
 SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
-
-
-class Limits:
-    """What the server allows; a value of its own so that tests can be impatient."""
-
-    def __init__(self, patience: float = PATIENCE, clients: int = CLIENTS) -> None:
-        self.patience, self.clients = patience, clients
-
-
-class _Client(asyncio.Protocol):
-    """One connection: splits lines, answers in order, and stops reading while either side is behind."""
-
-    def __init__(self, server: Server) -> None:
-        self.server, self.session = server, Session()
-        self.loop = asyncio.get_running_loop()
-        self.partial = b""
-        self.skipping = False
-        self.lines: deque[bytes] = deque()
-        self.writable, self.reading, self.working, self.ended = True, True, False, False
-        self.timer: asyncio.TimerHandle | None = None
-        self.job: asyncio.Future[Any] | None = None
-        self.transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        if not isinstance(transport, asyncio.Transport):  # a pipe, which this server does not make
-            transport.close()
-            return
-        self.transport = transport
-        self.transport.set_write_buffer_limits(high=WRITE_BYTES)
-        if len(self.server.clients) >= self.server.limits.clients:
-            self.transport.write(self.server.speaker.refuse(f"too many clients: {self.server.limits.clients} at most"))
-            self.transport.close()
-            self.ended = True
-            return
-        self.server.clients.add(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.ended = self.session.closed = True
-        self.server.clients.discard(self)
-        self.lines.clear()
-        self.partial = b""
-        if self.timer is not None:
-            self.timer.cancel()
-        if self.job is not None:
-            self.job.cancel()
-
-    def data_received(self, data: bytes) -> None:
-        if self.ended:
-            return
-        parts = data.split(b"\n")
-        parts[0] = self.partial + parts[0]
-        self.partial = parts.pop()
-        for line in parts:
-            if self.skipping:  # the rest of a line that was too long, already answered
-                self.skipping = False
-            else:
-                self.lines.append(line)
-        if len(self.partial) > LINE_BYTES:
-            if not self.skipping:
-                self.lines.append(self.partial)
-            self.skipping, self.partial = True, b""
-        elif self.skipping:
-            self.partial = b""
-        self._watch(begun=bool(parts))
-        if self.working:
-            self._pace(self.transport)
-        else:
-            self._work()
-
-    def eof_received(self) -> bool:
-        self.session.closed = True
-        if self.partial and not self.skipping:  # cut off, it may be another request than was meant: r=0.8 of r=0.85
-            self.lines.append(CUT_OFF)
-            self.partial = b""
-        open_ = bool(self.lines) or self.working
-        self.ended = not open_
-        if open_:
-            self.session.done = False
-            self._last = True
-            if not self.working:
-                self._work()
-        return open_
-
-    _last = False
-
-    def pause_writing(self) -> None:
-        self.writable = False
-
-    def resume_writing(self) -> None:
-        self.writable = True
-        if not self.working and not self.ended:
-            self._work()
-
-    def _work(self) -> None:
-        """Answer a few requests, then let others have their turn."""
-        self.working = False
-        transport = self.transport
-        if transport is None or transport.is_closing():
-            return
-        speaker = self.server.speaker
-        for _ in range(TURN):
-            if not self.lines or not self.writable:
-                break
-            line = self.lines.popleft()
-            if line == CUT_OFF:
-                transport.write(
-                    speaker.refuse("expected a newline at the end of a line, found the end of the connection")
-                )
-            elif len(line) > LINE_BYTES:
-                transport.write(speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes"))
-            else:
-                found = self.server.reply(line, self.session)
-                if not isinstance(found, bytes):
-                    self.working = True
-                    self.job = self.server.compute(found)
-                    self.job.add_done_callback(partial(self._computed, found))
-                    return
-                transport.write(found)
-            if self.session.done:
-                transport.close()
-                return
-        if self.lines and self.writable:
-            self.working = True
-            self.loop.call_soon(self._work)
-        elif not self.lines and self._last:
-            transport.close()
-            return
-        self._pace(transport)
-
-    def _pace(self, transport: asyncio.Transport | None) -> None:
-        """Read on only while the client keeps up with its answers, and we with its requests."""
-        behind = len(self.lines) > PENDING or not self.writable
-        if transport is not None and behind == self.reading:
-            transport.pause_reading() if behind else transport.resume_reading()
-            self.reading = not behind
-
-    def _computed(self, job: Job, done: asyncio.Future[Any]) -> None:
-        """Answer what another thread has computed, and go on; for a connection that was reset, nothing moves."""
-        self.job = None
-        transport = self.transport
-        if done.cancelled() or self.ended or transport is None or transport.is_closing():
-            return
-        transport.write(self.server.finish(job, done))
-        self._work()
-
-    def _watch(self, begun: bool) -> None:
-        """Give an incomplete line its time, and no more; ``begun``: another line than the one watched so far."""
-        if begun and self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-        if (self.partial or self.skipping) and self.timer is None:
-            self.timer = self.loop.call_later(self.server.limits.patience, self._too_slow)
-        elif not self.partial and not self.skipping and self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-
-    def tell_end(self, line: bytes) -> None:
-        """Say a last line, and hang up once it is sent."""
-        if self.transport is not None and not self.transport.is_closing():
-            self.transport.write(line)
-            self.transport.close()
-        self.ended = self.session.closed = True
-
-    def _too_slow(self) -> None:
-        self.timer = None
-        if self.lines or not self.reading:  # it is we who are behind: the rest of the line may lie unread
-            self._watch(begun=True)
-            return
-        if self.transport is not None and not self.transport.is_closing():
-            patience = self.server.limits.patience
-            self.transport.write(self.server.speaker.refuse(f"a line was not completed within {patience:g} s"))
-            self.transport.close()
-        self.ended = True
 
 
 class Server:
@@ -225,7 +44,7 @@ class Server:
 
     def __init__(self, speaker: Speaker, limits: Limits | None = None) -> None:
         self.speaker, self.limits = speaker, limits or Limits()
-        self.clients: set[_Client] = set()
+        self.clients: set[Client] = set()
         self.failures = 0
         self._servers: list[asyncio.Server] = []
         self._thread = ThreadPoolExecutor(1, "clampid")
@@ -273,7 +92,7 @@ class Server:
         """
         sys.setswitchinterval(SWITCH)
         loop, found = asyncio.get_running_loop(), take(host, port) if taken is None else taken
-        self._servers = [await loop.create_server(lambda: _Client(self), sock=one) for one in found]
+        self._servers = [await loop.create_server(lambda: Client(self), sock=one) for one in found]
         name = found[0].getsockname()
         return str(name[0]), int(name[1])
 
