@@ -19,6 +19,7 @@ from typing import Annotated, Any
 import typer
 
 from clampid.verbs.errors import is_wrong_input
+from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
 
 __all__ = ["app", "main"]
@@ -118,6 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # BLAS threads that fight cost a small fit a factor of ten
+    any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given
     sys.exit(run([a for a in given if a != "--debug"], debug))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,6 +11,7 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
+from clampid.verbs.streams import write_result
 
 if TYPE_CHECKING:
     from clampid.exports.export import Exported
@@ -306,7 +306,7 @@ def _written(text: str, path: Path | None) -> bool:
     from experiments.outputs import write_text
 
     if path is None:
-        sys.stdout.write(text)
+        write_result(text)
         return False
     write_text(path, text)
     return True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as json_module
 import math
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clampid.verbs.streams import write_result
 from experiments.targets import Kind, check_output, is_stdout
 
 if TYPE_CHECKING:
@@ -98,8 +98,7 @@ class Output:
             return
         text = json_module.dumps(finite(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         if self.json == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
+            write_result(text)
         else:
             from experiments.outputs import write_text
 
