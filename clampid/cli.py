@@ -21,6 +21,7 @@ import typer
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
+from kinematics.escaping import for_terminal
 
 __all__ = ["app", "main"]
 
@@ -165,5 +166,5 @@ def _failed(error: Exception, debug: bool) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    print("clampid: " + " ".join(message.split()), file=sys.stderr)
+    print("clampid: " + for_terminal(" ".join(message.split())), file=sys.stderr)
     return code

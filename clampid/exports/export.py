@@ -30,6 +30,7 @@ from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
+from kinematics.escaping import for_csv
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import roll_pitch_yaw, rotation_of, transform
@@ -245,7 +246,9 @@ def static_table(
 
 def table_text(frame: pd.DataFrame) -> str:
     """The table as CSV with every digit: standard rows need them."""
-    return str(frame.to_csv(index=False, lineterminator="\n"))
+    texts = frame.select_dtypes(include=["object", "string"]).columns
+    safe = frame.assign(**{str(c): [for_csv(v) if isinstance(v, str) else v for v in frame[c]] for c in texts})
+    return str(safe.to_csv(index=False, lineterminator="\n"))
 
 
 def read_dh(text: str, convention: Convention = "hayati") -> DHTable:

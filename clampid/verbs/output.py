@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from clampid.verbs.streams import write_result
 from experiments.targets import Kind, check_output, is_stdout
+from kinematics.escaping import for_terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,16 +51,16 @@ class Output:
 
     def say(self, text: str = "") -> None:
         """A line for people, as it is: no markup, no colours guessed."""
-        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
 
     def warn(self, text: str) -> None:
         """A line on stderr that --quiet does not silence."""
-        self.errors.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.errors.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
 
     def step(self, text: str) -> None:
         """A plain line of progress."""
         if not self.quiet:
-            self.errors.print(text, markup=False, highlight=False, soft_wrap=True)
+            self.errors.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def working(self, text: str) -> Iterator[None]:
@@ -136,7 +137,7 @@ def output_file(path: Path, kind: Kind | None = None) -> Path:
 def _plain(cell: str) -> Any:
     from rich.text import Text
 
-    return Text(cell)
+    return Text(for_terminal(cell))
 
 
 def _console(stderr: bool, silent: bool = False) -> Console:
