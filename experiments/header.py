@@ -19,6 +19,7 @@ from experiments.keys import frozen, missing, number, refuse_unknown, section_of
 from experiments.stated import SECTIONS, UNREAD, Stated, parse_stated
 from kinematics.description import DescriptionError, RobotDescription, load_robot, robot_names
 from kinematics.escaping import has_controls
+from kinematics.reading import read_text, toml_of
 
 __all__ = ["FORMAT", "Header", "Instrument", "Tool", "parse_header", "read_header"]
 
@@ -178,9 +179,11 @@ def read_header(folder: Path) -> Header:
     if not path.is_file():
         raise fault(path, expected=f"a campaign folder with {HEADER_FILE}", found="no such file")
     try:
-        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        raw = toml_of(read_text(path))
     except UnicodeDecodeError as error:
         raise fault(path, expected="UTF-8 text", found=f"a byte that is not, at offset {error.start}") from error
+    except OSError as error:
+        raise fault(path, expected="TOML", found=error.strerror or str(error)) from error
     except tomllib.TOMLDecodeError as error:
         raise fault(path, expected="TOML", found=str(error)) from error
     return parse_header(raw, path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import stat
@@ -50,22 +51,28 @@ def serve(
     from offline_ik.server import serve as serve_forever
 
     host, port = parse_address(listen)
-    taken = take(host, port)  # before the compiling: a port in use is said at once
     token = None if token_file is None else _token(token_file, out)
-    linked = None if link is None else _linked(link)
-    with out.working("compiling"):
-        detector = opened(model, cell, robot, effects_from, running)
-        speaker = Speaker(detector, linked, token=token)
-        detector.warm_up()
-        _ = detector.twin  # the server's, warmed up as it is made
-    say_assumed(detector, out)
-    for note in detector.notes:
-        out.warn(note)
-    if not is_loopback(host):
-        moves = (
-            ", and move a linked robot: there is no --token-file" if token is None else "; the token is sent in clear"
-        )
-        out.warn(f"anyone who reaches {host} can ask{moves}")
+    taken = take(host, port)  # before the compiling: a port in use is said at once
+    with contextlib.ExitStack() as until_ready:
+        for one in taken:
+            until_ready.callback(one.close)
+        linked = None if link is None else _linked(link)
+        with out.working("compiling"):
+            detector = opened(model, cell, robot, effects_from, running)
+            speaker = Speaker(detector, linked, token=token)
+            detector.warm_up()
+            _ = detector.twin  # the server's, warmed up as it is made
+        say_assumed(detector, out)
+        for note in detector.notes:
+            out.warn(note)
+        if not is_loopback(host):
+            moves = (
+                ", and move a linked robot: there is no --token-file"
+                if token is None
+                else "; the token is sent in clear"
+            )
+            out.warn(f"anyone who reaches {host} can ask{moves}")
+        until_ready.pop_all()
     if not serve_forever(speaker, host, port, out.say, taken):
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
