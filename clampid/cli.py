@@ -26,6 +26,7 @@ from kinematics.escaping import for_terminal
 __all__ = ["app", "main"]
 
 GROUP = "clampid.verbs"
+LONGEST_LINE = 4000  # characters of an error: a file may bring names of any length
 OUTPUTS = frozenset({"output", "out", "report", "plan", "json"})
 """Parameters of verbs that name what is written; files that others name are read."""
 ORDER = (
@@ -166,5 +167,8 @@ def _failed(error: Exception, debug: bool) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    print("clampid: " + for_terminal(" ".join(message.split())), file=sys.stderr)
+    line = for_terminal(" ".join(message.split()))
+    if len(line) > LONGEST_LINE:
+        line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"
+    print(f"clampid: {line}", file=sys.stderr)
     return code

@@ -110,7 +110,10 @@ def fraction_of(value: object) -> float:
     if isinstance(value, str):
         if not _FRACTION.fullmatch(value):
             raise ValueError(f"expected a number or a fraction as text, found {value[:40]!r}")
-        return float(Fraction(value))
+        try:
+            return float(Fraction(value))
+        except ZeroDivisionError:
+            raise ValueError(f"expected a number or a fraction as text, found {value!r}") from None
     return float(value)
 
 

@@ -252,17 +252,29 @@ def table_text(frame: pd.DataFrame) -> str:
 
 
 def read_dh(text: str, convention: Convention = "hayati") -> DHTable:
-    """A table as :func:`table_text` wrote it, to the last digit."""
-    records = {record["row"]: record for record in csv.DictReader(io.StringIO(text))}
+    """A table as :func:`table_text` wrote it, to the last digit.
 
-    def numbers(row: str, columns: Sequence[str]) -> list[float]:
-        return [float(records[row][column]) for column in columns]
+    Raises
+    ------
+    DHError
+        A row, a column or a number is missing.
+    """
+    try:
+        records = {record["row"]: record for record in csv.DictReader(io.StringIO(text))}
 
-    rows = []
-    for i in range(1, len(records) - 1):
-        sign, theta_offset, d, a, alpha, beta = numbers(str(i), ("sign", *ROW_COLUMNS))
-        rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
-    base, tool = (_pose(np.array(numbers(end, FRAME_COLUMNS))) for end in ("base", "tool"))
+        def numbers(row: str, columns: Sequence[str]) -> list[float]:
+            found = [float(records[row][column]) for column in columns]
+            if not np.isfinite(found).all():
+                raise ValueError(f"row {row}: expected finite numbers")
+            return found
+
+        rows = []
+        for i in range(1, len(records) - 1):
+            sign, theta_offset, d, a, alpha, beta = numbers(str(i), ("sign", *ROW_COLUMNS))
+            rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
+        base, tool = (_pose(np.array(numbers(end, FRAME_COLUMNS))) for end in ("base", "tool"))
+    except (KeyError, TypeError, ValueError, OverflowError, csv.Error) as error:
+        raise DHError(f"expected a table as it is exported: {type(error).__name__}: {error}") from error
     return DHTable(tuple(rows), base, tool, convention)
 
 
