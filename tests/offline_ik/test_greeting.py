@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from server_lines import GOOD
 from test_server import Link, ask, connected, serving, until
 
@@ -17,9 +19,11 @@ from offline_ik.client import KEEPALIVE, Limits
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Session, Speaker
+from offline_ik.requests import WORDS
 from offline_ik.server import Server
 from offline_ik.verbs.serve import _token
 
+ODD = ["free", "all", "1,2,3,4,5,6", "1e400"]
 WARM = b"temperature link=45,45,45,45,45,45"
 POST = (
     b"POST / HTTP/1.1\r\nHost: 127.0.0.1:7310\r\nContent-Type: text/plain\r\n\r\n"
@@ -169,3 +173,24 @@ def test_the_system_looks_whether_a_peer_is_still_there(detector: Detector) -> N
                     assert found.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) == value
 
     serving(detector, talk)
+
+
+@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_line_has_one_answer_and_changes_nothing_without_hello(data: st.DataObject, detector: Detector) -> None:
+    link = Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+    speaker = Speaker(detector, link)
+    word = st.sampled_from([*WORDS, "", "HELLO", "nothing"]).filter(lambda w: w not in ("hello", "stop"))
+    value = st.one_of(
+        st.floats().map(repr), st.text(max_size=20), st.sampled_from(["free", "all", "1,2,3,4,5,6", "1e400"])
+    )
+    pair = st.tuples(st.sampled_from([k for keys in WORDS.values() for k in keys] or ["q"]), value).map("=".join)
+    written = st.tuples(word, st.lists(pair, max_size=5)).map(
+        lambda w: " ".join([w[0], *w[1]]).encode("utf-8", "replace")
+    )
+    line = data.draw(st.one_of(st.binary(max_size=200), written))
+    answer = json.loads(speaker.answer(line.split(b"\n")[0], Session()))
+    assert answer["ok"] in (True, False)
+    assert answer["ok"] or answer["error"]
+    assert speaker.detector is detector
+    assert not link.sent
