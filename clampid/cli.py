@@ -5,20 +5,30 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
+from copy import copy
 from importlib.metadata import entry_points, version
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 from clampid.verbs.errors import is_wrong_input
+from clampid.verbs.streams import any_encoding
+from experiments.targets import OutputError, one_call, real_path
+from kinematics.escaping import for_terminal
 
 __all__ = ["app", "main"]
 
 GROUP = "clampid.verbs"
+LONGEST_LINE = 4000  # characters of an error: a file may bring names of any length
+OUTPUTS = frozenset({"output", "out", "report", "plan", "json"})
+"""Parameters of verbs that name what is written; files that others name are read."""
 ORDER = (
     "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "undo", "export", "base", "effects",
     "effect", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
@@ -40,10 +50,45 @@ def app() -> typer.Typer:
     for name in sorted(found, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name)):
         verb = found[name].load()
         if isinstance(verb, typer.Typer):
-            command.add_typer(verb, name=name)
+            group = copy(verb)  # the verb itself stays as it is: a process may make the command more than once
+            group.registered_commands = [copy(one) for one in verb.registered_commands]
+            for one in group.registered_commands:
+                if one.callback is not None:
+                    one.callback = _guarded(one.callback)
+            command.add_typer(group, name=name)
         else:
-            command.command(name)(verb)
+            command.command(name)(_guarded(verb))
     return command
+
+
+def _guarded(verb: Callable[..., Any]) -> Callable[..., Any]:
+    """The verb; while it runs, nothing is written onto what it was told to read."""
+
+    @functools.wraps(verb)
+    def guarded(**given: Any) -> Any:
+        inputs: list[Path] = []
+        outputs: dict[Path, str] = {}
+        for name, value in given.items():
+            several = value if isinstance(value, list | tuple) else [value]
+            named = name in OUTPUTS  # what an input's text names is looked at only if it looks like a file
+            paths = [
+                Path(v)
+                for v in several
+                if isinstance(v, Path) or (isinstance(v, str) and v != "-" and (named or Path(v).suffix))
+            ]
+            if not named:
+                inputs += paths
+            for path in paths if named else ():
+                other = outputs.setdefault(real_path(path), name)
+                if other != name:
+                    raise OutputError(f"{path}: expected two files, found one for both --{other} and --{name}")
+        with one_call(inputs, _force.get()):
+            return verb(**given)
+
+    return guarded
+
+
+_force: ContextVar[bool] = ContextVar("force", default=False)
 
 
 def _version(wanted: bool) -> None:
@@ -56,11 +101,14 @@ def _common(
     debug: Annotated[
         bool, typer.Option("--debug", help="Show the traceback of an error; works after a verb too.")
     ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Let an output replace a file of another kind; works after a verb too.")
+    ] = False,
     show: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
-    """Take the options that come before the verb; both have been seen to already."""
+    """Take the options that come before the verb; all have been seen to already."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -73,6 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # BLAS threads that fight cost a small fit a factor of ten
+    any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given
     sys.exit(run([a for a in given if a != "--debug"], debug))
@@ -88,8 +137,9 @@ def run(arguments: Sequence[str], debug: bool = False) -> int:
     debug
         Show the traceback of an error.
     """
+    _force.set("--force" in arguments)
     try:
-        code = app()(args=list(arguments), prog_name="clampid", standalone_mode=False)
+        code = app()(args=[a for a in arguments if a != "--force"], prog_name="clampid", standalone_mode=False)
     except KeyboardInterrupt:
         return _fail("stopped", 130)
     except BrokenPipeError:  # the reader of our output had enough, as `head` does
@@ -117,5 +167,8 @@ def _failed(error: Exception, debug: bool) -> int:
 
 
 def _fail(message: str, code: int) -> int:
-    print("clampid: " + " ".join(message.split()), file=sys.stderr)
+    line = for_terminal(" ".join(message.split()))
+    if len(line) > LONGEST_LINE:
+        line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"
+    print(f"clampid: {line}", file=sys.stderr)
     return code

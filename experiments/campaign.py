@@ -27,9 +27,11 @@ from experiments.errors import CampaignError, fault
 from experiments.fingerprint import fingerprint
 from experiments.header import FORMAT, HEADER_FILE, Header, Instrument, Tool, read_header
 from experiments.long_log import LongLog, is_long, read_long
+from experiments.outputs import flush_folder, flush_tree, naming
 from experiments.sensors import placed
 from experiments.stated import Stated
 from experiments.tables import TableFile, read_table
+from experiments.targets import check_folder, protect
 from experiments.toml_text import toml_text
 from experiments.validate import validate_table
 from kinematics.description import RobotDescription
@@ -120,11 +122,13 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
     """
     path = Path(folder)
     header = read_header(path)
+    protect(path / HEADER_FILE)
     tables: dict[str, pd.DataFrame] = {}
     long: dict[str, LongLog] = {}
     for name in TABLES:
         if name in header.tables:
             source = TableFile(path / header.tables[name])
+            protect(source.path)
             layout = table_format(name, header.robot.n)
             behind_gears = name in header.at_joints
             if name in LOGS and not behind_gears and is_long(source.path, held):
@@ -134,7 +138,7 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
             tables[name] = _at_motors(frame, np.asarray(header.robot.transmission)) if behind_gears else frame
     _refuse_absent_sensors(header, tables, path)
     hashed: dict[str, pd.DataFrame | Path] = {**tables, **{name: path / header.tables[name] for name in long}}
-    return Campaign(
+    campaign = Campaign(
         name=path.resolve().name,
         path=path,
         robot=header.robot,
@@ -148,6 +152,8 @@ def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
         long=MappingProxyType(long),
         stated=header.stated,
     )
+    protect(campaign.robot_file)
+    return campaign
 
 
 def _at_motors(frame: pd.DataFrame, transmission: FloatArray) -> pd.DataFrame:
@@ -241,14 +247,17 @@ def write_campaign(
     files = {name: f"{name}.{file_format}" for name in TABLES if name in tables}
     content = {"format": FORMAT, **{k: v for k, v in header.items() if k not in ("format", "tables")}, "tables": files}
     text = toml_text(content)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.parent / f".{path.name}.{uuid.uuid4().hex[:8]}.partial"
-    partial.mkdir()
+    check_folder(path)
+    partial = path.parent / f".{path.name[:64]}.{uuid.uuid4().hex[:8]}.partial"
     try:
-        for name, file in files.items():
-            _write_table(tables[name], partial / file)
-        (partial / HEADER_FILE).write_text(text, encoding="utf-8")
-        _put_in_place(partial, path)
+        with naming(path):
+            partial.mkdir(parents=True)
+            for name, file in files.items():
+                _write_table(tables[name], partial / file)
+            (partial / HEADER_FILE).write_text(text, encoding="utf-8")
+            flush_tree(partial)
+            _put_in_place(partial, path)
+            flush_folder(path.parent)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return Path(folder)

@@ -7,6 +7,9 @@ from pathlib import Path
 __all__ = ["CampaignError", "fault"]
 
 
+LONGEST_FOUND = 1000  # characters that are shown of what was found
+
+
 class CampaignError(ValueError):
     """A campaign folder, or a call that reads or writes one, does not follow the contract."""
 
@@ -47,4 +50,6 @@ def fault(
         where += f" (line {line})" if row is not None else f", line {line}"
     if column is not None:
         where += f", column {column}" if not str(file).endswith(".toml") else f", key {column}"
+    if len(found) > LONGEST_FOUND:
+        found = f"{found[:LONGEST_FOUND]}… ({len(found)} characters)"
     return CampaignError(f"{where}: expected {expected}, found {found}")

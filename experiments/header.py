@@ -18,6 +18,8 @@ from experiments.errors import fault
 from experiments.keys import frozen, missing, number, refuse_unknown, section_of, vector
 from experiments.stated import SECTIONS, UNREAD, Stated, parse_stated
 from kinematics.description import DescriptionError, RobotDescription, load_robot, robot_names
+from kinematics.escaping import has_controls
+from kinematics.reading import read_text, toml_of
 
 __all__ = ["FORMAT", "Header", "Instrument", "Tool", "parse_header", "read_header"]
 
@@ -28,6 +30,7 @@ FloatArray = npt.NDArray[np.float64]
 # Gravity on the ground is 9.764 … 9.834 m/s²; a robot's tilt turns it but does not change its length.
 GRAVITY_RANGE = (9.7, 9.9)
 # The strongest serial robots carry 2.3 t, and no tool reaches 5 m from its flange: beyond, grams or millimetres.
+LONGEST_NAME = 100  # characters, of a target
 LARGEST_MASS_KG = 3000.0
 FARTHEST_POINT_M = 5.0
 # A robot's own errors are of the order of 1 mm and 1 mrad. An instrument five (a hundred) times worse sees none of
@@ -176,9 +179,11 @@ def read_header(folder: Path) -> Header:
     if not path.is_file():
         raise fault(path, expected=f"a campaign folder with {HEADER_FILE}", found="no such file")
     try:
-        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        raw = toml_of(read_text(path))
     except UnicodeDecodeError as error:
         raise fault(path, expected="UTF-8 text", found=f"a byte that is not, at offset {error.start}") from error
+    except OSError as error:
+        raise fault(path, expected="TOML", found=error.strerror or str(error)) from error
     except tomllib.TOMLDecodeError as error:
         raise fault(path, expected="TOML", found=str(error)) from error
     return parse_header(raw, path)
@@ -264,6 +269,10 @@ def _tool(raw: Mapping[str, Any], path: Path) -> Tool:
 
 def _targets(raw: Mapping[str, Any], path: Path) -> Mapping[str, FloatArray]:
     section = section_of(raw, "targets_m", path)
+    for name in section:
+        if has_controls(name) or not 0 < len(name) <= LONGEST_NAME:
+            expected = f"names of 1 to {LONGEST_NAME} printable characters on one line"
+            raise fault(path, expected=expected, found=repr(name[:80]), column="targets_m")
     return MappingProxyType({name: _target(section, name, path) for name in section})
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.campaign import Campaign, Instrument, Tool, write_campaign
+from experiments.outputs import write_text
 from experiments.virtual_robot import Hidden, Measured, Plant, measure
 from kinematics.description import RobotDescription, load_robot
 
@@ -106,7 +106,7 @@ def simulate(
     if Path(robot).suffix:  # a description of the user's own is found by its path only
         header["robot"] = os.path.relpath(Path(robot).resolve(), Path(folder).resolve())
     path = write_campaign(folder, header, measured.tables, file_format, overwrite=overwrite)
-    _write(hidden_file(folder), json.dumps(measured.hidden, indent=1) + "\n")
+    write_text(hidden_file(folder), json.dumps(measured.hidden, indent=1) + "\n")
     return path
 
 
@@ -151,12 +151,3 @@ def declared_campaign(
         tables=tables,
         fingerprint="0" * 64,
     )
-
-
-def _write(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)

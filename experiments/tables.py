@@ -15,8 +15,12 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
 from experiments.errors import CampaignError, fault
+from kinematics.reading import read_bytes
 
 __all__ = ["TableFile", "read_table", "refuse_duplicates"]
+
+
+MAX_CSV_BYTES = 2_000_000_000  # of a table as text; longer logs are Parquet
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class TableFile:
             The text in quotes, ``an empty cell``, or the value.
         """
         if self.path.suffix == ".csv":
-            records = _records(_decoded(self.path))
+            records = _records(self.path, _decoded(self.path))
             _, header = next(records)
             for position, (_, record) in enumerate(records):
                 if position == row:
@@ -84,7 +88,7 @@ class TableFile:
     def _line(self, row: int) -> int | None:
         if self.path.suffix != ".csv":
             return None
-        for position, (line, _) in enumerate(_records(_decoded(self.path)), start=-1):
+        for position, (line, _) in enumerate(_records(self.path, _decoded(self.path)), start=-1):
             if position == row:
                 return line
         return None
@@ -111,7 +115,7 @@ def read_table(path: Path) -> pd.DataFrame:
     if not path.exists():
         raise fault(path, expected="the file that campaign.toml names", found="no such file")
     if not path.is_file():
-        raise fault(path, expected="a file", found="a folder")
+        raise fault(path, expected="a file", found="a folder" if path.is_dir() else "a device or pipe")
     if path.suffix not in (".csv", ".parquet"):
         raise fault(path, expected="a table ending in .csv or .parquet", found=f"{path.suffix or 'no ending'}")
     if path.stat().st_size == 0:
@@ -120,7 +124,11 @@ def read_table(path: Path) -> pd.DataFrame:
     if arrow.num_rows == 0:
         raise fault(path, expected="at least one row", found="a header and no rows")
     # Without pandas' own metadata: an index saved by to_parquet comes back as a column, as in a CSV file.
-    frame: pd.DataFrame = arrow.to_pandas(ignore_metadata=True)
+    try:
+        frame: pd.DataFrame = arrow.to_pandas(ignore_metadata=True)
+    except (pa.ArrowException, ValueError, OverflowError) as error:
+        found = str(error).strip().splitlines()[0]
+        raise fault(path, expected="columns of numbers, times or text", found=found) from error
     return frame
 
 
@@ -129,10 +137,13 @@ def _read_parquet(path: Path) -> pa.Table:
         # Opened here, so that no directory scan or file mapping outlives the call.
         with path.open("rb") as stream:
             table = pa_parquet.read_table(stream)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         reason = str(error).strip().splitlines()[0]
         raise fault(path, expected="a whole Parquet file", found=f"a truncated or damaged one ({reason})") from error
     refuse_duplicates(path, table.column_names)
+    for column in table.schema:
+        if pa.types.is_nested(column.type):
+            raise fault(path, expected="a number or a text in each cell", found=str(column.type), column=column.name)
     return table
 
 
@@ -140,7 +151,7 @@ def _read_csv(path: Path) -> pa.Table:
     text = _decoded(path)
     if not text.strip():
         raise fault(path, expected="a table with a header line and rows", found="an empty file")
-    _, header = next(_records(text))
+    _, header = next(_records(path, text))
     if len(header) == 1:
         for separator, name in ((";", "semicolons"), ("\t", "tabs")):
             if separator in header[0]:
@@ -153,7 +164,7 @@ def _read_csv(path: Path) -> pa.Table:
     try:
         return pa_csv.read_csv(pa.BufferReader(data), read_options=pa_csv.ReadOptions(block_size=block))
     except pa.ArrowException as error:
-        for position, (line, record) in enumerate(_records(text)):
+        for position, (line, record) in enumerate(_records(path, text)):
             if len(record) != len(header):
                 expected = f"{len(header)} cells, as the header has"
                 raise fault(path, expected=expected, found=f"{len(record)}", row=position, line=line) from error
@@ -161,21 +172,28 @@ def _read_csv(path: Path) -> pa.Table:
 
 
 def _decoded(path: Path) -> str:
-    data = path.read_bytes()
+    data = b""
     try:
+        data = read_bytes(path, MAX_CSV_BYTES)
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         found = f"byte 0x{data[error.start]:02x} at offset {error.start}"
         raise fault(path, expected="UTF-8 text", found=found, line=line) from error
+    except OSError as error:
+        raise fault(path, expected="a table as text", found=error.strerror or str(error)) from error
 
 
-def _records(text: str) -> Iterator[tuple[int, list[str]]]:
+def _records(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield (line, cells) of every line that is not blank; the first is the header."""
     reader = csv.reader(io.StringIO(text))
-    for record in reader:
-        if record:
-            yield reader.line_num, record
+    try:
+        for record in reader:
+            if record:
+                yield reader.line_num, record
+    except csv.Error as error:  # a cell of more than 131 072 characters, a carriage return alone
+        found = str(error).partition(" - ")[0]
+        raise fault(path, expected="lines of cells as CSV has them", found=found, line=reader.line_num + 1) from error
 
 
 def refuse_duplicates(path: Path, names: Sequence[str]) -> None:

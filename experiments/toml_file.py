@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.errors import fault
+from kinematics.reading import read_text, toml_of
 
 __all__ = ["read_toml"]
 
@@ -27,7 +28,7 @@ def read_toml(path: Path, what: str, stated: str) -> dict[str, Any]:
         The file is missing, no TOML, or of another format.
     """
     try:
-        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        raw = toml_of(read_text(path))
     except FileNotFoundError:
         raise fault(path, expected=what, found="no such file") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -18,6 +18,8 @@ __all__ = ["increasing", "typed_columns", "validate_table"]
 # components does not change the norm, so that what exceeds this is not a unit quaternion at all.
 QUATERNION_TOLERANCE = 1e-3
 
+LARGEST_WHOLE = 2**53  # beyond, neighbouring numbers are one and the same as floats
+
 
 def validate_table(
     frame: pd.DataFrame, table: TableFormat, source: TableFile, targets: Collection[str]
@@ -128,7 +130,7 @@ def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray
     if column.upper is not None:
         wrong |= values > column.upper
     if column.kind == "integer":
-        wrong |= values != np.rint(values)
+        wrong |= (values != np.rint(values)) | (np.abs(values) > LARGEST_WHOLE)
     if wrong.any():
         raise _cell_fault(cells, column, np.flatnonzero(wrong), source)
     return values.astype(np.int64) if column.kind == "integer" else values

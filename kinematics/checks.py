@@ -3,6 +3,7 @@
 import numpy as np
 
 from kinematics import dh, poe
+from kinematics.escaping import has_controls
 from kinematics.robot import DescriptionError, Joint, RobotDescription
 from kinematics.screws import prismatic_screw, screw
 from kinematics.typing_ import Array
@@ -11,6 +12,9 @@ __all__ = ["validate"]
 
 _UNIT = 1e-9  # tolerance of lengths and rotations that are typed in
 _AGREE = 1e-9  # a printed DH table and the axes describe the same nominal robot [m, or rad]
+
+
+LONGEST_NAME = 200  # characters
 
 
 def validate(robot: RobotDescription) -> RobotDescription:
@@ -36,6 +40,9 @@ def validate(robot: RobotDescription) -> RobotDescription:
         if not robot.joints:
             raise DescriptionError("expected at least one joint, found none")
         names = [joint.name for joint in robot.joints]
+        for text in (robot.name, robot.title, *names):
+            if not isinstance(text, str) or has_controls(text) or len(text) > LONGEST_NAME:
+                raise DescriptionError(f"expected names of printable text on one line, found {str(text)[:80]!r}")
         if len(set(names)) < len(names):
             raise DescriptionError(f"expected joints of different names, found {names}")
         for i, joint in enumerate(robot.joints):

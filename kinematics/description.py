@@ -6,10 +6,8 @@ ratios as exact fractions in quotes. A key that is not known is an error. The fo
 appendix_data/robots/README.md.
 """
 
-import tomllib
 from collections.abc import Mapping
 from difflib import get_close_matches
-from fractions import Fraction
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import numpy as np
 
 from kinematics.checks import validate
 from kinematics.dh import DHRow, DHTable
+from kinematics.reading import fraction_of, read_bytes, toml_of
 from kinematics.robot import DescriptionError, Joint, Link, RobotDescription
 from kinematics.screws import transform
 from kinematics.typing_ import Array
@@ -72,7 +71,7 @@ def load_robot(name_or_path: str | Path, relative_to: Path | None = None) -> Rob
             from kinematics.urdf import read_urdf  # pinocchio takes long to import, and few descriptions are URDF
 
             return read_urdf(path)
-        return _parse(str(path), path.read_bytes())
+        return _parse(str(path), _read(path))
     known = robot_names()
     if name not in known:
         near = get_close_matches(name, known, n=1, cutoff=0.5)
@@ -83,9 +82,16 @@ def load_robot(name_or_path: str | Path, relative_to: Path | None = None) -> Rob
     return _parse(name, resources.files("appendix_data").joinpath("robots", f"{name}.toml").read_bytes())
 
 
+def _read(path: Path) -> bytes:
+    try:
+        return read_bytes(path)
+    except OSError as error:
+        raise DescriptionError(f"{path}: cannot be read: {error.strerror}") from error
+
+
 def _parse(where: str, content: bytes) -> RobotDescription:
     try:
-        table = tomllib.loads(content.decode())
+        table = toml_of(content.decode("utf-8-sig"))
         return validate(_robot(table))
     except KeyError as error:
         raise DescriptionError(f"{where}: the key {error} is missing") from None
@@ -131,7 +137,7 @@ def _robot(table: Table) -> RobotDescription:
 
 
 def _matrix(rows: list[list[float | str]]) -> Array:
-    return np.array([[float(Fraction(entry)) for entry in row] for row in rows], dtype=np.float64)
+    return np.array([[fraction_of(entry) for entry in row] for row in rows], dtype=np.float64)
 
 
 def _angle(table: Table, key: str, default: float | None = None, per: str = "") -> Any:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from kinematics.escaping import for_krl
 from kinematics.kuka import AXES, Hand, MachineData, MachineDataError
 from kinematics.typing_ import Array
 
@@ -40,7 +41,7 @@ def machine_data_text(data: MachineData, std: Mapping[str, Array], said: Iterabl
     str
         Lines in the form of a `$machine.dat`; ASCII. Source: KUKA2005.
     """
-    lines = [f"; {line}".rstrip() for line in said]
+    lines = [f"; {for_krl(line)}".rstrip() for line in said]
     for name, variable in _FRAMES.items():
         numbers = getattr(data, name) * _TO_MM_DEG
         given = ",".join(f"{c} {_fixed(v)}" for c, v in zip("XYZABC", numbers, strict=True))

@@ -5,7 +5,11 @@ Written links have the axes of the base frame at the zero pose, so that no rotat
 the flange's.
 """
 
+import contextlib
+import os
 import re
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -50,7 +54,8 @@ def read_urdf(path: str | Path, flange: str | None = None) -> RobotDescription:
 
     path = Path(path)
     try:
-        model = pin.buildModelFromUrdf(str(path))
+        with _silent():
+            model = pin.buildModelFromUrdf(str(path))
     except (ValueError, RuntimeError) as error:
         raise DescriptionError(f"{path}: expected a URDF, but pinocchio says: {str(error).strip()}") from None
     if model.njoints < 2:
@@ -81,6 +86,24 @@ def read_urdf(path: str | Path, flange: str | None = None) -> RobotDescription:
             source=str(path),
         )
     )
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keep the parser's own lines from stderr: what is wrong is said once, in the error."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nothing:
+            sys.stderr.flush()
+            os.dup2(nothing.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _joint(model: Any, i: int, S: Array, origin: Array) -> Joint:

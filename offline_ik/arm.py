@@ -17,11 +17,12 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.catalogue import with_user_effects
+from clampid.catalogue import catalogue
 from clampid.chain.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
 from clampid.effect import Effect
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel
+from clampid.models.own_effects import effects_of
 from clampid.models.ranges import Ranges
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
@@ -278,10 +279,7 @@ def arm_of(
         raise ModelError(f"session {session + 1}: the model has sessions 1 to {len(model.sessions)}")
     if nominal.n != model.layout.joints:
         raise ModelError(f"the model has {model.layout.joints} joints, the robot {nominal.name} has {nominal.n}")
-    effects = with_user_effects(user_effects or (Path(model.user_effects) if model.user_effects else None))
-    for slot in stage.slots:
-        if slot.effect not in effects:
-            raise ModelError(f"the model has an effect {slot.effect!r} that is not known")
+    effects = effects_of(model, user_effects)
     if not np.isfinite(stage.theta).all() or not np.isfinite(stage.covariance).all():
         raise ModelError("the model has parameters that are not finite numbers")
     mass = model.sessions[session].tool_mass if tool_mass is None else tool_mass
@@ -305,6 +303,6 @@ def nominal_arm(robot: RobotDescription) -> IdentifiedArm:
     """The robot as its description has it: no effects."""
     nothing = np.zeros(0)
     return IdentifiedArm(
-        robot, Layout(robot.n), with_user_effects(None), (), nothing, np.zeros((0, 0)),
+        robot, Layout(robot.n), catalogue(), (), nothing, np.zeros((0, 0)),
         np.asarray(STANDARD_GRAVITY), np.zeros(4),
     )  # fmt: skip

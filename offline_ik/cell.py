@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinematics.gravity import STANDARD_GRAVITY
+from kinematics.reading import read_text, toml_of
 from kinematics.robot import RobotDescription
 from offline_ik.cell_defaults import assumed_of
 from offline_ik.cell_values import known, number, numbers, positive, sizes, spread, switch, temperatures, text, whole
@@ -179,7 +180,7 @@ def read_cell(path: str | Path, robot: RobotDescription) -> Cell:
     """
     path = Path(path)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = toml_of(read_text(path))
     except FileNotFoundError:
         raise CellError(f"{path}: expected a cell file, found none") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

@@ -36,6 +36,7 @@ from offline_ik.mount import identified_mount
 from offline_ik.nearest import Nearest
 from offline_ik.postures import STAYED, Direction, PostureSearch, Reasons
 from offline_ik.reach import nearest_reachable
+from offline_ik.shapes import sheets_of
 from offline_ik.solver import Solver
 from offline_ik.uncertainty import Propagation
 
@@ -99,8 +100,8 @@ class Detector:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What the cell says and the model makes nothing of."""
-        return notes_of(self.arm, self.cell)
+        """What the cell says and the model makes nothing of, and which meshes are flat."""
+        return (*notes_of(self.arm, self.cell), *sheets_of(self.cell))
 
     def at_temperature(self, link: Array | None = None, motor: Array | None = None) -> Detector:
         """The same at other temperatures ``(n,)``, °C.

@@ -6,6 +6,7 @@ answer with ``"ok": false`` and changes nothing. docs/server.md has the list.
 
 from __future__ import annotations
 
+import hmac
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -30,7 +31,7 @@ from offline_ik.link import RobotLink
 from offline_ik.peak_request import sample_of
 from offline_ik.place import place_of
 from offline_ik.pyfai import pyfai_geometry
-from offline_ik.requests import EVERY, WORDS, RequestError, number, numbers, parse, switch
+from offline_ik.requests import EVERY, GREETED, WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
 from offline_ik.ways import Ways, ways_to
 from offline_ik.wording import members_of
@@ -78,12 +79,18 @@ class Session:
         Its side of the connection is closed: whether anybody waits for an answer is not known.
     count
         Targets of its stream.
+    greeted
+        It has said `hello`, with the token where there is one: it may change what others see, and move.
+    only_stop
+        There are too many connections; of this one nothing but `stop` is heard.
     """
 
     here: Array | None = None
     done: bool = False
     closed: bool = False
     count: int = 0
+    greeted: bool = False
+    only_stop: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,6 +130,8 @@ class Speaker:
         Temperatures may be changed by a request; nothing else.
     link
         A robot to move, if there is one.
+    token
+        What `hello` has to bring along; None: nothing.
     """
 
     detector: Detector
@@ -130,10 +139,12 @@ class Speaker:
     answered: int = 0
     refused: int = 0
     clock: Callable[[], float] = time.monotonic
+    token: str | None = field(default=None, repr=False)
     _since: float = field(init=False)
     _timed: bool = field(init=False)
     _stops: int = field(init=False, default=0)
     _moves: int = field(init=False, default=0)
+    _moving: bool = field(init=False, default=False)
     _convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -142,6 +153,11 @@ class Speaker:
         self._since = self.clock() - (self.detector.cell.running or 0.0)
         if self.link is not None:
             _refuse_other_robot(self.detector.robot.name, self.link.state().get("robot"), "the linked one is")
+
+    @property
+    def moved(self) -> bool:
+        """Whether a move was begun here that nobody has stopped since."""
+        return self._moving
 
     def answer(self, line: bytes, session: Session) -> bytes:
         """The answer to one line, newline included; never raises for what a client may send."""
@@ -154,6 +170,8 @@ class Speaker:
         try:
             word, given = parse(line)
             _refuse_other_robot(self.detector.robot.name, given.get("robot"), "the request is for")
+            if word in GREETED and not session.greeted:
+                raise RequestError(f"{word}: expected hello{'' if self.token is None else ' token=…'} before it")
             self._tick()
             told = self._verbs[word](self, given, session)
         except CallError as error:
@@ -316,6 +334,7 @@ class Speaker:
             raise RequestError("stop: no robot is linked; there is nothing to stop")
         self._stops += 1
         self.link.stop()
+        self._moving = False
         return Told({"link": finite(dict(self.link.state()))})
 
     def _move(self, given: Mapping[str, str], session: Session) -> Later:
@@ -334,6 +353,7 @@ class Speaker:
                 if self._moves != moves or not np.abs(link.posture() - here).max() <= SETTLED:
                     raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
                 self._moves += 1
+                self._moving = True
                 link.move(ways.chosen[0].postures, self.detector.cell.speed)
             return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 
@@ -354,6 +374,14 @@ class Speaker:
         }
         return Told(state)
 
+    def _hello(self, given: Mapping[str, str], session: Session) -> Told:
+        """Say that one means this server: a browser, which speaks HTTP, cannot."""
+        if self.token is not None and not hmac.compare_digest(given.get("token", "").encode(), self.token.encode()):
+            session.done = True  # one attempt a connection
+            raise RequestError(f"hello: expected token=…, found {'another' if 'token' in given else 'none'}")
+        session.greeted = True
+        return Told({"server": "clampid", "robot": self.detector.robot.name, "linked": self.link is not None})
+
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
         return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})
 
@@ -365,6 +393,7 @@ class Speaker:
         init=False,
         repr=False,
         default_factory=lambda: {
+            "hello": Speaker._hello,
             "where": Speaker._where,
             "path": Speaker._path,
             "stream": Speaker._stream,

@@ -9,11 +9,12 @@ import numpy.typing as npt
 
 from clampid.verbs.errors import CallError
 
-__all__ = ["EVERY", "WORDS", "RequestError", "number", "numbers", "parse", "switch"]
+__all__ = ["EVERY", "GREETED", "WORDS", "RequestError", "number", "numbers", "parse", "switch"]
 
 Array = npt.NDArray[np.float64]
 
 WORDS = {
+    "hello": ("token",),
     "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "direction", "pyfai"),
     "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "direction", "to"),
     "stream": ("gamma", "delta", "r", "roll", "direction", "dt"),
@@ -31,6 +32,9 @@ WORDS = {
     "quit": (),
 }  # fmt: skip
 """The requests and their keys; every one may have those of :data:`EVERY` too."""
+
+GREETED = frozenset({"move", "temperature", "start", "stream"})
+"""Requests that change something or move: a connection says `hello` before. `stop` is always obeyed."""
 
 EVERY = ("id", "robot")
 

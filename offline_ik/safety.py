@@ -222,7 +222,7 @@ def check_sample(detector: Detector) -> None:
             )
         if shape.kind != "obstacle" or shape.name in inside:
             continue
-        geometry = getattr(shape.geometry, "convex", None) or shape.geometry  # a mesh has no inside, its hull has
+        geometry = shape.geometry if shape.hull is None else shape.hull
         if distance_of(point, here, geometry, shape.at(np.eye(4))) <= 0:
             raise CellError(f"{told} {shape.name}; an obstacle that may hold it says holds_sample = true")
 

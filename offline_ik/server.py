@@ -6,195 +6,26 @@ import asyncio
 import contextlib
 import gc
 import ipaddress
+import os
 import signal
+import socket
 import sys
-from collections import deque
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 from offline_ik.cell import Cell
+from offline_ik.client import LINE_BYTES, Client, Limits
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Job, Session, Speaker
 
-__all__ = ["Limits", "Server", "parse_address", "serve", "settle"]
+__all__ = ["LINE_BYTES", "Limits", "Server", "parse_address", "serve", "settle", "take"]
 
-LINE_BYTES = 4096  # of a request
-PENDING = 64  # requests that a client may have waiting; beyond, it is not read
-TURN = 8  # requests of one client before others have their turn
-WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
-PATIENCE = 30.0  # s for a line to be completed
-CLIENTS = 256
-CUT_OFF = b"\n"  # stands, as no line can, for one that the end of its connection cut off
+BACKLOG = 100  # connections that wait to be accepted
+GRACE = 0.8  # s that a stop waits for the robot's link, and then for a computation that is under way
 SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
-
-
-class Limits:
-    """What the server allows; a value of its own so that tests can be impatient."""
-
-    def __init__(self, patience: float = PATIENCE, clients: int = CLIENTS) -> None:
-        self.patience, self.clients = patience, clients
-
-
-class _Client(asyncio.Protocol):
-    """One connection: splits lines, answers in order, and stops reading while either side is behind."""
-
-    def __init__(self, server: Server) -> None:
-        self.server, self.session = server, Session()
-        self.loop = asyncio.get_running_loop()
-        self.partial = b""
-        self.skipping = False
-        self.lines: deque[bytes] = deque()
-        self.writable, self.reading, self.working, self.ended = True, True, False, False
-        self.timer: asyncio.TimerHandle | None = None
-        self.job: asyncio.Future[Any] | None = None
-        self.transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        if not isinstance(transport, asyncio.Transport):  # a pipe, which this server does not make
-            transport.close()
-            return
-        self.transport = transport
-        self.transport.set_write_buffer_limits(high=WRITE_BYTES)
-        if len(self.server.clients) >= self.server.limits.clients:
-            self.transport.write(self.server.speaker.refuse(f"too many clients: {self.server.limits.clients} at most"))
-            self.transport.close()
-            self.ended = True
-            return
-        self.server.clients.add(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.ended = self.session.closed = True
-        self.server.clients.discard(self)
-        self.lines.clear()
-        self.partial = b""
-        if self.timer is not None:
-            self.timer.cancel()
-        if self.job is not None:
-            self.job.cancel()
-
-    def data_received(self, data: bytes) -> None:
-        if self.ended:
-            return
-        parts = data.split(b"\n")
-        parts[0] = self.partial + parts[0]
-        self.partial = parts.pop()
-        for line in parts:
-            if self.skipping:  # the rest of a line that was too long, already answered
-                self.skipping = False
-            else:
-                self.lines.append(line)
-        if len(self.partial) > LINE_BYTES:
-            if not self.skipping:
-                self.lines.append(self.partial)
-            self.skipping, self.partial = True, b""
-        elif self.skipping:
-            self.partial = b""
-        self._watch(begun=bool(parts))
-        if self.working:
-            self._pace(self.transport)
-        else:
-            self._work()
-
-    def eof_received(self) -> bool:
-        self.session.closed = True
-        if self.partial and not self.skipping:  # cut off, it may be another request than was meant: r=0.8 of r=0.85
-            self.lines.append(CUT_OFF)
-            self.partial = b""
-        open_ = bool(self.lines) or self.working
-        self.ended = not open_
-        if open_:
-            self.session.done = False
-            self._last = True
-            if not self.working:
-                self._work()
-        return open_
-
-    _last = False
-
-    def pause_writing(self) -> None:
-        self.writable = False
-
-    def resume_writing(self) -> None:
-        self.writable = True
-        if not self.working and not self.ended:
-            self._work()
-
-    def _work(self) -> None:
-        """Answer a few requests, then let others have their turn."""
-        self.working = False
-        transport = self.transport
-        if transport is None or transport.is_closing():
-            return
-        speaker = self.server.speaker
-        for _ in range(TURN):
-            if not self.lines or not self.writable:
-                break
-            line = self.lines.popleft()
-            if line == CUT_OFF:
-                transport.write(
-                    speaker.refuse("expected a newline at the end of a line, found the end of the connection")
-                )
-            elif len(line) > LINE_BYTES:
-                transport.write(speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes"))
-            else:
-                found = self.server.reply(line, self.session)
-                if not isinstance(found, bytes):
-                    self.working = True
-                    self.job = self.server.compute(found)
-                    self.job.add_done_callback(partial(self._computed, found))
-                    return
-                transport.write(found)
-            if self.session.done:
-                transport.close()
-                return
-        if self.lines and self.writable:
-            self.working = True
-            self.loop.call_soon(self._work)
-        elif not self.lines and self._last:
-            transport.close()
-            return
-        self._pace(transport)
-
-    def _pace(self, transport: asyncio.Transport | None) -> None:
-        """Read on only while the client keeps up with its answers, and we with its requests."""
-        behind = len(self.lines) > PENDING or not self.writable
-        if transport is not None and behind == self.reading:
-            transport.pause_reading() if behind else transport.resume_reading()
-            self.reading = not behind
-
-    def _computed(self, job: Job, done: asyncio.Future[Any]) -> None:
-        """Answer what another thread has computed, and go on; for a connection that was reset, nothing moves."""
-        self.job = None
-        transport = self.transport
-        if done.cancelled() or self.ended or transport is None or transport.is_closing():
-            return
-        transport.write(self.server.finish(job, done))
-        self._work()
-
-    def _watch(self, begun: bool) -> None:
-        """Give an incomplete line its time, and no more; ``begun``: another line than the one watched so far."""
-        if begun and self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-        if (self.partial or self.skipping) and self.timer is None:
-            self.timer = self.loop.call_later(self.server.limits.patience, self._too_slow)
-        elif not self.partial and not self.skipping and self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-
-    def _too_slow(self) -> None:
-        self.timer = None
-        if self.lines or not self.reading:  # it is we who are behind: the rest of the line may lie unread
-            self._watch(begun=True)
-            return
-        if self.transport is not None and not self.transport.is_closing():
-            patience = self.server.limits.patience
-            self.transport.write(self.server.speaker.refuse(f"a line was not completed within {patience:g} s"))
-            self.transport.close()
-        self.ended = True
 
 
 class Server:
@@ -213,12 +44,13 @@ class Server:
 
     def __init__(self, speaker: Speaker, limits: Limits | None = None) -> None:
         self.speaker, self.limits = speaker, limits or Limits()
-        self.clients: set[_Client] = set()
+        self.clients: set[Client] = set()
         self.failures = 0
-        self._server: asyncio.Server | None = None
+        self._servers: list[asyncio.Server] = []
         self._thread = ThreadPoolExecutor(1, "clampid")
         self._twin: Detector = speaker.detector.twin
         self._switched = sys.getswitchinterval()
+        self._busy = False
 
     def reply(self, line: bytes, session: Session) -> bytes | Job:
         """The answer to a line; an error of the program itself is one client's answer, not everyone's end."""
@@ -232,8 +64,12 @@ class Server:
         return asyncio.get_running_loop().run_in_executor(self._thread, self._run, job, self.speaker.detector.cell)
 
     def _run(self, job: Job, cell: Cell) -> Any:
-        self._twin = self._twin.within(cell)
-        return job.run(self._twin)
+        self._busy = True
+        try:
+            self._twin = self._twin.within(cell)
+            return job.run(self._twin)
+        finally:
+            self._busy = False
 
     def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes:
         """The answer of a job that has been computed."""
@@ -246,31 +82,81 @@ class Server:
         self.failures += 1
         return self.speaker.refuse(f"internal error: {type(error).__name__}: {error}")
 
-    async def start(self, host: str, port: int) -> tuple[str, int]:
-        """Listen; the address that was taken (port 0 takes a free one)."""
+    async def start(self, host: str, port: int, taken: Sequence[socket.socket] | None = None) -> tuple[str, int]:
+        """Listen; the address that was taken (port 0 takes a free one).
+
+        Parameters
+        ----------
+        taken
+            Of :func:`take`, where the address was taken before.
+        """
         sys.setswitchinterval(SWITCH)
-        self._server = await asyncio.get_running_loop().create_server(lambda: _Client(self), host, port)
-        name = self._server.sockets[0].getsockname()
+        loop, found = asyncio.get_running_loop(), take(host, port) if taken is None else taken
+        self._servers = [await loop.create_server(lambda: Client(self), sock=one) for one in found]
+        name = found[0].getsockname()
         return str(name[0]), int(name[1])
 
     async def run(self) -> None:
         """Serve until cancelled."""
-        if self._server is None:
+        if not self._servers:
             raise RuntimeError("start the server before it can run")
-        await self._server.serve_forever()
+        # Not serve_forever: from Python 3.12 on it waits, once cancelled, for clients to hang up by themselves.
+        await asyncio.get_running_loop().create_future()
 
-    async def close(self) -> None:
-        """Stop listening and hang up."""
-        if self._server is not None:
-            self._server.close()
-        for hang_up in (asyncio.Transport.close, asyncio.Transport.abort):  # what a client does not read is dropped
-            for client in list(self.clients):
-                if client.transport is not None:
-                    hang_up(client.transport)
-            for _ in range(3):  # a closed transport tells so on a later turn of the loop
-                await asyncio.sleep(0)
-        self._thread.shutdown(cancel_futures=True)
+    async def close(self) -> bool:
+        """Stop listening, stop a robot that was sent on its way, tell the clients, and hang up.
+
+        Returns
+        -------
+        bool
+            Whether the computation that was under way has ended, too.
+        """
+        for server in self._servers:
+            server.close()
+        stopped = await self._stop_robot()
+        for client in list(self.clients):
+            client.tell_end(self.speaker.refuse(f"the server stops{stopped}"))
+        for _ in range(3):  # a closed transport tells so on a later turn of the loop
+            await asyncio.sleep(0)
+        for client in list(self.clients):  # what a client does not read is dropped
+            if client.transport is not None:
+                client.transport.abort()
+        for _ in range(3):
+            await asyncio.sleep(0)
+        self._thread.shutdown(wait=False, cancel_futures=True)
         sys.setswitchinterval(self._switched)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(GRACE):
+                while self._busy:
+                    await asyncio.sleep(0.01)
+        return not self._busy
+
+    async def _stop_robot(self) -> str:
+        """Once the server is gone no client can stop the robot, so that a move does not outlive it."""
+        link = self.speaker.link
+        if link is None or not self.speaker.moved:
+            return ""
+        # In a thread of its own: a controller that does not answer must not keep the server from ending.
+        done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+        def stop() -> None:
+            try:
+                link.stop()
+                said = "; the robot was stopped"
+            except Exception as error:  # a link may raise anything; it is told, and the server ends all the same
+                said = f"; the robot could not be stopped: {error}"
+            with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+                done.get_loop().call_soon_threadsafe(answered, said)
+
+        def answered(said: str) -> None:
+            if not done.done():
+                done.set_result(said)
+
+        threading.Thread(target=stop, name="clampid-stop", daemon=True).start()
+        try:
+            return await asyncio.wait_for(done, GRACE)
+        except TimeoutError:
+            return "; the robot did not answer when it was to be stopped"
 
 
 def parse_address(text: str) -> tuple[str, int]:
@@ -285,6 +171,34 @@ def parse_address(text: str) -> tuple[str, int]:
     if not colon or not host or not port.isdigit() or int(port) > 65535:
         raise DetectorError(f"expected HOST:PORT, found {text!r}")
     return host.strip("[]"), int(port)
+
+
+def take(host: str, port: int) -> list[socket.socket]:
+    """Take an address, so that nobody else does while the server is made ready; one socket for each of its forms.
+
+    Raises
+    ------
+    DetectorError
+        It is in use, not of this machine, or not permitted.
+    """
+    found: list[socket.socket] = []
+    try:
+        forms = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        for family, kind, protocol, _, address in dict.fromkeys(forms):
+            one = socket.socket(family, kind, protocol)
+            found.append(one)
+            if os.name == "posix":
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            if family == socket.AF_INET6:
+                one.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            one.bind((address[0], found[0].getsockname()[1] if len(found) > 1 else port, *address[2:]))
+            # An address is refused to a second listener only: bound alone, two servers could hold it.
+            one.listen(BACKLOG)
+    except OSError as error:
+        for one in found:
+            one.close()
+        raise DetectorError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+    return found
 
 
 def is_loopback(host: str) -> bool:
@@ -302,8 +216,15 @@ def settle() -> None:
     gc.freeze()
 
 
-def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) -> None:
-    """Serve until interrupted; ``say`` is told the address.
+def serve(
+    speaker: Speaker, host: str, port: int, say: Callable[[str], None], taken: Sequence[socket.socket] | None = None
+) -> bool:
+    """Serve until interrupted (SIGINT, SIGTERM); ``say`` is told the address. ``taken``: of :func:`take`.
+
+    Returns
+    -------
+    bool
+        Whether nothing is left running: False where a computation did not end within the time that a stop has.
 
     Raises
     ------
@@ -311,23 +232,22 @@ def serve(speaker: Speaker, host: str, port: int, say: Callable[[str], None]) ->
         The address cannot be listened on.
     """
 
-    async def run() -> None:
+    async def run() -> bool:
         server = Server(speaker)
         settle()
-        try:
-            at = await server.start(host, port)
-        except OSError as error:
-            raise DetectorError(f"cannot listen on {host}:{port}: {error.strerror or error}") from None
+        at = await server.start(host, port, taken)
         # Said, not left to the interpreter: started in the background of a shell, it would not hear an interrupt.
         loop, serving = asyncio.get_running_loop(), asyncio.ensure_future(server.run())
         for number in (signal.SIGINT, signal.SIGTERM):
             with contextlib.suppress(NotImplementedError):  # Windows hears an interrupt by itself
                 loop.add_signal_handler(number, serving.cancel)
         say(f"listening on {at[0]}:{at[1]}")
+        ended = False
         try:
             with contextlib.suppress(asyncio.CancelledError):
                 await serving
         finally:
-            await server.close()
+            ended = await server.close()
+        return ended
 
-    asyncio.run(run())
+    return asyncio.run(run())

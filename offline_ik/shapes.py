@@ -20,11 +20,12 @@ from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 from offline_ik.cell import Cell, Obstacle
 from offline_ik.errors import CellError
+from offline_ik.mesh import SHEET, Mesh, MeshError, read_mesh
 
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["Shape", "carries", "checked_pairs", "distance_of", "radii_of", "shapes_of"]
+__all__ = ["Shape", "carries", "checked_pairs", "distance_of", "radii_of", "shapes_of", "sheets_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -53,6 +54,8 @@ class Shape:
         How far its points are from its link's joint, m.
     radius
         What it needs around its link, m.
+    hull
+        Of a mesh, which has no inside: its convex hull, of `coal`.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Shape:
     pose: Array
     extent: float
     radius: float = 0.0
+    hull: Any = None
 
     def at(self, motion: Array) -> Any:
         """Its place for `coal`, its link moved ``(4, 4)`` from the zero posture."""
@@ -184,13 +188,24 @@ def _obstacle(obstacle: Obstacle) -> Shape:
         case "sphere":
             geometry = coal.Sphere(*obstacle.size)
         case "mesh":
-            try:
-                geometry = coal.MeshLoader().load(str(obstacle.file), np.ones(3))
-                geometry.buildConvexHull(True, "Qt")
-            except (RuntimeError, ValueError) as error:
-                why = " ".join(str(error).partition("message:")[2].split()) or str(error)
-                raise CellError(f"obstacle {obstacle.name}: {obstacle.file} is no mesh: {why}") from None
+            mesh = _mesh(obstacle)
+            return Shape(obstacle.name, "obstacle", 0, mesh.surface(), np.asarray(obstacle.pose), 0.0, hull=mesh.hull())
     return Shape(obstacle.name, "obstacle", 0, geometry, np.asarray(obstacle.pose), 0.0)
+
+
+def _mesh(obstacle: Obstacle) -> Mesh:
+    if obstacle.file is None:
+        raise CellError(f"obstacle {obstacle.name}: expected the file of its mesh, found none")
+    try:
+        return read_mesh(obstacle.file)
+    except MeshError as error:
+        raise CellError(f"obstacle {obstacle.name}: {obstacle.file} is no mesh: {error}") from None
+
+
+def sheets_of(cell: Cell) -> list[str]:
+    """What to say of meshes that are flat."""
+    flat = [o.name for o in cell.obstacles if o.shape == "mesh" and _mesh(o).thickened]
+    return [f"obstacle {name}: the mesh is flat; it counts as a sheet {1e3 * SHEET:g} mm thick" for name in flat]
 
 
 def _placed(middle: Array, z: Array | None = None) -> Array:

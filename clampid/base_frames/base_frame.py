@@ -17,8 +17,8 @@ from scipy import stats
 
 from clampid.base_frames.circles import Circle, CircleFit, circles_of, fit_circles
 from clampid.base_frames.yielding import gives_way, what_yields
-from clampid.catalogue import with_user_effects
 from clampid.models.model import Model, ModelError
+from clampid.models.own_effects import effects_of
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Integers, Rows
@@ -125,7 +125,7 @@ def base_from_circles(
         raise CampaignError(f"{campaign.name}: expected a table poses with circles of joints 1 and 2, found none")
     if model is not None and model.robot != campaign.robot.name:
         raise ModelError(f"the model is of the robot {model.robot}, the campaign of {campaign.robot.name}")
-    effects = with_user_effects(user_effects or (Path(model.user_effects) if model and model.user_effects else None))
+    effects = effects_of(model, user_effects)
     layout = layout_of([campaign])
     yielding = what_yields(campaign.robot, model, rigid=rigid)
     rows = pose_rows([campaign], layout, "poses").points

@@ -20,9 +20,9 @@ from scipy import stats
 
 from clampid.base_frames.touches import Touches, descend, starts_of, touches_of
 from clampid.base_frames.yielding import Yielding, gives_way, what_yields
-from clampid.catalogue import with_user_effects
 from clampid.fitting.noise import NORMAL
 from clampid.models.model import Model, ModelError
+from clampid.models.own_effects import effects_of
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Integers
@@ -134,7 +134,7 @@ def base_from_touches(
     campaign = touched.campaign
     if model is not None and model.robot != campaign.robot.name:
         raise ModelError(f"the model is of the robot {model.robot}, the touches of {campaign.robot.name}")
-    effects = with_user_effects(user_effects or (Path(model.user_effects) if model and model.user_effects else None))
+    effects = effects_of(model, user_effects)
     layout = layout_of([campaign])
     yielding = what_yields(campaign.robot, model, rigid=rigid, tips=layout.targets)
     rows = pose_rows([campaign], layout, "poses", {0: np.eye(4)})

@@ -2,7 +2,8 @@
 
 Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). Without a compiler functions run in
 casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the hash of
-its source, so that each function is compiled once on a machine.
+its source and its own, so that each function is compiled once on a machine, and a library that was cut off or changed
+is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
-import platformdirs
 
 from clampid.chain.lanes import Lanes, lanes_source
+from clampid.chain.library_folder import digest_of, is_whole, own_folder
+from experiments.outputs import flush_folder
 
 __all__ = ["Blocks", "compile_function", "compile_rows", "compiler"]
 
@@ -137,12 +139,13 @@ def _library(name: str, source: str, options: Sequence[str], machine: str) -> Pa
     if command is None:
         return None
     key = hashlib.sha256("\0".join([machine, *command, *options, source]).encode()).hexdigest()[:24]
-    library = Path(platformdirs.user_cache_dir("clampid", appauthor=False)) / "compiled" / f"{name}-{key}.so"
     try:
-        if not library.exists():
-            library.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            _build([*command, *options], source, library)
-        return library
+        folder = own_folder()
+        for library in folder.glob(f"{name}-{key}.*.so"):
+            if is_whole(library):
+                return library
+            library.unlink(missing_ok=True)  # cut off, changed, or writable by others: made again
+        return _build([*command, *options], source, folder, f"{name}-{key}")
     except (OSError, subprocess.SubprocessError) as error:
         _log.info("%s was not compiled: %s", name, error)
         return None
@@ -157,17 +160,24 @@ def _processor() -> str:
     return next((line for line in lines if line.startswith(("flags", "Features"))), platform.machine())
 
 
-def _build(command: list[str], source: str, library: Path) -> None:
-    """Compile beside the library's place and move it there whole, so that another process never loads half of it."""
-    with _scratch(library.parent) as folder:
+def _build(command: list[str], source: str, place: Path, name: str) -> Path:
+    """Compile beside the library's place and move it there whole, under a name that has its own hash in it."""
+    with _scratch(place) as folder:
         (folder / "function.c").write_text(source, encoding="utf-8")
+        made = folder / "function.so"
         subprocess.run(
-            [*command, "-o", str(folder / "function.so"), str(folder / "function.c"), "-lm"],
+            [*command, "-o", str(made), str(folder / "function.c"), "-lm"],
             check=True,
             capture_output=True,
             timeout=COMPILE_SECONDS,
         )
-        (folder / "function.so").replace(library)
+        os.chmod(made, 0o600)
+        library = place / f"{name}.{digest_of(made)}.so"
+        with open(made, "rb") as file:
+            os.fsync(file.fileno())
+        made.replace(library)
+    flush_folder(place)
+    return library
 
 
 @contextmanager

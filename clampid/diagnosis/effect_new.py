@@ -15,7 +15,7 @@ from types import ModuleType
 from clampid.catalogue import catalogue
 from clampid.diagnosis.dependence import Dependence, Place, Variable, dependence
 from clampid.effect import EffectError, Stage
-from clampid.models.model import write_text
+from experiments.outputs import write_text
 
 __all__ = ["MOST_ORDERS", "effect_module", "effect_new", "effect_text"]
 

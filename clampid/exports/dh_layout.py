@@ -17,6 +17,7 @@ from clampid.exports.export import FRAME_COLUMNS, ROW_COLUMNS, ExportedTable, re
 from clampid.exports.form_error import POSTURES, postures
 from kinematics.dh import DHRow, forward
 from kinematics.dh_conversion import hayati_from_poe, standard_from_poe
+from kinematics.escaping import for_markdown
 from kinematics.robot import RobotDescription
 
 __all__ = ["thesis_layout"]
@@ -63,7 +64,8 @@ def thesis_layout(found: ExportedTable, robot: RobotDescription) -> str:
     lines += [_line([end, *(printed.cell(n + k, c) for c in FRAME_COLUMNS)]) for k, end in enumerate(("base", "tool"))]
     formula = FORMULA + (" Ry(β)" if "beta_rad" in columns else "")
     said = [
-        f"{robot.title}: {found.convention} convention, {found.temperature:g} degC; value ± one standard error.",
+        f"{for_markdown(robot.title)}: {found.convention} convention, {found.temperature:g} degC; value ± one standard "
+        "error.",
         f"{formula}; base A_1 … A_n tool is the flange in the instrument's frame, base and tool rotate by Rz Ry Rx.",
         f"Rounding: read back, the digits above differ by at most {printed.cost:.1e} m from the full table, over "
         f"{POSTURES} postures in the joints' ranges.",

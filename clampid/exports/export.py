@@ -17,18 +17,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clampid.catalogue import with_user_effects
 from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
 from clampid.models.curves import angle_errors
 from clampid.models.described import robot_of
-from clampid.models.model import Model, ModelError, write_text
+from clampid.models.model import Model, ModelError
+from clampid.models.own_effects import effects_of
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
+from experiments.outputs import write_text
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
+from kinematics.escaping import for_csv
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import roll_pitch_yaw, rotation_of, transform
@@ -244,21 +246,35 @@ def static_table(
 
 def table_text(frame: pd.DataFrame) -> str:
     """The table as CSV with every digit: standard rows need them."""
-    return str(frame.to_csv(index=False, lineterminator="\n"))
+    texts = frame.select_dtypes(include=["object", "string"]).columns
+    safe = frame.assign(**{str(c): [for_csv(v) if isinstance(v, str) else v for v in frame[c]] for c in texts})
+    return str(safe.to_csv(index=False, lineterminator="\n"))
 
 
 def read_dh(text: str, convention: Convention = "hayati") -> DHTable:
-    """A table as :func:`table_text` wrote it, to the last digit."""
-    records = {record["row"]: record for record in csv.DictReader(io.StringIO(text))}
+    """A table as :func:`table_text` wrote it, to the last digit.
 
-    def numbers(row: str, columns: Sequence[str]) -> list[float]:
-        return [float(records[row][column]) for column in columns]
+    Raises
+    ------
+    DHError
+        A row, a column or a number is missing.
+    """
+    try:
+        records = {record["row"]: record for record in csv.DictReader(io.StringIO(text))}
 
-    rows = []
-    for i in range(1, len(records) - 1):
-        sign, theta_offset, d, a, alpha, beta = numbers(str(i), ("sign", *ROW_COLUMNS))
-        rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
-    base, tool = (_pose(np.array(numbers(end, FRAME_COLUMNS))) for end in ("base", "tool"))
+        def numbers(row: str, columns: Sequence[str]) -> list[float]:
+            found = [float(records[row][column]) for column in columns]
+            if not np.isfinite(found).all():
+                raise ValueError(f"row {row}: expected finite numbers")
+            return found
+
+        rows = []
+        for i in range(1, len(records) - 1):
+            sign, theta_offset, d, a, alpha, beta = numbers(str(i), ("sign", *ROW_COLUMNS))
+            rows.append(DHRow(int(sign), theta_offset, d, a, alpha, beta))
+        base, tool = (_pose(np.array(numbers(end, FRAME_COLUMNS))) for end in ("base", "tool"))
+    except (KeyError, TypeError, ValueError, OverflowError, csv.Error) as error:
+        raise DHError(f"expected a table as it is exported: {type(error).__name__}: {error}") from error
     return DHTable(tuple(rows), base, tool, convention)
 
 
@@ -343,7 +359,7 @@ def angle_table(
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none")
     parts = []
-    known = with_user_effects(effects_from)
+    known = effects_of(model, effects_from)
     for j, (low, high) in enumerate(zip(*ranges(nominal), strict=True)):
         q = np.zeros((round((high - low) / ANGLES) + 1, nominal.n))
         q[:, j] = np.linspace(low, high, len(q))

@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 
 from clampid.effect import Effect
-from clampid.identification.reopen import effects_of
 from clampid.models.model import Model, ModelError
+from clampid.models.own_effects import effects_of
 from clampid.slots import Slot, find_parameter
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment, experiment

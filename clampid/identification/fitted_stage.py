@@ -22,7 +22,7 @@ from clampid.fitting.observability import observability, projected
 from clampid.fitting.open_base import from_likeliest_turn, open_turns, with_open_base
 from clampid.fitting.open_flanks import with_open_flanks
 from clampid.fitting.rest_friction import RestFriction, with_open_friction, with_rest_friction
-from clampid.fitting.solve import Estimate
+from clampid.fitting.solve import Estimate, FitError
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.fitting.unknown_masses import with_unknown_masses
 from clampid.identification.begin import begun
@@ -120,6 +120,8 @@ def fit_stage(
     ------
     clampid.effect.EffectError
         An effect needs something of these rows to begin with that they do not have.
+    FitError
+        The rows have no more numbers than the parameters that they determine.
     """
     if told is None and not start and open_turns(rows):
         trial = experiment(rows, effects, active_slots(rows, effects, terms))
@@ -148,6 +150,7 @@ def fit_stage(
         else:
             friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
         estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
+        _refuse_no_freedom(estimate)
         alone = with_open_friction(estimate, friction.held)
         drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
         contradicted = drives.contradicted
@@ -204,6 +207,18 @@ def _model_of(
         ranges=ranges_of(fitted, estimate.outliers) if rows.stage == "poses" else None,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
+
+
+def _refuse_no_freedom(estimate: Estimate) -> None:
+    """Refuse rows that the parameters can follow whatever was measured: what is left of them is no noise."""
+    numbers = len(estimate.whitened.residual)
+    told = int(observability(_information(estimate), numbers)["parameters"])
+    if told >= numbers:
+        raise FitError(
+            f"{estimate.experiment.stage}: expected more measured numbers than parameters that they determine, found "
+            f"{numbers} and {told}: no degree of freedom is left to tell an error from noise; measure more, or fit "
+            "fewer effects (--effects)"
+        )
 
 
 def _information(estimate: Estimate) -> Array:

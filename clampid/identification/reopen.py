@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from clampid.catalogue import with_user_effects
 from clampid.effect import Effect, Stage
 from clampid.fitting.bootstrap import Bootstrap
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import has_friction_state, has_inertia, stage_rows, stages_of
 from clampid.models.model import Model, ModelError, StageModel
+from clampid.models.own_effects import effects_of
 from clampid.slots import Layout, Slot
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
@@ -22,7 +22,7 @@ from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 
-__all__ = ["Reopened", "effects_of", "reopen"]
+__all__ = ["Reopened", "reopen"]
 
 
 @dataclass(frozen=True)
@@ -119,20 +119,6 @@ def reopen(model: Model, campaigns: Campaign | Sequence[Campaign], user_effects:
             )
     effects = effects_of(model, user_effects)
     return _on_one(model, several[0], effects) if len(several) == 1 else _on_all(model, several, effects)
-
-
-def effects_of(model: Model, user_effects: Path | None) -> Mapping[str, Effect]:
-    """The catalogue with the user's own, those of the model among them."""
-    chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
-    effects = with_user_effects(chosen)
-    for stage in model.stages.values():
-        for slot in stage.slots:
-            if slot.effect not in effects:
-                raise ModelError(
-                    f"the model has an effect {slot.effect!r} that is not known; if it is your own, give its file with "
-                    "--effects-from"
-                )
-    return effects
 
 
 def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str, Effect]) -> Reopened:

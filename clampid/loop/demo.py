@@ -20,8 +20,9 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.display import error_text
 from clampid.identification.identify import identify
 from clampid.loop.add import add
-from clampid.models.model import Model, save_model, write_text
+from clampid.models.model import Model, save_model
 from experiments.campaign import Campaign, read_campaign
+from experiments.outputs import write_text
 from experiments.simulate import hidden_file, simulate
 
 __all__ = ["DRAWN", "DemoResult", "demo", "terms_to_add"]

@@ -46,8 +46,7 @@ def undo(
         if campaign.fingerprint not in known:
             raise ModelError(f"{campaign.name}: expected a campaign that the model was fitted on, found another")
     last = model.ledger[-1]
-    chosen = user_effects or (Path(model.user_effects) if model.user_effects else None)
-    opened = reopen(model, several, chosen)
+    opened = reopen(model, several, user_effects)
     effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
     mended: dict[Stage, StageModel] = dict(stages)
     # What the round put in another's place, such as one curve for several joints, stands there again.
@@ -67,8 +66,9 @@ def undo(
         others = {s: m for s, m in mended.items() if s != stage}
         mended[stage] = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.told).model
     own = _still_used(mended, effects)
+    chosen = model.user_effects if user_effects is None else str(user_effects)
     return replace(
-        model, layout=layout, stages=mended, ledger=model.ledger[:-1], user_effects=str(chosen) if own else None
+        model, layout=layout, stages=mended, ledger=model.ledger[:-1], user_effects=chosen if own else None
     ), last
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from clampid.models.model import Model, ModelError
+from experiments.targets import protect
 from kinematics.description import load_robot, robot_names
 from kinematics.robot import DescriptionError, RobotDescription
 
@@ -23,6 +24,7 @@ def robot_of(model: Model, robot: RobotDescription | None = None) -> RobotDescri
         The description is of another robot, or there is none where the model says; the message says how to give one.
     """
     if robot is None:
+        protect(model.robot_file)
         if model.robot_file is None and model.robot not in robot_names():
             raise ModelError(
                 f"the model is of the robot {model.robot!r}, which is not a bundled one, and does not say in which "

@@ -6,8 +6,6 @@ It is one JSON file that a person can read. Nothing in it is changed in place: e
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,9 +16,12 @@ import numpy as np
 from clampid.effect import STAGES, Stage
 from clampid.fitting.base_names import BaseParameter, base_json, read_base
 from clampid.fitting.bootstrap import Bootstrap
+from clampid.models.checked import check_model
 from clampid.models.ranges import Ranges, read_ranges
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
+from experiments.outputs import write_text
+from kinematics.reading import json_of, read_text
 
 __all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model", "write_text"]
 
@@ -168,23 +169,6 @@ def save_model(model: Model, path: str | Path) -> None:
     write_text(path, json.dumps(_to_json(model), indent=1, allow_nan=False) + "\n")
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file under a temporary name and rename it, so that nothing half-written is left behind."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
 def load_model(path: str | Path) -> Model:
     """Read a model.
 
@@ -194,7 +178,7 @@ def load_model(path: str | Path) -> Model:
         The file does not exist, is no JSON, or is no model of this format.
     """
     try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        data = json_of(read_text(path))
     except FileNotFoundError:
         raise ModelError(f"{path}: expected a model file, found none") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -204,6 +188,10 @@ def load_model(path: str | Path) -> Model:
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         raise ModelError(f"{path}: expected format = {FORMAT!r}, found {found!r}")
+    try:
+        check_model(data)
+    except ValueError as error:
+        raise ModelError(f"{path}: {error}") from None
     try:
         return _with_files_beside(_from_json(data), Path(path))
     except (KeyError, TypeError, IndexError, AttributeError, ValueError) as error:

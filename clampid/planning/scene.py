@@ -23,6 +23,7 @@ from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell
 from experiments.plans.section import Section
 from kinematics.poe import joint_transforms
+from kinematics.reading import read_text, toml_of
 
 __all__ = ["Obstacle", "Scene", "read_obstacles"]
 
@@ -86,8 +87,8 @@ def read_obstacles(path: Path, cell: Cell) -> tuple[Obstacle, ...]:
     if not path.is_file():
         raise PlanError(f"{path}: expected a file of obstacles, found no such file")
     try:
-        root = Section(tomllib.loads(path.read_text(encoding="utf-8")), str(path), "")
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        root = Section(toml_of(read_text(path)), str(path), "")
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise PlanError(f"{path}: expected TOML, found {error}") from error
     found = []
     for kind in ("box", "sphere", "cylinder"):

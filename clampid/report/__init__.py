@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clampid.models.model import Model, write_text
+from clampid.models.model import Model
 from clampid.report.page import page
 from experiments.campaign import Campaign
+from experiments.outputs import write_text
 
 __all__ = ["write_report"]
 

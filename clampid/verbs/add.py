@@ -28,7 +28,7 @@ def add(
 ) -> None:
     """Add effects, fit again, and say what the error was and is, on held-out rows."""
     out = Output(quiet, json)
-    output_file(output)
+    output_file(output, "json")
     terms = split_terms(effects)
 
     from clampid.loop.add import add as add_effects

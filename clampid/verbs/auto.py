@@ -39,9 +39,9 @@ def auto(
 ) -> None:
     """Identify, then diagnose and add until nothing more is confirmed."""
     out = Output(quiet, json)
-    output_file(output)
+    output_file(output, "json")
     if report is not None:
-        output_file(report)
+        output_file(report, "markup")
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects

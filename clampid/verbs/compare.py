@@ -46,7 +46,7 @@ def compare(
     if centre is not None and len(centre) != 3:
         raise CallError(f"--sample: expected x, y, z in m, found {sample!r}")
     if report is not None:
-        output_file(report)
+        output_file(report, "markup")
 
     from clampid.comparison.compare import compare as hold_against
     from clampid.models.model import load_model

@@ -10,6 +10,7 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet
 from clampid.verbs.output import Output
+from experiments.targets import check_folder
 
 __all__ = ["demo"]
 
@@ -24,6 +25,7 @@ def demo(
     output = Output(quiet, json)
     if out.exists() and not out.is_dir():
         raise CallError(f"{out}: expected a folder, found a file")
+    check_folder(out)
 
     from clampid.loop.demo import demo as run_demo
 

@@ -53,7 +53,7 @@ def diagnose(
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.next_step import next_steps
 
-    target = None if plan is None else output_file(plan)
+    target = None if plan is None else output_file(plan, "text")
     if plan_for is not None and target is None:
         raise CallError("--plan-for: expected --plan PLAN.toml with it, found none")
     wanted = None if target is None else names_of(plan_for) or ()

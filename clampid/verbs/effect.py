@@ -1,4 +1,4 @@
-"""``clampid effect new``: the file of a user's own effect, to be completed."""
+"""``clampid effect new``: the file of a user's own effect, to be completed; ``trust``: whose code may run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ if TYPE_CHECKING:
 __all__ = ["effect"]
 
 effect = typer.Typer(help="Make an effect of your own.", no_args_is_help=True)
-
-
-@effect.callback()
-def _several() -> None:
-    """Keep ``new`` a word of its own, though it is the only one yet."""
 
 
 @effect.command()
@@ -46,7 +41,7 @@ def new(
     """Write the file of an effect with a given dependence; it works as it stands, and is there to be completed."""
     out = Output(quiet)
     if output is not None:
-        output_file(output)
+        output_file(output, "text")
 
     from clampid.diagnosis.effect_new import effect_new
 
@@ -54,3 +49,22 @@ def new(
     path = effect_new(name, variables, at, stage=cast("Stage | None", stage), orders=orders, path=output)
     out.say(f"effect: {path}")
     out.say(f"use it: clampid add {name} MODEL.json CAMPAIGN -o MODEL2.json --effects-from {path}")
+
+
+@effect.command()
+def trust(
+    file: Annotated[Path, typer.Argument(metavar="FILE.py", help="A file of effects.", show_default=False)],
+    remove: Annotated[bool, typer.Option("--remove", help="Trust it no longer.")] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Let models run the code of an effect file without --effects-from, as long as the file is not changed."""
+    from clampid.trusted import distrust, trust_file
+    from clampid.trusted import trust as trust_effect
+
+    out = Output(quiet)
+    if remove:
+        out.say(f"no longer trusted: {file}" if distrust(file) else f"was not trusted: {file}")
+        return
+    mark = trust_effect(file)
+    out.say(f"trusted: {file} (SHA-256 {mark[:16]}…, listed in {trust_file()})")
+    out.say("a model that names it runs it now; once the file is changed, it has to be trusted again")

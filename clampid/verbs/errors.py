@@ -13,6 +13,8 @@ class CallError(ValueError):
 
 _WRONG_INPUT = (
     ("experiments.errors", "CampaignError"),
+    ("experiments.targets", "OutputError"),
+    ("experiments.plans.errors", "PlanError"),
     ("experiments.simulate", "SimulationError"),
     ("kinematics.robot", "DescriptionError"),
     ("kinematics.dh_conversion", "DHError"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,11 +11,13 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
+from clampid.verbs.streams import write_result
 
 if TYPE_CHECKING:
     from clampid.exports.export import Exported
     from clampid.models.model import Model
     from experiments.campaign import Campaign
+    from experiments.targets import Kind
     from kinematics.robot import RobotDescription
 
 __all__ = ["export"]
@@ -60,7 +61,7 @@ def dh(
 ) -> None:
     """The compensated Denavit–Hartenberg table with standard errors, and what it leaves of the model."""
     out = Output(quiet, json)
-    _writable(output)
+    _writable(output, "text")
 
     from clampid.exports.dh_layout import thesis_layout
     from clampid.exports.export import dh_export
@@ -97,7 +98,7 @@ def angles(
 ) -> None:
     """Errors of joint angles over their ranges, to be added before a DH table is used, as CSV."""
     out = Output(quiet)
-    _writable(output)
+    _writable(output, "text")
 
     from clampid.exports.export import angle_table, table_text
     from clampid.models.model import load_model
@@ -122,7 +123,7 @@ def urdf(
 ) -> None:
     """The calibrated chain as URDF, whose frame world is the instrument's, and what it leaves of the model."""
     out = Output(quiet, json)
-    _writable(output)
+    _writable(output, "markup")
 
     from clampid.exports.export import urdf_export
     from clampid.models.model import load_model
@@ -159,7 +160,7 @@ def kuka(
 ) -> None:
     """The part of KUKA machine data that is geometry, and what this form alone leaves over the joints' ranges."""
     out = Output(quiet)
-    _writable(output)
+    _writable(output, "text")
 
     from clampid.exports.kuka_export import kuka_machine_data
     from clampid.models.model import load_model
@@ -204,7 +205,7 @@ def dynamics(
 ) -> None:
     """Base parameters of gravity and inertia with standard errors, and on demand bodies that can have them, as JSON."""
     out = Output(quiet)
-    _writable(output)
+    _writable(output, "json")
     if campaign is not None and not consistent:
         raise CallError("--campaign compares the fit with the consistent arm: give --consistent too")
 
@@ -302,15 +303,15 @@ def _robot(path: Path | None) -> RobotDescription | None:
 
 def _written(text: str, path: Path | None) -> bool:
     """Write to a file, or to stdout where there is none, where nothing else is to be said."""
-    from clampid.models.model import write_text
+    from experiments.outputs import write_text
 
     if path is None:
-        sys.stdout.write(text)
+        write_result(text)
         return False
     write_text(path, text)
     return True
 
 
-def _writable(path: Path | None) -> None:
+def _writable(path: Path | None, kind: Kind) -> None:
     if path is not None:
-        output_file(path)
+        output_file(path, kind)

@@ -39,7 +39,7 @@ def identify(
 ) -> None:
     """Fit a model, stage by stage: free air, clamped, filtered poses; or all at once."""
     out = Output(quiet, json)
-    output_file(output)
+    output_file(output, "json")
     if not 0.0 <= holdout < 1.0:
         raise CallError(f"--holdout: expected a share from 0 to below 1, found {holdout:g}")
     if bootstrap < 0 or bootstrap == 1:

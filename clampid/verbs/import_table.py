@@ -11,6 +11,7 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet
 from clampid.verbs.output import Output
+from experiments.targets import check_folder
 
 if TYPE_CHECKING:
     from experiments.campaign import Campaign
@@ -43,6 +44,7 @@ def import_table(
     out = Output(quiet, json)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CallError(f"{output}: expected a new or empty folder, found something there")
+    check_folder(output)
 
     from experiments.campaign import write_campaign
     from experiments.foreign import import_tables, read_mapping

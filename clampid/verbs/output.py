@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as json_module
 import math
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +11,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clampid.verbs.errors import CallError
+from clampid.verbs.streams import write_result
+from experiments.targets import Kind, check_output, is_stdout
+from kinematics.escaping import for_terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,9 +35,9 @@ class Output:
     """
 
     def __init__(self, quiet: bool = False, json: str | None = None) -> None:
-        self.quiet, self.json = quiet, json
-        if json is not None and json != "-":
-            output_file(Path(json))
+        self.quiet, self.json = quiet, "-" if json is not None and is_stdout(json) else json
+        if self.json is not None and self.json != "-":
+            output_file(Path(self.json), "json")
 
     @cached_property
     def console(self) -> Console:
@@ -50,16 +51,16 @@ class Output:
 
     def say(self, text: str = "") -> None:
         """A line for people, as it is: no markup, no colours guessed."""
-        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.console.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
 
     def warn(self, text: str) -> None:
         """A line on stderr that --quiet does not silence."""
-        self.errors.print(text, markup=False, highlight=False, soft_wrap=True)
+        self.errors.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
 
     def step(self, text: str) -> None:
         """A plain line of progress."""
         if not self.quiet:
-            self.errors.print(text, markup=False, highlight=False, soft_wrap=True)
+            self.errors.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def working(self, text: str) -> Iterator[None]:
@@ -98,10 +99,9 @@ class Output:
             return
         text = json_module.dumps(finite(data), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         if self.json == "-":
-            sys.stdout.write(text)
-            sys.stdout.flush()
+            write_result(text)
         else:
-            from clampid.models.model import write_text
+            from experiments.outputs import write_text
 
             write_text(self.json, text)
 
@@ -123,28 +123,21 @@ def finite(data: Any) -> Any:
             raise TypeError(f"cannot write {type(data).__name__} as JSON")
 
 
-def output_file(path: Path) -> Path:
-    """The path, if a file can go there: said before the work, not after it.
+def output_file(path: Path, kind: Kind | None = None) -> Path:
+    """The path, if a file of a kind can go there: said before the work, not after it.
 
     Raises
     ------
-    CallError
-        It is a folder, or lies in something that is none.
+    OutputError
+        It cannot; see :func:`experiments.targets.check_output`.
     """
-    if path.is_dir():
-        raise CallError(f"{path}: expected a file to write to, found a folder")
-    for parent in path.absolute().parents:
-        if parent.exists():
-            if not parent.is_dir():
-                raise CallError(f"{path}: expected {parent} to be a folder, found a file")
-            break
-    return path
+    return check_output(path, kind)
 
 
 def _plain(cell: str) -> Any:
     from rich.text import Text
 
-    return Text(cell)
+    return Text(for_terminal(cell))
 
 
 def _console(stderr: bool, silent: bool = False) -> Console:

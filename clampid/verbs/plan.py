@@ -259,7 +259,7 @@ def _postures(texts: list[str] | None, n: int) -> Array | None:
 
 def _begin(output: Path, json: str | None, quiet: bool) -> Output:
     out = Output(quiet, json)
-    output_file(output)
+    output_file(output, "text")
     if output.suffix.lower() != ".toml":
         raise CallError(f"{output}: expected a name that ends in .toml")
     return out

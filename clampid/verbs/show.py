@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -304,13 +303,13 @@ def _bootstrap_json(stage: StageModel) -> dict[str, Any] | None:
 
 def model_json(model: Model) -> dict[str, Any]:
     """What ``identify`` and ``auto`` tell programs beside the model file."""
-    from clampid.catalogue import with_user_effects
     from clampid.fitting.base_names import base_json
     from clampid.models.correlations import correlations
+    from clampid.models.own_effects import effects_of
     from clampid.models.session_differences import session_differences
 
     stages: dict[str, Any] = {}
-    effects = with_user_effects(Path(model.user_effects) if model.user_effects else None)
+    effects = effects_of(model)
     for name, stage in model.stages.items():
         last = next((r for r in reversed(model.ledger) if r.stage == name), None)
         stages[name] = {

@@ -11,6 +11,7 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet, Seed
 from clampid.verbs.output import Output
+from experiments.targets import check_folder
 
 __all__ = ["simulate"]
 
@@ -47,6 +48,7 @@ def simulate(
     out = Output(quiet, json)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CallError(f"{output}: expected a new or empty folder, found something there")
+    check_folder(output)
 
     from experiments.simulate import hidden_file
     from experiments.simulate import simulate as measure

@@ -20,7 +20,7 @@ def undo(
 ) -> None:
     """Take back the last round: fit again without what it added."""
     out = Output(quiet, json)
-    output_file(output)
+    output_file(output, "json")
 
     from clampid.loop.undo import undo as step_back
     from clampid.models.model import load_model, save_model

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.errors import CampaignError, fault
+from kinematics.reading import read_bytes
 
 __all__ = ["Cells", "Origin", "Reading", "read_cells"]
 
@@ -27,6 +28,9 @@ BINARY = {
     b"PAR1": "a Parquet file",
     b"\xd0\xcf\x11\xe0": "Excel",
 }
+
+
+MAX_FILE_BYTES = 500_000_000  # whose cells are held as text
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,7 @@ def read_cells(files: Sequence[Path], reading: Reading) -> Cells:
 def _decoded(file: Path, encoding: str | None) -> tuple[str, str | None]:
     """A file's text, and what to say of how it was read."""
     try:
-        data = file.read_bytes()
+        data = read_bytes(file, MAX_FILE_BYTES)
     except FileNotFoundError:
         raise fault(file, expected="a table", found="no such file") from None
     except OSError as error:
@@ -193,6 +197,8 @@ def _decoded(file: Path, encoding: str | None) -> tuple[str, str | None]:
             return data.decode(encoding).removeprefix("\ufeff"), None
         except UnicodeDecodeError as error:
             raise _undecodable(file, data, error, encoding) from error
+        except (LookupError, UnicodeError) as error:
+            raise fault(file, expected="an encoding of text", found=f"{encoding!r} ({error})") from error
     guess = _marked(data)
     try:
         return data.decode(guess).removeprefix("\ufeff"), None
@@ -230,20 +236,27 @@ def _records(file: Path, text: str, reading: Reading) -> tuple[tuple[str, ...], 
     if reading.names is None:
         if not kept:
             raise fault(file, expected="a line of names and rows", found="nothing after the lines that are left out")
-        names = [name.strip() for name in _split(kept[0][1], reading)]
+        names = [name.strip() for name in _cells(file, *kept[0], reading)]
         while names and not names[-1]:
             names.pop()  # a line that ends with a delimiter
         kept = kept[1:]
     else:
         names = list(reading.names)
     body = kept[reading.skip_after_names :]
-    return tuple(names), ((number, _split(line, reading)) for number, line in body)
+    return tuple(names), ((number, _cells(file, number, line, reading)) for number, line in body)
 
 
 def _counts(line: str, reading: Reading) -> bool:
     """Whether a line is neither blank nor a comment."""
     bare = line.strip().strip(reading.delimiter).strip()
     return bool(bare) and not (reading.comment and line.lstrip().startswith(reading.comment))
+
+
+def _cells(file: Path, number: int, line: str, reading: Reading) -> list[str]:
+    try:
+        return _split(line, reading)
+    except csv.Error as error:
+        raise fault(file, expected="cells of a table", found=str(error), line=number) from error
 
 
 def _split(line: str, reading: Reading) -> list[str]:

@@ -227,7 +227,7 @@ def _reading(at: Section) -> Reading:
     if encoding is not None:
         try:
             codecs.lookup(encoding)
-        except LookupError:
+        except (LookupError, ValueError):
             at.refuse("encoding", "an encoding that Python knows, such as cp1252 or utf-16", repr(encoding))
     names = at.texts("names") or None
     return Reading(

@@ -17,6 +17,7 @@ from experiments.plans.section import Section
 from experiments.plans.validate import validate_plan
 from experiments.plans.write import FORMAT
 from kinematics.description import DescriptionError, load_robot
+from kinematics.reading import read_text, toml_of
 
 __all__ = ["parse_plan", "read_plan"]
 
@@ -36,9 +37,11 @@ def read_plan(path: str | Path) -> Plan:
     if not file.is_file():
         raise PlanError(f"{file}: expected a plan file, found {'a folder' if file.is_dir() else 'no such file'}")
     try:
-        text = file.read_bytes().decode("utf-8-sig")
+        text = read_text(file)
     except UnicodeDecodeError as error:
         raise PlanError(f"{file}: expected UTF-8 text, found a byte that is not, at offset {error.start}") from error
+    except OSError as error:
+        raise PlanError(f"{file}: cannot be read: {error.strerror or error}") from error
     return parse_plan(text, file)
 
 
@@ -51,7 +54,7 @@ def parse_plan(text: str, file: Path) -> Plan:
         As `read_plan`.
     """
     try:
-        root = Section(tomllib.loads(text), str(file), "")
+        root = Section(toml_of(text), str(file), "")
     except tomllib.TOMLDecodeError as error:
         raise PlanError(f"{file}: expected TOML, found {error}") from error
     root.text("format", (FORMAT,))

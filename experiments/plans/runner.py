@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.campaign import write_campaign
+from experiments.outputs import new_file, write_text
 from experiments.plans.errors import PlanError, PlanStopped
 from experiments.plans.model import Plan, Run, Sweep, Visit, table_of
 from experiments.plans.motion import Course
@@ -98,9 +99,8 @@ def run_plan(
             shift = _shift([frame for _, frame in done], rows)
             fresh = True
         rows["time_s"] = rows["time_s"] + shift
-        unfinished = file.with_suffix(".partial")
-        rows.to_parquet(unfinished, index=False)
-        os.replace(unfinished, file)
+        with new_file(file) as unfinished:
+            rows.to_parquet(unfinished, index=False)
         done.append((table, rows))
     tables = {
         name: pd.concat([f for t, f in done if t == name], ignore_index=True)
@@ -122,7 +122,7 @@ def _open_work(plan: Plan, work: Path, folder: str | Path) -> None:
         )
     work.mkdir(parents=True, exist_ok=True)
     if not copy.is_file():
-        copy.write_bytes(text.encode())
+        write_text(copy, text)
 
 
 def _shift(before: list[pd.DataFrame], first: pd.DataFrame) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from experiments.outputs import write_text
 from experiments.plans.model import Expected, Plan, Run, Sweep, Visit
 from experiments.toml_text import toml_text
 
@@ -19,15 +19,9 @@ FORMAT = "clampid-plan/1"
 
 
 def write_plan(plan: Plan, path: str | Path) -> Path:
-    """Write a plan under a temporary name and rename it, so that nothing half-written is left behind."""
+    """Write a plan, whole or not at all."""
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{target.name}.{uuid.uuid4().hex[:8]}")
-    try:
-        partial.write_text(plan_text(plan, target.parent), encoding="utf-8")
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
+    write_text(target, plan_text(plan, target.parent))
     return target
 
 

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import re
+import stat
+import sys
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
@@ -17,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LINKS", "serve"]
 
+MAX_TOKEN = 256  # characters
 LINKS = "clampid.robot_links"
 """Entry points that make a :class:`offline_ik.link.RobotLink` from HOST and PORT: ``connect(host, port)``."""
 
@@ -27,6 +34,10 @@ def serve(
     link: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="The robot to move.", show_default=False)
     ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A file with the token that hello has to bring along.", show_default=False),
+    ] = None,
     cell: CellFile = None,
     robot: Robot = None,
     running: Running = None,
@@ -36,22 +47,57 @@ def serve(
     """Answer where detector positions lie, one request a line, one JSON answer a line, until interrupted."""
     out = Output(quiet)
     from offline_ik.protocol import Speaker
-    from offline_ik.server import is_loopback, parse_address
+    from offline_ik.server import is_loopback, parse_address, take
     from offline_ik.server import serve as serve_forever
 
     host, port = parse_address(listen)
-    linked = None if link is None else _linked(link)
-    with out.working("compiling"):
-        detector = opened(model, cell, robot, effects_from, running)
-        speaker = Speaker(detector, linked)
-        detector.warm_up()
-        _ = detector.twin  # the server's, warmed up as it is made
-    say_assumed(detector, out)
-    for note in detector.notes:
-        out.warn(note)
-    if not is_loopback(host):
-        out.warn(f"anyone who reaches {host} can ask, and move a linked robot: there is no password")
-    serve_forever(speaker, host, port, out.say)
+    token = None if token_file is None else _token(token_file, out)
+    taken = take(host, port)  # before the compiling: a port in use is said at once
+    with contextlib.ExitStack() as until_ready:
+        for one in taken:
+            until_ready.callback(one.close)
+        linked = None if link is None else _linked(link)
+        with out.working("compiling"):
+            detector = opened(model, cell, robot, effects_from, running)
+            speaker = Speaker(detector, linked, token=token)
+            detector.warm_up()
+            _ = detector.twin  # the server's, warmed up as it is made
+        say_assumed(detector, out)
+        for note in detector.notes:
+            out.warn(note)
+        if not is_loopback(host):
+            moves = (
+                ", and move a linked robot: there is no --token-file"
+                if token is None
+                else "; the token is sent in clear"
+            )
+            out.warn(f"anyone who reaches {host} can ask{moves}")
+        until_ready.pop_all()
+    if not serve_forever(speaker, host, port, out.say, taken):
+        # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _token(path: Path, out: Output) -> str:
+    """What stands in a file, blanks at its ends aside."""
+    try:
+        with open(path, "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise DetectorError(f"--token-file {path}: expected a regular file")
+            text = file.read(MAX_TOKEN + 3).decode("ascii").strip()
+            readable = os.fstat(file.fileno()).st_mode & (stat.S_IRGRP | stat.S_IROTH)
+    except OSError as error:
+        raise DetectorError(f"--token-file {path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        text = ""
+    if len(text) > MAX_TOKEN or not re.fullmatch(r"[!-~]+", text):
+        raise DetectorError(
+            f"--token-file {path}: expected 1 to {MAX_TOKEN} printable ASCII characters without blanks, found others"
+        )
+    if readable and os.name == "posix":
+        out.warn(f"--token-file {path}: other users of this machine can read the token (chmod 600 {path})")
+    return text
 
 
 def _linked(address: str) -> RobotLink:

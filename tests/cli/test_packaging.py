@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
+import sys
 import tomllib
 from importlib.metadata import distributions, entry_points
 from pathlib import Path
@@ -43,3 +45,27 @@ def test_what_is_installed_takes_the_oldest_python_that_we_name() -> None:
     (oldest,) = (part.version for part in named if part.operator == ">=")
     needs = {found.name: SpecifierSet(found.metadata["Requires-Python"] or "") for found in distributions()}
     assert not [name for name, need in needs.items() if not need.contains(f"{oldest}.0")]
+
+
+INSTALLED = ("appendix_data", "kinematics", "experiments", "clampid", "offline_ik")
+MODULES = {"pin": "pinocchio"}
+"""Distributions whose import name is another."""
+
+
+def imported() -> set[str]:
+    """Top-level names that the installed packages import, ours and the standard library's aside."""
+    found: set[str] = set()
+    for package in INSTALLED:
+        for file in (ROOT / package).rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Import):
+                    found |= {alias.name.partition(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                    found.add((node.module or "").partition(".")[0])
+    return found - set(sys.stdlib_module_names) - set(INSTALLED)
+
+
+def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
+    lines = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    declared = {re.split(r"[<>=!~ \[]", line)[0] for line in lines}
+    assert {MODULES.get(name, name) for name in declared} == imported()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 
 import casadi as ca
@@ -49,6 +51,59 @@ def test_compiled_once_it_gives_the_same_numbers(cache: Path):
     assert [p for p in library.parent.iterdir() if p != library] == []
     for f in (fast, again):
         np.testing.assert_allclose(Blocks(f)(theta, rows)[0], expected(theta, rows), rtol=1e-13)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+@pytest.mark.parametrize("harm", ["empty", "cut off", "changed", "writable", "another's", "a link"])
+def test_a_library_that_cannot_be_trusted_is_made_again(cache: Path, harm: str):
+    """In a process of its own: a library that is cut off ends the process that loads it."""
+    theta, rows = np.ones(2), np.ones((4, 3))
+    compile_function(function())
+    (library,) = cache.rglob("*.so")
+    good = library.read_bytes()
+    match harm:
+        case "empty":
+            library.write_bytes(b"")
+        case "cut off":
+            os.truncate(library, len(good) // 2)
+        case "changed":
+            library.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
+        case "writable":
+            library.chmod(0o666)
+        case "another's":
+            if os.geteuid() != 0:
+                pytest.skip("giving a file away needs root")
+            os.chown(library, 12345, 12345)
+        case _:
+            library.rename(cache / "real")
+            library.symlink_to(cache / "real")
+    again = compile_function(function())
+    (library,) = (cache / "clampid").rglob("*.so")
+    assert library.read_bytes() == good
+    assert stat.S_IMODE(library.lstat().st_mode) == 0o600
+    np.testing.assert_allclose(Blocks(again)(theta, rows)[0], expected(theta, rows), rtol=1e-13)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+def test_a_cache_that_others_may_write_is_closed_to_them(cache: Path):
+    folder = cache / "clampid" / "compiled"
+    folder.mkdir(parents=True)
+    for part in (folder, folder.parent):
+        part.chmod(0o777)
+    compile_function(function())
+    assert [stat.S_IMODE(p.stat().st_mode) for p in (folder, folder.parent)] == [0o755, 0o755]
+    assert list(folder.glob("*.so"))
+
+
+@pytest.mark.skipif(compiler() is None or os.geteuid() != 0, reason="giving a folder away needs root")
+def test_a_cache_of_another_user_is_not_used(cache: Path):
+    folder = cache / "clampid" / "compiled"
+    folder.mkdir(parents=True)
+    os.chown(folder, 12345, 12345)
+    f = compile_function(function())
+    assert not list(folder.iterdir())
+    theta, rows = np.ones(2), np.ones((4, 3))
+    np.testing.assert_allclose(Blocks(f)(theta, rows)[0], expected(theta, rows), rtol=1e-13)
 
 
 @pytest.mark.parametrize("command", ["none", "no-such-compiler-anywhere", "false"])

@@ -108,6 +108,7 @@ LONG = ("README.md", "exports.md", "calibration-engineer.md", "unknown-effect.md
 def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / ".config"))  # what a page trusts is its own affair
     names: dict[str, Any] = {"__name__": "example"}
     output = ""
     for block in blocks(page):

@@ -182,7 +182,9 @@ def test_a_server_and_a_person_are_told(detector: Detector, cell_file: Path, tmp
     q = detector.locate(*HERE).solutions[0].q
     ranges = within(0, 1, q[1] - 1.0, q[1] - 0.1)
     speaker = Speaker(opened(ranges, cell_file))
-    told = json.loads(speaker.answer(b"where gamma=0.3 delta=0.2 r=0.8", Session()))["solutions"][0]["extrapolating"]
+    told = json.loads(speaker.answer(b"where gamma=0.3 delta=0.2 r=0.8", Session(greeted=True)))["solutions"][0][
+        "extrapolating"
+    ]
     assert [(b["quantity"], b["at"], b["unit"]) for b in told] == [("angle", "joint2", "rad")]
     assert told[0]["identified"] == pytest.approx([q[1] - 1.0, q[1] - 0.1])
     save_model(on(ranges), tmp_path / "m.json")

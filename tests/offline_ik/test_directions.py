@@ -96,7 +96,7 @@ def test_directions_that_are_none_are_refused(wrong: list[float]) -> None:
 
 def test_the_server_takes_directions(detector: Detector) -> None:
     def say(line: str) -> dict:
-        return dict(json.loads(Speaker(detector).answer(line.encode(), Session())))
+        return dict(json.loads(Speaker(detector).answer(line.encode(), Session(greeted=True))))
 
     sides, near = ",".join(f"{s:.0f}" for s in SIDES), ",".join(map(str, NEAR))
     place = "gamma=0.3 delta=0.2 r=0.8"

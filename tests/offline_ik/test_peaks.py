@@ -278,7 +278,7 @@ def test_a_request_says_what_the_table_says(detector: Detector, table: list[list
     spacing = ",".join(f"{1e-10 * float(v):.18f}" for v in lists[8])
     line = f"sample q={q} x={x} y={y} spacing={spacing} wavelength={1e-10 * HC / KEV} std=5e-5 std_xy=1.65e-5"
     assert len(line) < 4096
-    found = json.loads(speaker.answer(line.encode(), Session()))
+    found = json.loads(speaker.answer(line.encode(), Session(greeted=True)))
     assert found["ok"], found
     assert np.allclose(found["sample_m"], np.add(detector.cell.convention.sample, SHIFT), atol=2e-8)
     assert found["degrees_of_freedom"] == 3
@@ -292,6 +292,6 @@ def test_a_request_says_what_the_table_says(detector: Detector, table: list[list
         ("sample two_theta=nan,0.4,0.5 gamma=0.1,0.2,0.3 delta=0 r=0.8 std=5e-5", "found nan"),
         ("sample two_theta=0.3,0.4,0.5 gamma=30,0.2,0.3 delta=0 r=0.8 std=5e-5", "did you mean 30 degrees"),
     ):
-        refused = json.loads(speaker.answer(wrong.encode(), Session()))
+        refused = json.loads(speaker.answer(wrong.encode(), Session(greeted=True)))
         assert refused["ok"] is False
         assert says in refused["error"], refused["error"]

@@ -22,7 +22,7 @@ GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
 
 
 def say(speaker: Speaker, line: bytes | str, session: Session | None = None) -> dict[str, Any]:
-    found = speaker.answer(line.encode() if isinstance(line, str) else line, session or Session())
+    found = speaker.answer(line.encode() if isinstance(line, str) else line, session or Session(greeted=True))
     assert found.endswith(b"\n")
     assert found.count(b"\n") == 1
     answer: dict[str, Any] = json.loads(found)
@@ -103,7 +103,7 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
     ],
 )
 def test_a_malformed_line_gets_an_error_and_changes_nothing(speaker: Speaker, line: bytes, says: str) -> None:
-    session = Session(here=np.zeros(6)) if b"dt" in line else Session()
+    session = Session(here=np.zeros(6), greeted=True) if b"dt" in line else Session(greeted=True)
     before, here = say(speaker, "state"), session.here
     found = say(speaker, line, session)
     assert found["ok"] is False
@@ -128,7 +128,7 @@ def test_no_line_raises(speaker: Speaker, line: bytes) -> None:
 
 
 def test_a_stream_follows_its_last_target_and_refuses_what_is_too_fast(speaker: Speaker) -> None:
-    session = Session()
+    session = Session(greeted=True)
     none = say(speaker, "stream gamma=0.30 delta=0.2 r=0.8", session)
     assert "expected a posture to start from" in none["error"]
     assert say(speaker, f"start q={','.join(map(str, START))}", session)["ok"]
@@ -148,10 +148,10 @@ def test_a_stream_follows_its_last_target_and_refuses_what_is_too_fast(speaker: 
 
 
 def test_a_stream_begins_where_the_linked_robot_is_and_takes_sides(detector: Detector) -> None:
-    speaker, session = Speaker(detector, Arm(np.array(START))), Session()
+    speaker, session = Speaker(detector, Arm(np.array(START))), Session(greeted=True)
     q = np.array(say(speaker, "stream gamma=0.3 delta=0.2 r=0.8", session)["solutions"][0]["q_rad"])
     moved = np.sign(q - START)
-    session = Session()
+    session = Session(greeted=True)
     told = say(speaker, f"stream gamma=0.3 delta=0.2 r=0.8 direction={','.join(f'{-s:.0f}' for s in moved)}", session)
     assert told["direction_from"] == "asked"
     assert told["solutions"][0]["approach_direction"] == (-moved).tolist()
@@ -162,14 +162,14 @@ def test_a_stream_begins_where_the_linked_robot_is_and_takes_sides(detector: Det
 
 
 def test_a_stream_takes_no_other_posture_where_the_nearest_is_refused(speaker: Speaker) -> None:
-    session = Session(here=np.array([float(x) for x in BESIDE_THE_STAGE.split(",")]))
+    session = Session(here=np.array([float(x) for x in BESIDE_THE_STAGE.split(",")]), greeted=True)
     here = session.here
     assert "sample stage" in say(speaker, "stream gamma=0.3 delta=0.2 r=0.4", session)["error"]
     assert session.here is here
 
 
 def test_a_path_is_checked_along_its_length(speaker: Speaker) -> None:
-    session = Session()
+    session = Session(greeted=True)
     q = say(speaker, GOOD)["solutions"][0]["q_rad"]
     assert say(speaker, f"start q={','.join(map(str, q))}", session)["ok"]
     assert say(speaker, "path gamma=0.35 delta=0.2 r=0.8", session)["path"]["safe"] is True
@@ -272,7 +272,7 @@ def test_at_tells_a_normal_that_misses_the_sample_and_limits(speaker: Speaker) -
     assert np.linalg.norm(say(speaker, f"at q={','.join(map(str, q))}")["tilt_rad"]) > 0.05
     q[4] = 2.6
     assert say(speaker, f"at q={','.join(map(str, q))}")["beyond_limits"] == [speaker.detector.robot.joints[4].name]
-    session = Session()
+    session = Session(greeted=True)
     say(speaker, f"start q={','.join(map(str, q))}", session)
     assert say(speaker, "at", session)["q_rad"] == q
 
@@ -287,7 +287,7 @@ def test_stop_stops_the_linked_robot(detector: Detector) -> None:
 
 def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
     assert set(say(speaker, "help")["requests"]) == set(WORDS)
-    session = Session()
+    session = Session(greeted=True)
     say(speaker, "quit", session)
     assert session.done
 

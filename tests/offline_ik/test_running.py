@@ -106,7 +106,7 @@ def test_the_servers_clock_goes_on(warming: Detector) -> None:
     speaker = Speaker(warming, clock=lambda: now[0])
 
     def say(line: str) -> dict:
-        return dict(json.loads(speaker.answer(line.encode(), Session())))
+        return dict(json.loads(speaker.answer(line.encode(), Session(greeted=True))))
 
     now[0] += 500.0
     assert say("state")["running_s"] == 0.0  # nobody said that it runs
@@ -123,7 +123,7 @@ def test_the_servers_clock_goes_on(warming: Detector) -> None:
     assert say("state")["running_s"] == 5400.0
     started = Speaker(warming.at_running(60.0), clock=lambda: now[0])
     now[0] += 30.0
-    assert json.loads(started.answer(b"state", Session()))["running_s"] == 90.0
+    assert json.loads(started.answer(b"state", Session(greeted=True)))["running_s"] == 90.0
 
 
 def test_the_servers_second_detector_is_at_the_same_time(warming: Detector) -> None:
@@ -134,7 +134,7 @@ def test_the_servers_second_detector_is_at_the_same_time(warming: Detector) -> N
         server = Server(speaker)
 
         async def apart(line: bytes) -> list[float]:
-            job = server.reply(line, Session())
+            job = server.reply(line, Session(greeted=True))
             assert isinstance(job, Job)
             done = server.compute(job)
             await asyncio.wait([done])
@@ -142,10 +142,10 @@ def test_the_servers_second_detector_is_at_the_same_time(warming: Detector) -> N
 
         line = b"where gamma=0.3 delta=0.2 r=0.8 branch=axis5"
         try:
-            found = speaker.answer(line[:-13], Session())
+            found = speaker.answer(line[:-13], Session(greeted=True))
             sign = b"+" if json.loads(found)["solutions"][0]["q_rad"][4] > 0 else b"-"
             first = await apart(line + sign)
-            assert json.loads(speaker.answer(b"temperature running=1800", Session()))["ok"]
+            assert json.loads(speaker.answer(b"temperature running=1800", Session(greeted=True)))["ok"]
             for seconds in (1800.0, 5400.0):  # said, and gone by
                 found = await apart(line + sign)
                 assert np.allclose(found, warming.at_running(seconds).locate(*HERE).solutions[0].q, atol=1e-9)
@@ -166,7 +166,7 @@ def test_a_request_for_another_robot_is_refused(detector: Detector) -> None:
         (f"path from={here} to={here} robot=kuka_kr20_r1810 id=1", True),
         ("state robot=ur10", False),
     ):
-        answer = json.loads(speaker.answer(line.encode(), Session()))
+        answer = json.loads(speaker.answer(line.encode(), Session(greeted=True)))
         assert answer["ok"] is ok
     assert "the model is of the robot kuka_kr20_r1810, the request is for 'ur10'" in answer["error"]
 

@@ -37,10 +37,14 @@ def serving(detector: Detector, talk: Talk, limits: Limits | None = None) -> Any
 
 
 @asynccontextmanager
-async def connected(host: str, port: int) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+async def connected(
+    host: str, port: int, hello: bool = False
+) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
     """A client that leaves nothing open behind it."""
     reader, writer = await asyncio.open_connection(host, port, limit=1 << 20)
     try:
+        if hello:
+            assert (await ask(reader, writer, b"hello"))["ok"]
         yield reader, writer
     finally:
         writer.transport.abort()
@@ -197,7 +201,7 @@ def test_what_happens_while_a_move_is_checked_counts(
 
     async def talk(server: Server, host: str, port: int) -> None:
         server.speaker.link = link
-        async with connected(host, port) as (reader, writer), connected(host, port) as other:
+        async with connected(host, port, hello=True) as (reader, writer), connected(host, port) as other:
             writer.write(b"move gamma=0.35 delta=0.2 r=0.8\n")
             await held.until_begun()
             if what == "stop":
@@ -215,7 +219,7 @@ def test_what_happens_while_a_move_is_checked_counts(
             held.go.set()
             if what in ("closed", "reset"):
                 assert (await ask(*other, PATH))["path"]["safe"]  # is computed after the move
-                assert (server.speaker.answered, server.speaker.refused) == (1, 1 if what == "closed" else 0)
+                assert (server.speaker.answered, server.speaker.refused) == (2, 1 if what == "closed" else 0)
                 assert not server.failures
             else:
                 answer = json.loads(await reader.readline())
@@ -232,7 +236,7 @@ def test_of_two_moves_at_once_one_is_made(detector: Detector, monkeypatch: pytes
 
     async def talk(server: Server, host: str, port: int) -> None:
         server.speaker.link = link
-        async with connected(host, port) as one, connected(host, port) as other:
+        async with connected(host, port, hello=True) as one, connected(host, port, hello=True) as other:
             one[1].write(b"move gamma=0.35 delta=0.2 r=0.8\n")
             await held.until_begun()
             other[1].write(b"move gamma=0.25 delta=0.2 r=0.8\n")  # from where the robot still stands
@@ -251,7 +255,7 @@ def test_a_client_that_asks_and_closes_its_side_is_answered_but_moves_nothing(de
 
     async def talk(server: Server, host: str, port: int) -> None:
         server.speaker.link = link
-        async with connected(host, port) as (reader, writer):
+        async with connected(host, port, hello=True) as (reader, writer):
             writer.write(b"move gamma=0.35 delta=0.2 r=0.8\nstop\n" + PATH + b"\n" + GOOD + b"\n")
             writer.write_eof()
             answers = [json.loads(line) for line in (await reader.read()).splitlines()]
@@ -278,7 +282,7 @@ def test_a_line_that_the_end_of_its_connection_cuts_off_is_refused(detector: Det
 
 def test_what_is_computed_apart_is_at_the_temperatures_of_now(detector: Detector) -> None:
     async def talk(server: Server, host: str, port: int) -> None:
-        async with connected(host, port) as one:
+        async with connected(host, port, hello=True) as one:
             before = (await ask(*one, GOOD))["solutions"][0]["q_rad"]
             assert (await ask(*one, b"temperature link=45,45,45,45,45,45"))["ok"]
             at_once = (await ask(*one, GOOD))["solutions"][0]["q_rad"]

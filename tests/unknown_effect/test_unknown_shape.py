@@ -110,9 +110,10 @@ def flanges(arm: IdentifiedArm, q: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_from_a_verdict_to_a_command(simulated, tmp_path: Path):
+def test_from_a_verdict_to_a_command(simulated, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Something that no effect of the catalogue explains is found, drawn, made an effect, fitted, and compensated."""
     campaign = simulated("outside_third_harmonic")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     save_model(identify(campaign), tmp_path / "model.json")
     run("diagnose", "model.json", campaign.path, "--json", "found.json", "-q", cwd=tmp_path)
     found = json.loads((tmp_path / "found.json").read_text())["stages"]["poses"]
@@ -136,6 +137,7 @@ def test_from_a_verdict_to_a_command(simulated, tmp_path: Path):
     part = json.loads(wrote)["stages"]["poses"]
     assert part["heldout_rms_before"] > 1.5 * part["noise_floor"]
     assert part["heldout_rms_after"] < NEAR * part["noise_floor"]
+    run("effect", "trust", own, cwd=tmp_path)
     run("diagnose", "mended.json", campaign.path, "--json", "after.json", "-q", cwd=tmp_path)
     assert json.loads((tmp_path / "after.json").read_text())["stages"]["poses"]["verdict"] == "adequate"
     assert "unknown_joint3@joint3" in run("history", "mended.json", cwd=tmp_path)

@@ -1,0 +1,184 @@
+"""Every file that the program writes goes through here: whole, and on the disk, or not at all.
+
+A regular file is written without a name or under a temporary one beside it, flushed to the disk, and renamed. Links are
+followed. Devices, pipes and ``/dev/stdout`` are written to directly, because a rename would replace them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import sys
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+from experiments.targets import DISK, OutputError, descriptor_of, real_path, refuse_input, status_of
+
+__all__ = ["OutputError", "flush_folder", "flush_tree", "naming", "new_file", "write_bytes", "write_text"]
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file in UTF-8; see :func:`write_bytes`."""
+    write_bytes(path, text.encode("utf-8", "backslashreplace"))
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Write a file whole or not at all; a device or pipe is written to.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written there, or this call reads it.
+    OSError
+        The disk is full or fails; the error names the file asked for.
+    """
+    descriptor = descriptor_of(path)
+    if descriptor is not None:
+        with naming(path):
+            _to_descriptor(descriptor, data)
+        return
+    refuse_input(path)
+    found = status_of(path)
+    if found is not None and not stat.S_ISREG(found.st_mode):
+        with naming(path), open(path, "wb", buffering=0) as device:
+            _all(device.fileno(), data)
+        return
+    if not _without_a_name(path, data):
+        with new_file(path) as partial, open(partial, "wb") as file:
+            file.write(data)
+
+
+@contextlib.contextmanager
+def new_file(path: str | Path) -> Iterator[Path]:
+    """Give a temporary name to write to; afterwards what is there is flushed to the disk and renamed to ``path``.
+
+    The name ends as the file's own does. Where anything is raised, the temporary file is removed and an older file
+    stays as it was.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written there, what is there is no regular file, or this call reads it.
+    OSError
+        The disk is full or fails; the error names the file asked for.
+    """
+    partial: Path | None = None
+    refuse_input(path)
+    found = status_of(path)
+    if found is not None and not stat.S_ISREG(found.st_mode):
+        raise OutputError(f"{path}: expected a regular file to write to, found a device or pipe")
+    try:
+        with naming(path):
+            target = real_path(path)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(_partial_name(target))
+            os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            yield partial
+            if found is not None:
+                os.chmod(partial, stat.S_IMODE(found.st_mode) & 0o777)
+            _flush_file(partial)
+            os.replace(partial, target)
+            partial = None
+            flush_folder(target.parent)
+    finally:
+        if partial is not None:
+            partial.unlink(missing_ok=True)
+
+
+def flush_folder(folder: Path) -> None:
+    """Put a folder's own entries on the disk, where the system can."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def flush_tree(folder: Path) -> None:
+    """Put a folder with all that is in it on the disk, before it is renamed to its place."""
+    for place, _, files in os.walk(folder):
+        for name in files:
+            _flush_file(Path(place) / name)
+        flush_folder(Path(place))
+
+
+@contextlib.contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Name what was asked for in an error, and not a temporary name.
+
+    Raises
+    ------
+    OutputError
+        Instead of an error of the call's (no permission, no such place).
+    OSError
+        The disk is full or fails.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in DISK:
+            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _without_a_name(path: str | Path, data: bytes) -> bool:
+    """Write a file that has no name until it is whole, so that a killed process leaves nothing; False: not possible."""
+    if not hasattr(os, "O_TMPFILE"):
+        return False
+    with naming(path), contextlib.ExitStack() as opened:
+        target = real_path(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            handle = os.open(target.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
+            opened.callback(os.close, handle)
+            folder = os.open(target.parent, os.O_RDONLY)  # naming one makes os.link follow the link in /proc
+            opened.callback(os.close, folder)
+        except OSError:  # the file system cannot
+            return False
+        _all(handle, data)
+        if (found := status_of(path)) is not None:
+            os.fchmod(handle, stat.S_IMODE(found.st_mode) & 0o777)
+        os.fsync(handle)
+        partial = target.with_name(_partial_name(target))
+        try:
+            os.link(f"/proc/self/fd/{handle}", partial, src_dir_fd=folder, follow_symlinks=True)
+        except OSError as error:
+            if error.errno in DISK:
+                raise
+            return False  # no /proc, or a file system that cannot
+        try:
+            os.replace(partial, target)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+        flush_folder(target.parent)
+    return True
+
+
+def _partial_name(target: Path) -> str:
+    return f".{target.stem[:64]}.{uuid.uuid4().hex[:8]}.partial{target.suffix[:16]}"
+
+
+def _flush_file(path: Path) -> None:
+    with open(path, "rb") as file:
+        os.fsync(file.fileno())
+
+
+def _to_descriptor(descriptor: int, data: bytes) -> None:
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, OSError, ValueError):  # closed or replaced by a test
+            stream.flush()
+    if descriptor == 1 and (buffer := getattr(sys.stdout, "buffer", None)) is not None:
+        buffer.write(data)
+        buffer.flush()
+        return
+    _all(descriptor, data)
+
+
+def _all(descriptor: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]

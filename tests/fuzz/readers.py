@@ -1,0 +1,235 @@
+"""Every reader of a file, with a file that it takes; run as a program it reads spoilt ones and says what came of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from spoil import spoilt
+
+ROOT = Path(__file__).parents[2]
+SECONDS = 10.0
+
+MAPPING = """format = "clampid-mapping/1"
+table = "poses"
+delimiter = ";"
+decimal = ","
+repeats = "median"
+
+[columns]
+pose = {from = "Point"}
+target = {value = "T1"}
+q1 = {from = "J1", unit = "deg", scale = -1}
+q2 = {from = "J2", unit = "deg"}
+q3 = {from = "J3", unit = "deg"}
+q4 = {from = "J4", unit = "deg"}
+q5 = {from = "J5", unit = "deg"}
+q6 = {from = "J6", unit = "deg"}
+x = {from = "X", unit = "mm"}
+y = {from = "Y", unit = "mm"}
+z = {from = "Z", unit = "mm"}
+
+[campaign]
+robot = "ur10"
+gravity_m_s2 = [0.0, 0.0, -9.81]
+tool = {mass_kg = 12.0, com_m = [0.0, 0.0, 0.08]}
+targets_m = {T1 = [0.10, 0.00, 0.12]}
+instrument = {name = "tracker", position_std_m = 5e-5}
+"""
+POINTS = "Point;J1;J2;J3;J4;J5;J6;X;Y;Z\n" + "".join(
+    f"{k};1{k},5;-2{k};3{k};{k};{k}5;0;{1000 + k},25;{k}00;500\n" for k in range(1, 6)
+)
+PEAKS = "gamma_rad,delta_rad,r_m,two_theta_rad,std_two_theta_rad\n" + "0.1,0.2,0.8,0.22,1e-5\n0.2,0.1,0.8,0.2,1e-5\n"
+TOUCHED = """format = "clampid-touched/1"
+robot = "ur10"
+touches = "touches.csv"
+gravity_m_s2 = [0.0, 0.0, -9.81]
+[targets_m]
+tip = [0.0, 0.0, 0.1]
+[instrument]
+position_std_m = 2e-5
+[features.table]
+kind = "plane"
+point_m = [0.0, 0.0, 0.0]
+normal = [0.0, 0.0, 1.0]
+[features.ball]
+kind = "sphere"
+centre_m = [0.8, 0.2, 0.1]
+radius_m = 0.02
+"""
+TOUCHES = "feature,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n" + "table,0.1,-1.0,1.0,0.2,0.3,0.1\n" * 3
+OBSTACLES = """[[box]]
+centre_m = [1.0, 0.0, 0.2]
+size_m = [0.2, 0.2, 0.4]
+[[sphere]]
+centre_m = [1.0, 1.0, 0.2]
+radius_m = 0.1
+[[cylinder]]
+centre_m = [1.0, 1.0, 0.2]
+radius_m = 0.1
+length_m = 0.5
+turn_rad = [0.1, 0.0, 0.0]
+"""
+MESH = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+STL = "solid a\n" + "facet normal 0 0 0\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 1\nendloop\nendfacet\n" * 2
+
+Reader = Callable[[Path], object]
+
+
+def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
+    """Name → a good file, what it is called in its folder, and what reads it from there."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    from ik_arms import CELL, drawn_model
+
+    from clampid.exports.export import dh_table, read_dh, table_text
+    from clampid.models.model import load_model, save_model
+    from clampid.planning.free_air import plan_free_air
+    from clampid.planning.logs import torque_noise_of
+    from clampid.planning.scene import read_obstacles
+    from clampid.trusted import list_of_trusted, trust, trust_file
+    from experiments.campaign import read_campaign
+    from experiments.check import check_campaign
+    from experiments.foreign import import_tables, read_mapping
+    from experiments.plans import cell_of, limits_of, read_plan, write_plan
+    from experiments.simulate import simulate
+    from experiments.touched import read_touched
+    from kinematics.description import load_robot
+    from kinematics.kuka_text import machine_data_text, read_machine_data
+    from offline_ik.arm import arm_of
+    from offline_ik.cell import read_cell
+    from offline_ik.mesh import read_mesh
+    from offline_ik.peak_table import read_peaks
+
+    arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
+    parquet = simulate(folder / "arm2", "ur10", seed=3, poses=8, tables=("poses",))
+    save_model(drawn_model(), folder / "model.json")
+    cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
+    plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], time=60.0)
+    write_plan(plan, folder / "plan.toml")
+    os.environ["XDG_CONFIG_HOME"] = str(folder / "config")
+    (folder / "own.py").write_text("EFFECT = 1\n")
+    trust(folder / "own.py")
+    (folder / "p.csv").write_text(POINTS)
+    (folder / "map.toml").write_text(MAPPING)
+    (folder / "touched.toml").write_text(TOUCHED)
+    (folder / "touches.csv").write_text(TOUCHES)
+
+    def campaign(path: Path) -> object:
+        return check_campaign(read_campaign(path.parent))
+
+    def imported(path: Path) -> object:
+        mapping = read_mapping(folder / "map.toml", [folder / "p.csv"])
+        return import_tables(mapping, load_robot("ur10"), ("T1",))
+
+    def model(path: Path) -> object:
+        return arm_of(load_model(path))
+
+    from kinematics.kuka import nominal_machine_data
+
+    description = (ROOT / "appendix_data" / "robots" / "kuka_kr20_r1810.toml").read_bytes()
+    data = machine_data_text(nominal_machine_data(robot), {})
+    table = table_text(dh_table(drawn_model(), "hayati"))
+    return {
+        "model": ((folder / "model.json").read_bytes(), "model.json", model),
+        "campaign.toml": ((arm / "campaign.toml").read_bytes(), "arm/campaign.toml", campaign),
+        "poses.csv": ((arm / "poses.csv").read_bytes(), "arm/poses.csv", campaign),
+        "poses.parquet": ((parquet / "poses.parquet").read_bytes(), "arm2/poses.parquet", campaign),
+        "robot": (description, "robot.toml", load_robot),
+        "urdf": (_urdf(robot), "robot.urdf", load_robot),
+        "plan": ((folder / "plan.toml").read_bytes(), "plan.toml", read_plan),
+        "mapping": (MAPPING.encode(), "map.toml", imported),
+        "points": (POINTS.encode(), "p.csv", imported),
+        "cell": (CELL.encode(), "cell.toml", lambda path: read_cell(path, robot)),
+        "touched": (TOUCHED.encode(), "touched.toml", read_touched),
+        "touches": (TOUCHES.encode(), "touches.csv", lambda path: read_touched(folder / "touched.toml")),
+        "peaks": (PEAKS.encode(), "peaks.csv", lambda path: read_peaks(path, 6, 1e-4)),
+        "obstacles": (OBSTACLES.encode(), "obstacles.toml", lambda path: read_obstacles(path, cell)),
+        "obj": (MESH.encode(), "mesh.obj", read_mesh),
+        "stl": (STL.encode(), "mesh.stl", read_mesh),
+        "trusted": (trust_file().read_bytes(), "config/clampid/trusted_effects.json", lambda path: list_of_trusted()),
+        "dh": (table.encode(), "dh.csv", lambda path: read_dh(path.read_text("utf-8", "replace"))),
+        "machine data": (data.encode(), "m.dat", lambda path: read_machine_data(path.read_text("utf-8", "replace"))),
+    }
+
+
+def _urdf(robot: Any) -> bytes:
+    from kinematics.poe import forward
+    from kinematics.urdf import write_urdf
+
+    home = forward(robot.screws, robot.flange, np.zeros((1, robot.n)))[0]
+    return write_urdf(robot.screws, home, robot).encode()
+
+
+def is_refusal(error: Exception) -> bool:
+    """Whether an error says what is wrong with a file: exit code 2 and one line."""
+    from clampid.verbs.errors import is_wrong_input
+    from kinematics.kuka import MachineDataError
+    from offline_ik.mesh import MeshError
+
+    return is_wrong_input(error) or isinstance(error, MeshError | MachineDataError)
+
+
+def outcomes(names: list[str], count: int, seed: int) -> Iterator[dict[str, Any]]:
+    """Read spoilt files; what was neither read nor refused in words, and the counts of each reader."""
+
+    def late(*_: object) -> None:
+        raise TimeoutError(f"not read within {SECONDS:g} s")
+
+    signal.signal(signal.SIGALRM, late)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        every = readers(folder)
+        for name in names or list(every):
+            good, at, read = every[name]
+            counts: Counter[str] = Counter()
+            slowest = 0.0
+            read(_put(folder / at, good))  # as it is, it is read
+            for k in range(count):
+                number = seed * 1_000_003 + k
+                path = _put(folder / at, spoilt(good, number))
+                print(json.dumps({"trying": name, "seed": number}), flush=True)  # the last one, if a signal ends it
+                begun = time.monotonic()
+                signal.setitimer(signal.ITIMER_REAL, SECONDS)
+                try:
+                    read(path)
+                    counts["read"] += 1
+                except Exception as error:
+                    refused = is_refusal(error)
+                    counts["refused" if refused else "bad"] += 1
+                    if not refused:
+                        said = f"{type(error).__name__}: {str(error)[:200]}"
+                        yield {"reader": name, "seed": number, "error": said, "at": _line_of(error)}
+                finally:
+                    signal.setitimer(signal.ITIMER_REAL, 0)
+                slowest = max(slowest, time.monotonic() - begun)
+            _put(folder / at, good)
+            memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+            yield {"counts": name, **counts, "slowest_s": round(slowest, 2), "memory_MB": memory}
+
+
+def _line_of(error: Exception) -> str:
+    where = error.__traceback__
+    while where is not None and where.tb_next is not None:
+        where = where.tb_next
+    return f"{where.tb_frame.f_code.co_filename}:{where.tb_lineno}" if where else ""
+
+
+def _put(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for found in outcomes(sys.argv[3:], int(sys.argv[1]), int(sys.argv[2])):
+        print(json.dumps(found), flush=True)
