@@ -81,6 +81,12 @@ def outcome(stages: Json, mended: bool = False) -> Outcome:
 
 def _variants(stages: Json, mended: bool) -> Iterator[str]:
     """The sentence with all its detail, then with less and less."""
+    falls = [part for part in stages.values() if any(not c["alternative"] for c in part["candidates"])]
+    if len(falls) == 1 and not _left(stages, True, 99):
+        ends = [error_text(falls[0][f"heldout_rms_{when}"], falls[0]["unit"]) for when in ("before", "after")]
+        fell = "fell" if mended else "falls"
+        said = _sentence(stages, mended, True, False, 99).removesuffix(".")
+        yield f"{said}; with it the held-out error {fell} from {ends[0]} to {ends[1]}."
     several = len(stages) > 1
     for where, stage_names, most in ((True, several, 99), (True, False, 99), (True, False, 3), (False, False, 3)):
         yield _sentence(stages, mended, where, stage_names, most)

@@ -44,7 +44,7 @@ def next_steps(
             elif candidate in offered:
                 either.setdefault((stage, candidate["group"]), []).append(term)
     own = [] if effects_from is None else ["--effects-from", str(effects_from)]
-    files, mended = [str(model), *map(str, campaigns)], str(free_name(model))
+    files, mended = [str(model), *map(str, campaigns)], str(free_name(model.with_name("mended.json")))
 
     def adding(terms: str) -> str:
         return shlex.join(["clampid", "add", terms, *files, "-o", mended, *own])
@@ -108,10 +108,10 @@ def _to_measure(
     return [Next("To distinguish the rest, write a measurement plan:", shlex.join(call))]
 
 
-def free_name(model: Path) -> Path:
-    """A name beside the model that no file has: ``mended.json``, ``mended2.json``, …."""
+def free_name(wanted: Path) -> Path:
+    """A name that no file has: the one wanted, or one with a number: ``mended.json``, ``mended2.json``, …."""
     for number in range(1, 1000):
-        path = model.with_name(f"mended{number if number > 1 else ''}.json")
+        path = wanted.with_stem(f"{wanted.stem}{number if number > 1 else ''}")
         if not path.exists():
             return path
-    return model.with_name("MENDED.json")
+    return wanted.with_stem(wanted.stem.upper())

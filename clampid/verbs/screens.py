@@ -177,7 +177,7 @@ def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Seque
     ]
     return Screen(
         done,
-        Errors(_title(list(stages)), ("this model", "with what was missing", "noise floor"), tuple(rows)),
+        Errors(_title(list(stages)), ("this model", "mended", "noise floor"), tuple(rows)),
         (),
         headline(stages),
         outcome(stages),
