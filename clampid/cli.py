@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -96,11 +97,11 @@ def run(arguments: Sequence[str], debug: bool = False) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:  # the program's outermost boundary: every error becomes one line and a code
-        return _failed(error, debug)
+        return _failed(error, debug, arguments)
     return code if isinstance(code, int) else 0
 
 
-def _failed(error: Exception, debug: bool) -> int:
+def _failed(error: Exception, debug: bool, arguments: Sequence[str]) -> int:
     if debug:
         traceback.print_exc()
     worded = getattr(error, "format_message", None)  # typer's own errors: a wrong option, a missing argument
@@ -108,12 +109,24 @@ def _failed(error: Exception, debug: bool) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":
             typer.echo(worded(), err=True)
             return 2
-        return _fail(f"{worded()} (see clampid --help)" if not worded().endswith("?") else worded(), 2)
+        message = worded() + _as_list(worded(), arguments)
+        return _fail(f"{message} (see clampid --help)" if not message.endswith("?") else message, 2)
     if is_wrong_input(error):
         return _fail(str(error), 2)
     if type(error).__name__ == "Abort":
         return _fail("stopped", 130)
     return _fail(f"{type(error).__name__}: {error} (clampid --debug … shows where)", 1)
+
+
+def _as_list(message: str, arguments: Sequence[str]) -> str:
+    """A hint where the values of an option were written with spaces instead of commas; else nothing."""
+    extra = re.search(r"unexpected extra argument(?:s|\(s\))? \(([^)]*)\)", message)
+    rest = extra[1].split() if extra else []
+    for k in range(2, len(arguments)):
+        option, value = arguments[k - 2 : k]
+        if rest and arguments[k] == rest[0] and option.startswith("--") and not value.startswith("-"):
+            return f"; did you mean {option} {','.join([value, *rest])}?"
+    return ""
 
 
 def _fail(message: str, code: int) -> int:

@@ -109,8 +109,8 @@ def laid_out(screen: Screen, width: int = WIDTH, height: int = HEIGHT) -> list[L
     verdict = [Line(text, screen.tone) for text in wrapped(screen.verdict, width)]
     tail = _commands(screen.next, width)
     more = [Line(text, "quiet") for text in wrapped(screen.more, width)]
-    fixed = sum(map(len, (head, errors, verdict, tail, more))) + sum(map(bool, (errors, verdict, tail)))
-    room = height - fixed - 1
+    fixed = sum(map(len, (head, errors, verdict, tail, more))) + sum(map(bool, (errors, verdict or screen.notes, tail)))
+    room = height - fixed - bool(screen.facts)
     facts, left = _fitting(_facts(screen.facts, width), room, width)
     notes, _ = _fitting([_note(text, width) for text in screen.notes], left, width)
     out: list[Line] = head
@@ -178,7 +178,8 @@ def command_lines(command: str, width: int = WIDTH) -> list[str]:
     A list of terms that is too long for a line goes on after a comma, in the first column of the next line, where a
     shell joins the two. A word that cannot be cut, such as a long path, is kept whole.
     """
-    lines, line = [], " "
+    lines: list[str] = []
+    line = " "
     for word in shlex.split(command):
         text = shlex.quote(word)
         if len(line) + 1 + len(text) <= width - 2:

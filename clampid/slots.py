@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 import numpy.typing as npt
@@ -128,7 +129,9 @@ def parse_term(text: str, catalogue: Mapping[str, Effect], layout: Layout) -> Te
     """
     name, _, place = text.strip().partition("@")
     if name not in catalogue:
-        raise EffectError(f"no effect is called {name!r}; known: {', '.join(sorted(catalogue))}")
+        near = get_close_matches(name.lower().replace("-", "_"), catalogue, 3)
+        hint = f"did you mean {' or '.join(near)}?" if near else "`clampid effects` lists them all"
+        raise EffectError(f"no effect is called {name!r}; {hint}")
     if not place:
         return Term(name)
     allowed = layout.allowed(catalogue[name])

@@ -17,6 +17,11 @@ AS_GOOD = 1.5
 """An alternative explains the rest as well as another only if its held-out error is at most so many times as large."""
 PLACELESS = ("base", "instrument", "tool", "robot", "fixture")
 FEW = 3
+OPEN = {
+    "ambiguous": "several effects explain what is left equally well",
+    "unknown": "no known effect explains the rest",
+}
+"""What is left, where there is no room to name it."""
 
 
 def named(name: str, places: Sequence[str]) -> str:
@@ -90,7 +95,11 @@ def _variants(stages: Json, mended: bool) -> Iterator[str]:
     several = len(stages) > 1
     for where, stage_names, most in ((True, several, 99), (True, False, 99), (True, False, 3), (False, False, 3)):
         yield _sentence(stages, mended, where, stage_names, most)
-    yield _sentence(stages, mended, False, False, 1)
+    missing = sum(not c["alternative"] for part in stages.values() for c in part["candidates"])
+    now = f", {'are' if missing > 1 else 'is'} now in the model" if mended else ""
+    said = f"{missing} effect{'s were' if missing > 1 else ' was'} missing{now}; " if missing else ""
+    open_ones = [words for verdict, words in OPEN.items() if any(p["verdict"] == verdict for p in stages.values())]
+    yield _capital(f"{said}{' and '.join(open_ones) or 'nothing is left'}.")
 
 
 def _sentence(stages: Json, mended: bool, where: bool, stage_names: bool, most: int) -> str:
@@ -191,5 +200,7 @@ def notes(stage: str, part: Json) -> list[str]:
         p = shifts[0] if len(shifts) == 1 else max(shifts, key=lambda p: abs(p["shift"]) / (p["std"] or 1.0))
         row = p["row"] if str(p["row"]).isalpha() else f"row {p['row']}"
         much = with_error(p["shift"], p["std"], p["unit"])
-        out.append(f"Without it the DH table is biased in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}.")
+        out.append(
+            f"Without it the DH table is biased in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}."
+        )
     return [f"{stage}: {text}" for text in out]

@@ -77,8 +77,9 @@ def auto(
     except OSError as error:  # it only saves a report the time to compute it again
         out.step(f"the diagnosis is not kept for a report: {error}")
     data = {"model": str(output), **model_json(model), "diagnosis": found}
+    written = "" if report is None else f" Report: {report}, about {read[0].name}."
     steps = after_mending(found, output, campaigns, report, effects_from)
-    out.show(mended_screen(data, nominal, f"Fitted and mended {output}.", steps))
+    out.show(mended_screen(data, nominal, f"Fitted and mended {output}.{written}", steps))
     out.result(data)
 
 

@@ -40,7 +40,7 @@ def check(
     read = read_campaign(campaign, held=LONG_ROWS)
     holds, findings = holdings(read), check_campaign(read)
     standard = standard_effects([read]) if stages_of([read]) else {}
-    stages = {
+    stages: dict[str, Any] = {
         stage: {
             "tables": [t for t in TABLES_OF[stage] if t in read.tables],
             "standard": [term.label for term in terms],

@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["Campaigns", "Effects", "EffectsFrom", "Json", "ModelFile", "OneCampaign", "Output", "Quiet", "Seed", "Verbose"]
+__all__ = [
+    "Campaigns",
+    "Effects",
+    "EffectsFrom",
+    "Json",
+    "ModelFile",
+    "OneCampaign",
+    "Output",
+    "Quiet",
+    "Seed",
+    "Verbose",
+]
 
 OneCampaign = Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="A campaign folder.", show_default=False)]
 Campaigns = Annotated[

@@ -12,6 +12,7 @@ from clampid.display import error_text
 from clampid.screen import Errors, Next, Screen, Tone
 
 if TYPE_CHECKING:
+    from clampid.effect import Stage
     from clampid.models.model import Model, Round
 
 __all__ = [
@@ -44,6 +45,11 @@ def _title(stages: Sequence[str], what: str = HELD_OUT) -> str:
     return what + (SIGMA if any(stage not in ("poses", "verification", "distances") for stage in stages) else "")
 
 
+def _of(nominal: Mapping[Stage, float], name: str) -> float | None:
+    """The described robot's error of a stage, where it is known."""
+    return {str(stage): error for stage, error in nominal.items()}.get(name)
+
+
 def _times(error: float | None, floor: float | None) -> float:
     return float("nan") if not error or not floor else error / floor
 
@@ -58,7 +64,7 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
 
 
 def fit_screen(
-    data: Json, nominal: Mapping[str, float], rejected: Json, campaigns: Sequence[Path], effects_from: Path | None
+    data: Json, nominal: Mapping[Stage, float], rejected: Json, campaigns: Sequence[Path], effects_from: Path | None
 ) -> Screen:
     """What ``identify`` did.
 
@@ -75,7 +81,7 @@ def fit_screen(
     rows, facts, said = [], [], []
     for name, part in stages.items():
         unit = part["unit"]
-        errors = (nominal.get(name), part["heldout_rms"], part["noise_floor"])
+        errors = (_of(nominal, name), part["heldout_rms"], part["noise_floor"])
         rows.append((name, tuple(error_text(e, unit) for e in errors), ""))
         known = part["parameters"] - len(part["not_identifiable"])
         effects = ", ".join(_once(part["effects"])).replace("_", " ")
@@ -101,9 +107,7 @@ def fit_screen(
         tone,
         tuple(said),
         "Parameters with their standard errors: --verbose, --json FILE.",
-        (
-            Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),
-        ),
+        (Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),),
     )
 
 
@@ -124,7 +128,7 @@ def _campaigns(campaigns: Sequence[Path]) -> str:
 
 def comparison_screen(
     data: Json,
-    nominal: Mapping[str, float],
+    nominal: Mapping[Stage, float],
     model: Path,
     campaign: Path,
     report: Path | None,
@@ -135,7 +139,7 @@ def comparison_screen(
     for name, table in data["tables"].items():
         held = (table.get("heldout") or {}).get("rms", table.get("rms"))
         floor = table.get("noise_floor")
-        errors = (nominal.get(name), held, floor)
+        errors = (_of(nominal, name), held, floor)
         rows.append((name, tuple(error_text(e, table["unit"]) for e in errors), ""))
         judged.append((name, held, floor))
         beyond = table.get("extrapolating")
@@ -196,15 +200,17 @@ def _notes(stages: Json) -> tuple[str, ...]:
     return tuple(texts[k] for k in range(max(map(len, found), default=0)) for texts in found if k < len(texts))
 
 
-def mended_screen(data: Json, nominal: Mapping[str, float], done: str, steps: Sequence[Next]) -> Screen:
+def mended_screen(data: Json, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
     """What ``auto`` found and added: ``data`` is its JSON."""
     found = data["diagnosis"]["stages"]
     rows, facts = [], []
     for name, part in data["stages"].items():
         before = found.get(name, {}).get("heldout_rms_before")
-        errors = (nominal.get(name), before, part["heldout_rms"], part["noise_floor"])
+        errors = (_of(nominal, name), before, part["heldout_rms"], part["noise_floor"])
         rows.append((name, tuple(error_text(e, part["unit"]) for e in errors), str(found[name]["verdict"])))
-        added = [named(c.get("name", c["effect"]), c["where"]) for c in found[name]["candidates"] if not c["alternative"]]
+        added = [
+            named(c.get("name", c["effect"]), c["where"]) for c in found[name]["candidates"] if not c["alternative"]
+        ]
         if added:
             facts.append((f"{name}:", f"added {listed(added, 6)}"))
     return Screen(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -59,9 +60,9 @@ def ik(
     """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
     out = Output(quiet, json, verbose)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
+    from offline_ik.assumed import assumptions
     from offline_ik.checks import check_directions
     from offline_ik.coordinates import check_target
-    from offline_ik.assumed import assumptions
     from offline_ik.ways import ways_to
 
     turned = None if roll == "free" else _roll(roll)
@@ -89,12 +90,12 @@ def ik(
     if "pyfai" in data:
         at = ", ".join(f"{name} {fixed(value, 9)}" for name, value in data["pyfai"].items())
         out.say(f"pyFAI: {at} (m, rad; poni counted from the detector's middle)")
-    asked = f"gamma {gamma:g} rad, delta {delta:g} rad, r {r:g} m"
-    call = [model, "--gamma", f"{gamma!r}", "--delta", f"{delta!r}", "--r", f"{r!r}"]
+    position = f"gamma {gamma:g} rad, delta {delta:g} rad, r {r:g} m"
+    call: list[str | Path] = [model, "--gamma", f"{gamma!r}", "--delta", f"{delta!r}", "--r", f"{r!r}"]
     own = () if effects_from is None else ("--effects-from", effects_from)
     given = (("--cell", cell), ("--robot", robot), ("--running", running), ("--near", near))
     call += [f"{option}={value}" for option, value in given if value is not None]
-    out.show(ik_screen(detector, ways, asked, [*call, *own], data["notes"], len(assumed), approach))
+    out.show(ik_screen(detector, ways, position, [*call, *own], data["notes"], len(assumed), approach))
     out.result(data)
 
 

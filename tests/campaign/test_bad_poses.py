@@ -169,3 +169,15 @@ def test_points_in_a_plane_or_on_a_line(campaign: Campaign, axes: list[int], joi
     assert [f.message.startswith(words) for f in flat] == [True]
     thick = [f for f in told(campaign, on_a_face(campaign, axes, joints, 0.1)) if "the points lie" in f.message]
     assert thick == []
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_joint_angles_beside_the_points_of_the_next_stop_are_refused(campaign: Campaign, step: int) -> None:
+    table = campaign.tables["poses"]
+    stops = table.groupby(["pose", "visit"], sort=False).ngroup().to_numpy()
+    angles = table[[f"q{i}_rad" for i in range(1, 7)]].groupby(stops).first().to_numpy()
+    (said,) = told(campaign, table.assign(**{f"q{i + 1}_rad": np.roll(angles[:, i], step)[stops] for i in range(6)}))
+    assert said.severity == "error"
+    other = "next" if step > 0 else "previous"
+    assert f"the points of each visit are taken with the joint angles of the {other} one" in said.message
+    assert "shifted against each other by one visit" in said.message

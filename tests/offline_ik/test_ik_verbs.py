@@ -32,7 +32,20 @@ def run(*args: object) -> subprocess.CompletedProcess[str]:
 def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "ik.json"
     near = "0.1,-1.2,1.2,0.1,0.4,0"
-    done = run("ik", model_file, *PLACE, "--cell", cell_file, "--near", near, "--approach", "--pyfai", "--json", out, "--verbose")
+    done = run(
+        "ik",
+        model_file,
+        *PLACE,
+        "--cell",
+        cell_file,
+        "--near",
+        near,
+        "--approach",
+        "--pyfai",
+        "--json",
+        out,
+        "--verbose",
+    )
     assert done.returncode == 0, done.stderr
     assert "convention: thesis, gamma_outer" in done.stdout
     assert "joint 6" in done.stdout
