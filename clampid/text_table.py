@@ -45,7 +45,7 @@ def table_lines(columns: Sequence[str], rows: Sequence[Sequence[str]], left: int
         sizes[k] -= 1
         spare -= 1
     head, *body = (_row(row, sizes, text) for row in table)
-    rule = GAP.join("─" * size for size in sizes)
+    rule = GAP.join("─" * size for size in sizes).rstrip()
     return [*head, rule, *(line for row in body for line in row)]
 
 

@@ -218,8 +218,8 @@ def _replicates(campaign: Campaign) -> Iterator[Finding]:
         message = f"{count} repeated points ({same}) give the noise floor"
     else:
         message = (
-            f"{count} repeated points ({same}), fewer than {ENOUGH_RETURNS}: the noise floor is the instrument's stated "
-            "noise"
+            f"{count} repeated points ({same}), fewer than {ENOUGH_RETURNS}: the noise floor is the instrument's "
+            "stated noise"
         )
     yield Finding("note", "poses", "visit", None, message)
 

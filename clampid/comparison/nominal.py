@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from clampid.comparison.attained import as_sent
-from clampid.effect import Stage
+from clampid.effect import Effect, Stage
 from clampid.fitting.accuracy import noise_floor, predicted, rms_of
 from clampid.identification.identify import TABLES_OF
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model
+from clampid.stages.rows import Bools, Rows
 from experiments.campaign import Campaign
 
-__all__ = ["nominal_errors"]
+__all__ = ["nominal_errors", "nominal_points"]
 
 
 def nominal_errors(
@@ -43,7 +44,7 @@ def nominal_errors(
     for campaign in several:
         opened = reopen(model, campaign, user_effects)
         for stage in opened.stages:
-            if stage != "clamped" and opened.has(TABLES_OF[stage]):
+            if stage != "clamped" and opened.has(TABLES_OF[stage]) and not campaign.long:
                 error = _points(opened) if stage == "poses" else _torques(opened)
                 if error is not None and np.isfinite(error[0]):
                     squares.setdefault(stage, []).append(error)
@@ -63,8 +64,16 @@ def _points(opened: Reopened) -> tuple[float, int] | None:
     good &= rows.used[:, 0]
     if not good.any():
         return None
-    error = as_sent(rows.without(~good), opened.effects).residual[good, :3]
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), int(good.sum())
+    return nominal_points(rows, opened.effects, good), int(good.sum())
+
+
+def nominal_points(rows: Rows, effects: Mapping[str, Effect], good: Bools) -> float:
+    """Root mean square of the position errors of the robot as described, m, of points that count ``(N,)``.
+
+    Base and targets, or the flange's target, are fitted to these points.
+    """
+    error = as_sent(rows.without(~good), effects).residual[good, :3]
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def _torques(opened: Reopened) -> tuple[float, int]:

@@ -87,11 +87,12 @@ def outcome(stages: Json, mended: bool = False) -> Outcome:
 def _variants(stages: Json, mended: bool) -> Iterator[str]:
     """The sentence with all its detail, then with less and less."""
     falls = [part for part in stages.values() if any(not c["alternative"] for c in part["candidates"])]
-    if len(falls) == 1 and not _left(stages, True, 99):
+    if falls and not _left(stages, True, 99) and (mended or len(falls) == 1):
         ends = [error_text(falls[0][f"heldout_rms_{when}"], falls[0]["unit"]) for when in ("before", "after")]
-        fell = "fell" if mended else "falls"
         said = _sentence(stages, mended, True, False, 99).removesuffix(".")
-        yield f"{said}; with it the held-out error {fell} from {ends[0]} to {ends[1]}."
+        above = any(part.get("above_floor") for part in stages.values())
+        rest = "the error is still above the noise floor" if above else "nothing beyond the noise is left"
+        yield f"{said}; {rest}." if mended else f"{said}; with it the held-out error falls from {ends[0]} to {ends[1]}."
     several = len(stages) > 1
     for where, stage_names, most in ((True, several, 99), (True, False, 99), (True, False, 3), (False, False, 3)):
         yield _sentence(stages, mended, where, stage_names, most)
@@ -176,10 +177,8 @@ def notes(stage: str, part: Json) -> list[str]:
     if plan.get("for") == "parting" and part["verdict"] == "ambiguous":
         kind = {"free_air": "runs", "clamped": "sweeps"}.get(stage, "poses")
         if plan.get("helps"):
-            out.append(
-                f"The closest two differ by {plan['sigma_before']:.2g} σ; {plan['count']} proposed {kind} raise this to "
-                f"{plan['sigma_after']:.2g} σ."
-            )
+            now, then = f"{plan['sigma_before']:.2g} σ", f"{plan['sigma_after']:.2g} σ"
+            out.append(f"The closest two differ by {now}; {plan['count']} proposed {kind} raise this to {then}.")
         else:
             out.append(f"No {kind} that this robot can take distinguish all of them.")
     elif part["verdict"] == "ambiguous" and part.get("next_measurement"):
