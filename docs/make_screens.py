@@ -69,7 +69,8 @@ def main() -> None:
             ["bash", "-c", f"export PATH={Path(sys.executable).parent}:$PATH; {MAKE}"], cwd=folder, check=True
         )
         simulated = "\n".join(recorded(command, folder) for command in SIMULATED)
-        if len(sys.argv) > 1:
+    if len(sys.argv) > 1:
+        with tempfile.TemporaryDirectory() as folder:
             os.symlink(Path(sys.argv[1]).resolve() / "ur10_series_d", Path(folder) / "ur10_series_d")
             real = "\n".join(NOT_RUN + recorded(command, folder) for command in REAL)
     PAGE.write_text(INTRODUCTION + simulated + BETWEEN + real, encoding="utf-8")

@@ -17,6 +17,8 @@ AS_GOOD = 1.5
 """An alternative explains the rest as well as another only if its held-out error is at most so many times as large."""
 PLACELESS = ("base", "instrument", "tool", "robot", "fixture")
 FEW = 3
+MATTERS = 1e-5
+"""m or rad: a smaller shift of the exported table is no example to give."""
 OPEN = {
     "ambiguous": "several effects explain what is left equally well",
     "unknown": "no known effect explains the rest",
@@ -96,14 +98,22 @@ def _variants(stages: Json, mended: bool) -> Iterator[str]:
     several = len(stages) > 1
     for where, stage_names, most in ((True, several, 99), (True, False, 99), (True, False, 3), (False, False, 3)):
         yield _sentence(stages, mended, where, stage_names, most)
+    for where, most in ((True, 3), (False, 3), (False, 1)):
+        yield _sentence(stages, mended, where, False, most, brief=True)
     missing = sum(not c["alternative"] for part in stages.values() for c in part["candidates"])
     now = f", {'are' if missing > 1 else 'is'} now in the model" if mended else ""
     said = f"{missing} effect{'s were' if missing > 1 else ' was'} missing{now}; " if missing else ""
-    open_ones = [words for verdict, words in OPEN.items() if any(p["verdict"] == verdict for p in stages.values())]
-    yield _capital(f"{said}{' and '.join(open_ones) or 'nothing is left'}.")
+    yield _capital(f"{said}{_briefly(stages) or 'nothing is left'}.")
 
 
-def _sentence(stages: Json, mended: bool, where: bool, stage_names: bool, most: int) -> str:
+def _briefly(stages: Json) -> str:
+    """What stays open, without naming it; empty where nothing does."""
+    return " and ".join(
+        words for verdict, words in OPEN.items() if any(p["verdict"] == verdict for p in stages.values())
+    )
+
+
+def _sentence(stages: Json, mended: bool, where: bool, stage_names: bool, most: int, *, brief: bool = False) -> str:
     missing = [
         (stage, named(c.get("name", c["effect"]), c["where"] if where else ()))
         for stage, part in stages.items()
@@ -111,7 +121,7 @@ def _sentence(stages: Json, mended: bool, where: bool, stage_names: bool, most: 
         if not c["alternative"]
     ]
     what = [f"{words} ({stage})" if stage_names else words for stage, words in dict.fromkeys(missing)]
-    left = _left(stages, where, most)
+    left = _briefly(stages) if brief else _left(stages, where, most)
     if what:
         were = "were" if len(what) > 1 else "was"
         are = "are" if len(what) > 1 else "is"
@@ -165,7 +175,7 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def notes(stage: str, part: Json) -> list[str]:
+def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
     """What a person must know beside the verdict on a stage, the most important first; a sentence or two each."""
     out = []
     good = equally_good(part["candidates"])
@@ -196,10 +206,9 @@ def notes(stage: str, part: Json) -> list[str]:
     if len(part.get("outliers") or ()) >= FEW:
         out.append(f"{len(part['outliers'])} rows were rejected as outliers.")
     if shifts := part.get("exported_shift"):
-        p = shifts[0] if len(shifts) == 1 else max(shifts, key=lambda p: abs(p["shift"]) / (p["std"] or 1.0))
+        p = max(shifts, key=lambda p: (abs(p["shift"]) > MATTERS, abs(p["shift"]) / (p["std"] or 1.0)))
         row = p["row"] if str(p["row"]).isalpha() else f"row {p['row']}"
         much = with_error(p["shift"], p["std"], p["unit"])
-        out.append(
-            f"Without it the DH table is biased in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}."
-        )
+        biased = "Without what was added the DH table was biased" if mended else "Without it the DH table is biased"
+        out.append(f"{biased} in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}.")
     return [f"{stage}: {text}" for text in out]

@@ -93,7 +93,7 @@ def _write_plans(found: Diagnosis, campaigns: int, target: Path) -> list[str]:
         if made.plan is not None:
             write_plan(made.plan, path)
             minutes = f"{made.plan.duration / 60:.0f} min"
-            said.append(f"wrote {path}: {made.count}, {minutes}; `clampid run {path}` measures them.")
+            said.append(f"Wrote {path}: {made.count}, {minutes}.")
     said += [f"{name}: no plan is written: {made.nothing}." for name, made in plans.items() if made.plan is None]
     for name in found.stages:
         if name not in plans:

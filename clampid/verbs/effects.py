@@ -46,14 +46,13 @@ def effects(
     if name is not None:
         out.show(_one(found[name]))
         return
-    rows = []
     for effect in known:
         parameters = [f"{p.name} [{p.unit or '1'}]" for p in effect.parameters]
         units = ", ".join(sorted({p.unit or "1" for p in effect.parameters}))
         named = ", ".join(parameters) if len(parameters) <= 6 else f"{len(parameters)} parameters [{units}]"
         label = effect.name if effect.name == effect.family else f"{effect.name} ({effect.family})"
-        rows.append((label, ", ".join(effect.stages), in_words(effect), named, effect.equation))
-    out.table("", ("effect", "acts in", "what it is", "parameters", "equation"), rows, left=5)
+        out.say(f"{label}, in {', '.join(effect.stages)}: {in_words(effect)}")
+        out.say(f"    {effect.equation}; {named}")
     out.show(_all(found))
 
 
@@ -71,14 +70,14 @@ def _all(found: Mapping[str, Effect]) -> Screen:
 
     facts, said = [], set[str]()
     for stage, words in STAGES.items():
-        names = sorted(name for name, effect in found.items() if stage in effect.stages and name not in said)
+        names = sorted({e.family for e in found.values() if stage in e.stages and e.family not in said})
         also = "" if not said else "also "
-        facts.append((stage, f"{words}, {also}{', '.join(name.replace('_', ' ') for name in names)}"))
+        facts.append((stage, f"{words}: {also}{', '.join(name.replace('_', ' ') for name in names)}"))
         said |= set(names)
     return Screen(
-        f"{len(found)} effects, by the stage in which they act:",
+        f"{len(found)} effects of {len({e.family for e in found.values()})} families, by the stage in which they act:",
         facts=tuple(facts),
-        more="Each in a sentence, with parameters and equation: --verbose. For programs: --json FILE.",
+        more="Each effect in a sentence, with its equation: --verbose, --json FILE.",
         next=(Next("Next, read what one of them is:", "clampid effects gear_eccentricity"),),
     )
 

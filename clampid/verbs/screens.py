@@ -194,9 +194,9 @@ def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Seque
 KEYS = ("heldout_rms_before", "heldout_rms_after", "noise_floor")
 
 
-def _notes(stages: Json) -> tuple[str, ...]:
+def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
     """Notes on all stages, the most important of each first."""
-    found = [notes(name, part) for name, part in stages.items()]
+    found = [notes(name, part, mended) for name, part in stages.items()]
     return tuple(texts[k] for k in range(max(map(len, found), default=0)) for texts in found if k < len(texts))
 
 
@@ -219,7 +219,7 @@ def mended_screen(data: Json, nominal: Mapping[Stage, float], done: str, steps: 
         tuple(facts),
         headline(found, mended=True),
         outcome(found, mended=True),
-        _notes(found),
+        _notes(found, mended=True),
         "Parameters, evidence and detection limits: --verbose, --json FILE, --report FILE.html.",
         tuple(steps),
     )
