@@ -49,8 +49,8 @@ def _screen(result: WorkedExample) -> Screen:
 
     facts = []
     for j, printed in enumerate(result.printed_spring):
-        found, std, _ = quantity(float(result.drives.stiffness[j]), float(result.drives.stiffness_std[j]), "")
-        facts.append((f"spring {j + 1}", f"printed {printed:g}, found {found} ± {std} Nm/rad at the motor"))
+        found, error, _ = quantity(float(result.drives.stiffness[j]), float(result.drives.stiffness_std[j]), "")
+        facts.append((f"spring {j + 1}", f"printed {printed:g}, found {found} ± {error} Nm/rad at the motor"))
     for what, printed, (value, std) in (
         ("spring 5 alone", result.printed_alone, result.alone),
         ("whole matrix", result.printed_full, result.full),
