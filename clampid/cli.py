@@ -33,7 +33,7 @@ def app() -> typer.Typer:
         name="clampid",
         help="Finds out why one particular industrial robot is inaccurate, and mends it.",
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         rich_markup_mode=None,
     )
     command.callback()(_common)

@@ -44,6 +44,8 @@ FARTHEST_M = 100.0
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
 CLEARLY_WRONG_M = 0.02
 TARGETS_WRONG_M = 0.01
+# Where each stop has several rows, a shift by one row spoils one row of each stop: a tenth and more of all rows.
+SHIFTED_SHARE = 0.1
 # No arm that works errs by so much: whatever the mistake is, a model of these points would be of no use.
 NOT_THIS_ROBOT_M = 0.1
 # A wrong sign of a joint that hardly moves the targets errs by less; where it is turned, all but a few millimetres go.
@@ -116,8 +118,8 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
         yield Finding(
             "warning", "poses", "pose", None,
             f"{poses} pose{'s are' if poses > 1 else ' is'} {few} the {least} that the geometry of {robot.n} joints "
-            f"and {what} takes at the least ({unknown} numbers): what is fitted to them says "
-            f"little of other poses; {2 * least} and more tell their own errors",
+            f"and {what} needs ({unknown} parameters): a model fitted to them does not predict other poses; measure "
+            f"{2 * least} or more",
         )  # fmt: skip
     if oriented:
         return
@@ -253,6 +255,13 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
         yield from _orientations(table, campaign.tables[table], poses, fit.base)
     bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
     if bad.size:
+        shifted = None
+        if bad.size > SHIFTED_SHARE * len(residual):  # of several targets at a stop only the first or the last is wrong
+            shifted = _shifted_rows(campaign, table, poses, points, measured, CLEARLY_WRONG_M, 1.0 - FEW_ROWS)
+        if shifted:
+            message = f"{bad.size} of {len(residual)} positions are far from where the others say they should be"
+            yield Finding("error", table, "q1_rad", None, f"{message}; {shifted}")
+            return
         worst = int(bad[np.argmax(residual[bad])])
         renamed = _mistaken_targets(campaign, table, poses, measured, bad, fit)
         if renamed:
@@ -291,9 +300,18 @@ def _mistaken_joints(
 
 
 def _shifted_rows(
-    campaign: Campaign, table: str, poses: FloatArray, points: FloatArray, measured: FloatArray, good: float
+    campaign: Campaign,
+    table: str,
+    poses: FloatArray,
+    points: FloatArray,
+    measured: FloatArray,
+    good: float,
+    share: float = 0.5,
 ) -> str | None:
-    """In words, that the joint angles of a row, or of a visit, stand beside the points of the next or the last one."""
+    """In words, that the joint angles of a row, or of a visit, stand beside the points of the next or the last one.
+
+    ``share`` of the rows must then fit to within ``good``, m.
+    """
     frame = campaign.tables[table]
     stops = frame.groupby(["pose", "visit"], sort=False).ngroup().to_numpy()
     steps: list[tuple[str, npt.NDArray[np.intp]]] = [("row", np.arange(len(frame), dtype=np.intp))]
@@ -307,7 +325,7 @@ def _shifted_rows(
             if there.sum() < len(frame) // 2:
                 continue
             moved = _fit(poses[of[there]], points[there], measured[there])
-            if np.median(moved.distance) < good:
+            if np.quantile(moved.distance, share) < good:
                 other = "next" if step > 0 else "previous"
                 return (
                     f"they fit when the points of each {what} are taken with the joint angles of the {other} one: the "

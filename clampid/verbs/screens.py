@@ -171,17 +171,15 @@ def comparison_screen(
 def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Sequence[Next]) -> Screen:
     """What ``diagnose`` found."""
     stages = data["stages"]
+    added = any(not c["alternative"] for part in stages.values() for c in part["candidates"])
+    heads = {key: head for key, head in zip(KEYS, HEADS, strict=True) if added or key != "heldout_rms_after"}
     rows = [
-        (
-            name,
-            tuple(error_text(part[key], part["unit"]) for key in KEYS),
-            str(part["verdict"]),
-        )
+        (name, tuple(error_text(part[key], part["unit"]) for key in heads), str(part["verdict"]))
         for name, part in stages.items()
     ]
     return Screen(
         done,
-        Errors(_title(list(stages)), ("this model", "mended", "noise floor"), tuple(rows)),
+        Errors(_title(list(stages)), tuple(heads.values()), tuple(rows)),
         (),
         headline(stages),
         outcome(stages),
@@ -192,6 +190,7 @@ def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Seque
 
 
 KEYS = ("heldout_rms_before", "heldout_rms_after", "noise_floor")
+HEADS = ("this model", "mended", "noise floor")
 
 
 def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
