@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import sys
 import traceback
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from typing import Annotated
 
 import typer
 
+from clampid.screen import wrapped
 from clampid.verbs.errors import is_wrong_input
 
 __all__ = ["app", "main"]
@@ -130,5 +132,8 @@ def _as_list(message: str, arguments: Sequence[str]) -> str:
 
 
 def _fail(message: str, code: int) -> int:
-    print("clampid: " + " ".join(message.split()), file=sys.stderr)
+    text = "clampid: " + " ".join(message.split())
+    if sys.stderr.isatty():  # elsewhere one line, for scripts
+        text = "\n".join(wrapped(text, shutil.get_terminal_size().columns, rest="  "))
+    print(text, file=sys.stderr)
     return code

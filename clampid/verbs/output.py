@@ -99,7 +99,7 @@ class Output:
         else:
             self.step(f"{text} …")
             yield
-        self.step(f"{text}: {time.monotonic() - start:.1f} s")
+            self.step(f"{text}: {time.monotonic() - start:.1f} s")
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> None:
         """A detail for people as a table; the first ``left`` columns are text, the others numbers."""
