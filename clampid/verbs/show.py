@@ -224,7 +224,7 @@ def show_drives(drives: Drives, out: Output) -> None:
         rows.append((f"{j + 1}", *springs, gap, limit, verdict, _pair(d.friction[j], d.friction_std[j])))
     columns = (
         "axis", "k [Nm/rad] at the motor", "at the joint [kNm/rad]", "clearance [deg]", "detection limit [deg]",
-        "told from zero", "friction [Nm] at the motor",
+        "differs from zero", "friction [Nm] at the motor",
     )  # fmt: skip
     out.table("drives", columns, rows)
     cross = []
