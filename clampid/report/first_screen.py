@@ -99,7 +99,7 @@ def first_screen(
         for stage in in_order(model.stages)
         for r in rounds_of(model, first, stage)
         for label in r.added
-        if label.partition("@")[0] in {term.effect for term in model.stages[stage].terms}  # not replaced since
+        if _has(label, {term.label for term in model.stages[stage].terms})  # and nothing took its place since
     ]
     verdict, good = _verdict(model, found, added)
     numbers, fall, what = _errors(model, first, stages)
@@ -148,13 +148,24 @@ def _verdict(model: Model, found: Json, added: Sequence[tuple[str, str]]) -> tup
 
 def _is_in(model: Model, found: Json) -> bool:
     """Whether the model has all that a diagnosis confirmed."""
-    for name, part in found.items():
-        have = {term.label for stage, s in model.stages.items() if stage == name for term in s.terms}
-        for c in part["candidates"]:
-            effect = c.get("name", c["effect"])
-            if not c["alternative"] and effect not in have and not {f"{effect}@{p}" for p in c["where"]} <= have:
-                return False
-    return True
+    return not any(_not_in(model, name, part) for name, part in found.items())
+
+
+def _not_in(model: Model, name: str, part: Json) -> list[Json]:
+    """The confirmed candidates of a stage that were never added to the model."""
+    terms = [term.label for stage, s in model.stages.items() if stage == name for term in s.terms]
+    # What another effect took the place of since, such as one curve for several, was added, too.
+    have = {*terms, *(label for r in model.ledger if r.stage == name for label in r.added)}
+    return [
+        c
+        for c in part["candidates"]
+        if not c["alternative"] and not all(_has(f"{c.get('name', c['effect'])}@{p}", have) for p in c["where"])
+    ]
+
+
+def _has(label: str, labels: set[str]) -> bool:
+    """Whether a term is among labels, at its place or wherever its effect acts."""
+    return label in labels or label.partition("@")[0] in labels
 
 
 def _open(model: Model, found: Json) -> list[str]:
@@ -162,10 +173,8 @@ def _open(model: Model, found: Json) -> list[str]:
     out = [] if found else ["Not known: no diagnosis was computed. Run `clampid diagnose`, then `clampid report`."]
     now = _is_in(model, found)
     for name, part in found.items():
-        if not now:
-            for c in part["candidates"]:
-                if not c["alternative"]:
-                    out.append(f"{name}: {named(c.get('name', c['effect']), c['where'])} is not in the model yet.")
+        for c in _not_in(model, name, part):
+            out.append(f"{name}: {named(c.get('name', c['effect']), c['where'])} is not in the model yet.")
         either = equally_good(part["candidates"])
         if part["verdict"] == "ambiguous" and len(either) > 1:
             names = [named(c.get("name", c["effect"]), c["where"]) for c in either]
@@ -173,7 +182,7 @@ def _open(model: Model, found: Json) -> list[str]:
         if part["verdict"] == "unknown":
             variables = listed(list(part.get("depends_on") or ()), 4)
             out.append(f"{name}: an error that depends on {variables or 'no recorded variable'} has no known effect.")
-        out += [text for text in notes(name, part) if "DH table" not in text]
+        out += [text for text in notes(name, part, now) if "DH table" not in text]
     return out[:MOST_OPEN]
 
 

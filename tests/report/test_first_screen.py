@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,21 @@ def test_what_is_missing_still_is_open() -> None:
     assert not screen.good
     assert screen.mended == ()
     assert screen.open == ("poses: gear eccentricity at joint 2 is not in the model yet.",)
+
+
+def test_what_another_effect_took_the_place_of_is_not_called_missing() -> None:
+    mended = a_model("joint_angle_curve@joint1", "bearing_tilt@joint4", held_out=(3e-4, 1.1e-4, 1e-4))
+    stage = replace(
+        mended.stages["poses"], terms=(Term("geometry"), Term("bearing_tilt", "joint4"), Term("shared_angle_curve"))
+    )
+    last = Round("poses", (), ("shared_angle_curve",), 9e-5, 9.5e-5, 4.7e-5)
+    mended = replace(mended, stages={"poses": stage}, ledger=(*mended.ledger, last))
+    curve = {**GEAR, "name": "joint_angle_curve", "where": ["joint1"]}
+    tilt = {**GEAR, "effect": "bearing_tilt", "name": "bearing_tilt", "where": ["joint4"]}
+    screen = first_screen(mended, None, {}, found("missing", curve, tilt))
+    assert "now in the model" in screen.verdict
+    assert screen.mended == ("bearing tilt at joint 4 (poses)", "shared angle curve (poses)")
+    assert screen.open == ()
 
 
 def test_a_diagnosis_after_mending_keeps_what_was_mended_in_the_sentence() -> None:
