@@ -42,7 +42,7 @@ def main() -> None:
         first, last = part_of(whole, 0.0, 0.8), part_of(whole, 0.8, 1.0)
         began = time.process_time()
         wanted = options.effects.split(",") if options.effects else None
-        model = auto([first], wanted).model if options.auto else identify(first, wanted)
+        model = auto([first], wanted)[0] if options.auto else identify(first, wanted)
         seconds = time.process_time() - began
         facts = facts_of(log_parts([first]))
         way = facts.motions.way

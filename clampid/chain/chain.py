@@ -139,16 +139,20 @@ class Chain:
     def bent(self) -> Chain:
         """The chain of those parameters alone, all others zero; of the stage ``free_air``, which has no flanks."""
         own = np.flatnonzero(self.bends)
-        theta, row = ca.SX.sym("theta", len(own)), ca.SX.sym("row", self.function.function.nnz_in(1))
+        theta = ca.SX.sym("theta", len(own))
+        blocks = [ca.SX.sym(name, width) for name, width in self.signals]
         every = ca.SX(len(self.slots), 1)
         every[own.tolist()] = theta
-        values, derivatives = self.function.function(every, row)
+        values, derivatives = self.function.function(every, ca.vertcat(*blocks))
         kept = np.flatnonzero(self.bends[self.parameter])
         outputs = [values, derivatives[kept.tolist()]]
+        # Regressors of masses are most of a row's numbers, and to copy them takes longer than all else.
+        read = [k for k, block in enumerate(blocks) if ca.depends_on(ca.vertcat(*outputs), block)]
         return replace(
             self,
             slots=tuple(self.slots[k] for k in own),
-            function=Blocks(ca.Function("bent", [theta, row], outputs)),
+            signals=tuple(self.signals[k] for k in read),
+            function=Blocks(ca.Function("bent", [theta, ca.vertcat(*(blocks[k] for k in read))], outputs)),
             station=self.station[kept],
             parameter=np.searchsorted(own, self.parameter[kept]),
             least=self.least[own],

@@ -1,13 +1,13 @@
 """Probes: physics-free candidates, each joint's, frame's or motor's error against each recorded variable.
 
 Where probes fire and no effect does, structure is left that the catalogue does not explain; the probe says where it
-sits
-and on what it depends.
+sits and on what it depends: on one recorded variable, or on two together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
@@ -24,6 +24,8 @@ __all__ = ["JOINT_ANGLE_PERIODIC", "probes"]
 Covariate = tuple[str, tuple[str, ...], Array]  # what it is, the variables, (N, k)
 HARMONICS = 3
 OTHERS = 6  # of another joint's revolution, in a motor's torque: rollers, teeth and cables come several times a turn
+SWINGS = 4  # of what turns and shifts all points, over the campaign
+RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
 PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
 JOINT_ANGLE_PERIODIC = "joint_angle_periodic"
@@ -74,6 +76,9 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     s = rows.signals
     elapsed = _scaled(s["elapsed"])
     slow = np.column_stack([elapsed, elapsed**2])
+    passing = np.column_stack(
+        [slow, _harmonics(2.0 * np.pi * s["elapsed"] / max(np.ptp(s["elapsed"]), 1e-300), SWINGS)]
+    )
     found: list[Candidate | None] = []
     levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
     air = _air(rows)
@@ -95,15 +100,27 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     for name, start in frames:
         frame = _levers(estimate, sensitivity[:, :, start : start + 6])
         found.append(_at(frame, range(6), name, "time", ("time",), elapsed[:, None]))
+        if name == "base":  # or the instrument, which sees the same
+            found.append(_at(frame, range(6), name, "swing in time", ("time",), passing))
         link = int(name[4:]) if name.startswith("link") else (1 if name == "base" else n)
         warm = _scaled(s["link_temperature"][:, link - 1])
         found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
         found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in air]
+        if name in ("base", "flange"):  # what turns or stops there moves them, and no joint's error can say it
+            for k in range(n):
+                wave, d = _harmonics(s["q"][:, k], 1), s["direction"][:, k, None]
+                found.append(_at(frame, range(6), name, f"q{k + 1}", (f"q{k + 1}",), wave))
+                found.append(_at(frame, range(6), name, f"dir{k + 1}", (f"dir{k + 1}",), d))
     place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
-    for k, axis in enumerate("xyz"):
+    readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k]) for k, a in enumerate("xyz")]
+    for (i, a), (k, b) in combinations_with_replacement(enumerate("xyz"), 2):
+        both = tuple(dict.fromkeys((a, b)))
+        readings.append((f"position along {a} times {b}", both, place[:, i] * place[:, k]))
+    readings += [(what, variables, x[:, 0]) for what, variables, x in air]
+    for what, variables, reading in readings:
         columns = np.zeros((len(rows), width, 3))
-        columns[:, np.arange(3), np.arange(3)] = place[:, k, None]
-        found.append(_probe(estimate, "instrument", f"position along {axis}", (axis,), columns))
+        columns[:, np.arange(3), np.arange(3)] = reading[:, None]
+        found.append(_probe(estimate, "instrument", what, variables, columns))
     found.append(_periodic(rows, levers))
     return [p for p in found if p is not None]
 
@@ -124,9 +141,13 @@ def _by_other_joints(rows: Rows) -> list[Covariate]:
         out.append((f"harmonics of q{name}", (f"q{name}",), waves[k][:, :2]))
         out.append((f"dir{name}", (f"dir{name}",), d[:, None]))
         out.append((f"q{name} times dir{name}", (f"q{name}", f"dir{name}"), (_scaled(q) * d)[:, None]))
-        for i in range(k):
-            both = (waves[i][:, :, None] * waves[k][:, None, :]).reshape(len(rows), -1)
-            out.append((f"products of q{i + 1} and q{name}", (f"q{i + 1}", f"q{name}"), both))
+        for i in range(n):
+            other = f"q{i + 1}"
+            if i < k:
+                both = (waves[i][:, :, None] * waves[k][:, None, :]).reshape(len(rows), -1)
+                out.append((f"products of {other} and q{name}", (other, f"q{name}"), both))
+            if i != k:
+                out.append((f"{other} times dir{name}", (other, f"dir{name}"), waves[i][:, :2] * d[:, None]))
     return out
 
 
@@ -183,10 +204,17 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
     s, n = rows.signals, rows.robot.n
     T = np.asarray(rows.robot.transmission)
     elapsed, air = _scaled(s["elapsed"]), _air(rows)
+    loads = s["gravity_torque"] @ T.T
+    sizes = np.abs(loads) / np.maximum(loads.std(axis=0), 1e-300)
+    waves = [_harmonics(s["q"][:, k], 1) for k in range(n)]
+    pairs: list[Covariate] = []
+    for k, i in combinations(range(n), 2):
+        both = (waves[k][:, :, None] * waves[i][:, None, :]).reshape(len(rows), -1)
+        pairs.append((f"products of q{k + 1} and q{i + 1}", (f"q{k + 1}", f"q{i + 1}"), both))
     out = []
     for i in range(n):
         w, sign, q = _scaled(s["motor_speed"][:, i]), s["motor_motion"][:, i], s["q"][:, i]
-        load = _scaled((s["gravity_torque"] @ T.T)[:, i])
+        load = _scaled(loads[:, i])
         warm = _scaled(s["motor_temperature"][:, i])
         speed = np.abs(w)
         name = i + 1
@@ -196,6 +224,7 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
                 (f"qd{name}",),
                 np.column_stack([sign * np.exp(-4 * speed), sign * np.exp(-speed), w * speed]),
             ),
+            (f"narrow ranges of the speed of motor {name}", (f"qd{name}",), _of_speed(w, sign)),
             (f"harmonics of q{name}", (f"q{name}",), _harmonics(q, HARMONICS)),
             (
                 f"motion times load of motor {name}",
@@ -219,10 +248,25 @@ def _log_covariates(rows: Rows) -> list[list[Covariate]]:
             own.append((f"motion times {what}", (f"qd{name}", *variables), np.column_stack([sign, w]) * x))
         for k in range(n):
             if k != i:
-                own.append((f"harmonics of q{k + 1}", (f"q{k + 1}",), _harmonics(s["q"][:, k], OTHERS)))
-                own.append((f"motion of motor {k + 1}", (f"qd{k + 1}",), s["motor_motion"][:, k, None]))
+                other = k + 1
+                own.append((f"harmonics of q{other}", (f"q{other}",), _harmonics(s["q"][:, k], OTHERS)))
+                own.append((f"motion of motor {other}", (f"qd{other}",), s["motor_motion"][:, k, None]))
+                moved = np.column_stack([sign, w])
+                own.append((f"motion times q{other}", (f"qd{name}", f"q{other}"), sign[:, None] * waves[k]))
+                dragged = s["motor_motion"][:, k, None] * waves[k]
+                own.append((f"motion of motor {other} times q{other}", (f"qd{other}", f"q{other}"), dragged))
+                borne = moved * sizes[:, k, None]
+                own.append((f"motion times load of motor {other}", (f"qd{name}", f"tau{other}"), borne))
+        own += pairs
         out.append(own)
     return out
+
+
+def _of_speed(w: Array, sign: Array) -> Array:
+    """Waves over the range of a motor's speeds, with and without its sign ``(N, 12)``: what a resonance looks like."""
+    share = np.pi * np.abs(w) / max(float(np.max(np.abs(w), initial=0.0)), 1e-300)
+    waves = np.column_stack([np.cos(k * share) for k in range(1, RANGES + 1)])
+    return np.column_stack([sign[:, None] * waves, waves])
 
 
 def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:

@@ -51,7 +51,8 @@ class StageDiagnosis:
     other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts of
     runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows cannot
     tell apart: what later stages take over, because the parameters' errors in it have room for that. ``alike``: of
-    groups in which it makes no difference which it is, the first, as steps that may be added.
+    groups in which it makes no difference which it is, one, as steps that may be added; ``fitted`` has them.
+    ``in_order``: these and ``steps``, as they were found.
     """
 
     stage: Stage
@@ -83,6 +84,7 @@ class StageDiagnosis:
     fitted: FittedStage | None = None
     open: FittedStage | None = None
     alike: list[Step] = field(default_factory=list)
+    in_order: list[Step] = field(default_factory=list)
     folds: Folds | None = None
 
     @property

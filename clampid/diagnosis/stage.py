@@ -1,4 +1,4 @@
-"""The loop of one stage: score, confirm, add, refit, and start again, until nothing more is confirmed."""
+"""The diagnosis of one stage: what a search has found, set down as a verdict with its evidence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
-from clampid.diagnosis.confirmed import Confirmed, with_needed_only
+from clampid.diagnosis.confirmed import Confirmed
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
     considered_of,
@@ -18,20 +18,21 @@ from clampid.diagnosis.entries import (
     variables_of,
     with_stand_ins,
 )
-from clampid.diagnosis.folds import Folds, folds_of
+from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.pruning import Refit
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.remains import remains_of
 from clampid.diagnosis.result import StageDiagnosis, Step
+from clampid.diagnosis.search import Searched, search
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import Bench, HeldOut, Tried, Undecided
+from clampid.diagnosis.trial import Bench, HeldOut
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
-from clampid.effect import Effect
-from clampid.evidence.candidates import Candidate, label_of
+from clampid.effect import Effect, Stage
+from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Scored
 from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.fit import agreeing_rows
@@ -43,7 +44,6 @@ from clampid.stages.rows import Rows
 __all__ = ["diagnose_stage"]
 
 FAR_OFF = 2.0  # of what may be noise: so much is none, even if the makers of instrument and robot were optimists
-ROUNDS = 8
 
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
 
@@ -57,6 +57,7 @@ def diagnose_stage(
     flips: int,
     propose: Propose | None = None,
     called_for: Collection[Term] = (),
+    elsewhere: Collection[Stage] = (),
 ) -> StageDiagnosis:
     """Diagnose one fitted stage.
 
@@ -68,8 +69,12 @@ def diagnose_stage(
         Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
     called_for
         What other rows of this arm have shown to be there: of look-alikes, these rows say it is that.
+    elsewhere
+        Other stages of which there are rows.
     """
-    looked_through = partial(_looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for)
+    looked_through = partial(
+        _looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for, elsewhere
+    )
     result = looked_through(1)
     if result.stage != "poses" or result.fitted is None:
         return result
@@ -95,6 +100,7 @@ def _looked_through(
     flips: int,
     propose: Propose | None,
     called_for: Collection[Term],
+    elsewhere: Collection[Stage],
     block: int,
     folds: Folds | None = None,
 ) -> StageDiagnosis:
@@ -103,41 +109,29 @@ def _looked_through(
     ``folds``: parts of runs to hold out instead of whole folds; where a candidate comes to trial that whole runs would
     not test, everything is judged by these, from the start.
     """
-    again = partial(_looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for, block)
+    again = partial(
+        _looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for, elsewhere, block
+    )
     stage = fitted.estimate.experiment.stage
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     floor = noise_floor(*counted(fitted.estimate, verification))
-    bench = Bench(effects, refit, verification, floor, seed, flips, block, frozenset(called_for), folds)
-    result.folds = folds
+    bench = Bench(
+        effects, refit, verification, floor, seed, flips, block, frozenset(called_for), folds, frozenset(elsewhere)
+    )
+    outcome = search(bench, fitted)
+    if isinstance(outcome, Folds):
+        return again(outcome)
+    result.folds, first, fitted = folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if stage == "poses" else 1.0
-    first = fitted.estimate
-    look = bench.look(fitted, 0)
-    if folds is None and (finer := folds_of(first.experiment.rows, _on_trial(look), effects)) is not None:
-        return again(finer)
-    held = bench.held_out(fitted)
-    result.before = result.after = held.rms
-    result.depends_on = list(look.probe.candidate.depends_on) if look.fires and look.probe is not None else []
-    steps: list[Confirmed] = []
-    undecided: list[Undecided] = []
-    here: list[dict[str, Any]] = []
-    dropped: set[str] = set()
-    for number in range(1, ROUNDS + 1):
-        tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
-        if (finer := folds or folds_of(first.experiment.rows, _on_trial(look, others), effects)) is not folds:
-            return again(finer)
-        here = [t.refusal(effects, held.rms) for t in others]
-        if isinstance(tried, Undecided):
-            tried, undecided, only_beside = bench.beside(tried, fitted, held, number)
-            here += [t.refusal(effects, held.rms) for t in only_beside]
-        if tried is None:
-            break
-        steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(here))], dropped)
-        fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
-        look = bench.look(fitted, 2 * number)
-    result.after = held.rms
-    refused = _set_down(result, steps, here, effects, fitted.estimate)
-    if undecided:
-        _undecided(result, undecided, effects, fitted, bench, propose)
+    held, look, probe = outcome.held, outcome.look, outcome.first_look.probe
+    result.before, result.after = outcome.before.rms, held.rms
+    result.depends_on = list(probe.candidate.depends_on) if outcome.first_look.fires and probe is not None else []
+    refused = _set_down(result, outcome.steps, outcome.refused, effects, fitted.estimate)
+    if outcome.taken or outcome.undecided:
+        _undecided(result, outcome, effects, bench, propose)
+    result.in_order = list(result.steps)
+    for one, step in zip(reversed(outcome.taken), reversed(result.alike), strict=True):
+        result.in_order.insert(one.after, step)
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
     result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
     result.considered = [*refused, *considered_of(look.named, look.named_null)]
@@ -164,12 +158,6 @@ def _rejected(estimate: Estimate, verification: Rows | None, held: HeldOut) -> l
         return outliers_of(estimate)
     wrong = np.any(verification.used & ~held.rows.used, axis=1)
     return [*outliers_of(estimate), *listed_outliers(verification, held.residual, wrong)]
-
-
-def _on_trial(look: Look, refused: Sequence[Tried] = ()) -> list[Candidate]:
-    """The candidates that come to trial: the best name of a look, and those that were refused after it."""
-    best = look.best()
-    return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]
 
 
 def _set_down(
@@ -205,33 +193,36 @@ def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effec
 
 
 def _undecided(
-    result: StageDiagnosis,
-    groups: Sequence[Undecided],
-    effects: dict[str, Effect],
-    fitted: FittedStage,
-    bench: Bench,
-    propose: Propose | None,
+    result: StageDiagnosis, outcome: Searched, effects: dict[str, Effect], bench: Bench, propose: Propose | None
 ) -> None:
     """Set down candidates that these rows cannot tell apart, the first group first, and what would part that."""
     result.verdict = "ambiguous"
+    fitted, taken = outcome.fitted, {id(t.group): t for t in outcome.taken}
+    groups = [*(t.group for t in outcome.taken), *outcome.undecided]
     for number, group in enumerate(groups, start=1):
-        entries = []
+        here, entries = taken.get(id(group)), []
         for s in group.members:
-            after = bench.alone(fitted, s) if number == 1 else None  # those beside them were found in another fit
-            entry = entry_of(s, group.look.named_null, effects, result.after, after, rivals=group.members)
+            before, after = result.after, None
+            if here is not None:
+                before, after = here.before.rms, here.held.rms if s is group.members[0] else bench.alone(here.base, s)
+            elif number == 1:  # those beside them were found in another fit
+                after = bench.alone(fitted, s)
+            entry = entry_of(s, group.look.named_null, effects, before, after, rivals=group.members)
             entries.append({**entry, "alternative": True, "group": number})
         result.candidates += entries
-        if group.alike(effects):
+        if here is not None:
             evidence = evidence_of(entries[0], group.members[0], group.look, ())
             result.alike.append(Step(group.members[0].candidate.terms, evidence))
     first = groups[0]
     result.next_measurement = separating_measurement((s.candidate.family for s in first.members), result.stage)
-    proposed = None if propose is None else propose(fitted.estimate, first.members, first.look.space.scale)
+    base = outcome.taken[0].base if outcome.taken else fitted
+    proposed = None if propose is None else propose(base.estimate, first.members, first.look.space.scale)
     if proposed is not None:
         never = [tuple(label.partition("@")[0] for label in pair[:2]) for pair in proposed.never]
         result.ask_for(proposed, [something_else(pair, effects, result.stage) for pair in never])
     if result.stage != "poses":
-        result.open = bench.with_undecided(groups, fitted, fitted)[0]
+        left = outcome.undecided
+        result.open = bench.with_undecided(left, fitted, fitted)[0] if left else fitted
 
 
 def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:

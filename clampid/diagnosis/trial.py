@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ from clampid.diagnosis.look import (
 )
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
-from clampid.effect import Effect
+from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.accuracy import Floor, cross_validated, predicted, rms_of, size_of
@@ -182,14 +182,33 @@ class Undecided:
     members: list[Scored]
     look: Look
 
-    def alike(self, effects: Mapping[str, Effect]) -> bool:
-        """Whether it makes no difference which of them it is: they explain the same, and no other stage reads any."""
+    def alike(self, effects: Mapping[str, Effect], elsewhere: Collection[Stage]) -> bool:
+        """Whether it makes no difference which it is: they explain the same, and no rows of other stages read any."""
         first, *others = self.members
         for s in others:
             both = explained_together(self.look.space, first, s)
             if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
                 return False
-        return not any("poses" in effects[s.candidate.name].stages for s in self.members)
+        return not any(set(elsewhere) & set(effects[s.candidate.name].stages) for s in self.members)
+
+    def taken(self, effects: Mapping[str, Effect]) -> Undecided:
+        """The same, first one that acts in no pose, if there is any: a model of torques is to move no flange."""
+        order = sorted(self.members, key=lambda s: "poses" in effects[s.candidate.name].stages)
+        return replace(self, members=order)
+
+
+class Taken(NamedTuple):
+    """Undecided candidates of which a model has the first, since it makes no difference which of them it is.
+
+    ``base`` and ``before``: the model and its errors on rows not fitted without it; ``after``: how many steps it came.
+    """
+
+    group: Undecided
+    base: FittedStage
+    before: HeldOut
+    fitted: FittedStage
+    held: HeldOut
+    after: int
 
 
 class _Along(NamedTuple):
@@ -214,6 +233,7 @@ class Bench:
     block: int = 1
     called_for: frozenset[Term] = frozenset()
     folds: Folds | None = None
+    elsewhere: frozenset[Stage] = frozenset()
 
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
@@ -275,7 +295,8 @@ class Bench:
         others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
         if known is None:
             others += self._not_linear(look, fitted, best, step, refused)
-        return self._judged([self._fitted_along(s, near, fitted) for s, near in ((best, step), *others)], look, held)
+        fits = [self._fitted_along(s, near, fitted, held) for s, near in ((best, step), *others)]
+        return self._judged(fits, look, held)
 
     def _undecided(
         self, best: Scored, rivals: Sequence[Scored], look: Look, fitted: FittedStage, held: HeldOut
@@ -293,7 +314,7 @@ class Bench:
                 new = held_out(step.near, self.verification, self.floor, self.seed, self.block)
                 p, falls = self._confirmed(held, new, s, fitted.estimate)
             else:  # one step is not the fit: only this tells
-                _, trial, kept, new = self._fitted_along(s, step, fitted)
+                _, trial, kept, new = self._fitted_along(s, step, fitted, held)
                 p, falls = self._falls(s, trial.estimate, kept, held, new)
             if falls:
                 return Undecided([best, *rivals], look)
@@ -395,10 +416,19 @@ class Bench:
         curved = [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
         return [(s, own) for s, own in curved if own.may_reach(step)]
 
-    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage) -> _Along:
+    def _fitted_along(self, s: Scored, step: Step | None, fitted: FittedStage, held: HeldOut) -> _Along:
+        """A candidate fitted along, without those of its places that do not pay.
+
+        What clearly raises the error of rows that no fit has seen is refused as it is: which of its places would pay
+        is not asked. They are candidates of their own.
+        """
         # From none of it, a search would not know in which direction its shape is to go.
         start = step.near.values() if step is not None and step.falls else s.candidate.shapes
         trial = self.refit([*fitted.model.terms, *s.candidate.terms], fitted, start)
+        if len(s.candidate.terms) > 1 and self._plain(s):
+            whole = self.held_out(trial)
+            if not held.exceed(whole) and whole.p_above(held, whole.noise, self.seed) <= HELD_OUT_RATE:
+                return _Along(s, trial, list(s.candidate.terms), whole)
         trial, kept = pruned(trial, s.candidate.terms, fitted.model.terms, self.refit)
         return _Along(s, trial, kept, self.held_out(trial))
 
@@ -454,6 +484,12 @@ class Bench:
         step = step_towards(last.estimate, groups[-1].members[0])
         near = step.near.values() if step is not None and step.falls else last.model.values()
         return self.refit([*fitted.model.terms, *terms], last, {**shapes, **near}), granted
+
+    def taken(self, undecided: Undecided, fitted: FittedStage, held: HeldOut, after: int) -> Taken:
+        """The first of some candidates fitted along, where it makes no difference which of them it is."""
+        group = undecided.taken(self.effects)
+        whole, _ = self.with_undecided([group], fitted, fitted)
+        return Taken(group, fitted, held, whole, self.held_out(whole), after)
 
     def _linear(self, candidate: Candidate) -> bool:
         """Whether its columns say all of it: no prior limits its amplitudes, and it is no event."""

@@ -4,7 +4,8 @@ Coulomb's friction jumps at a reversal and is anything between its limits at res
 small contacts: a state z between -1 and +1 that follows the motion over the length s (Dahl), and creeps back to zero in
 the time t where nothing moves. It scales whatever friction goes with the sign of a motor's motion: Coulomb's,
 Stribeck's, asymmetric. A model that has it knows the friction of a motor at rest, so that rows at rest count.
-Without it they do not, and nothing else shows it, so that diagnosis does not look for it by itself: it is to be added.
+Without it they do not. Rows that move hardly show it, and its shapes take long to search, so that diagnosis does not
+look for it: it is to be asked for.
 """
 
 from __future__ import annotations
@@ -75,5 +76,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = F_c z, dz/dt = |w|/s (sign(w) - z) - z/t",
     source=("Olsson1998",),
-    revealed_by="friction_at_rest",
+    asked=True,
 )

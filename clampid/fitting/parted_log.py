@@ -13,6 +13,7 @@ applications, Inverse Problems 19, 2003; nothing is eliminated here, so that pri
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -72,7 +73,7 @@ class PartedLog:
         left = self.white.residual - self.white.jacobian @ step + white.residual
         columns = _Columns(self, white.jacobian)
         there = Whitened(left, columns, self.white.entry, self.white.channel)
-        return PartedPoint(theta, self.residual - self.columns @ step + own, there, columns)
+        return PartedPoint(theta, own, there, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,16 +105,25 @@ class PartedPoint:
 
     Attributes
     ----------
-    theta, residual
-        ``(P + K,)``, and ``(N, n)``, Nm.
+    theta
+        ``(P + K,)``.
+    own
+        The residual of the parameters V alone ``(N, n)``, Nm.
     white
         The residual and its Jacobian, whitened.
     """
 
     theta: Array
-    residual: Array
+    own: Array
     white: Whitened
     columns: _Columns
+
+    @cached_property
+    def residual(self) -> Array:
+        """The residual ``(N, n)``, Nm: made where it is asked for, as it is at the end of a search alone."""
+        log = self.columns.log
+        step = self.theta[log.linear] - log.start[log.linear]
+        return np.asarray(log.residual - log.columns @ step + self.own)
 
     @property
     def cost(self) -> float:

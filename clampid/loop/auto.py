@@ -69,7 +69,7 @@ def mend(
         progress(f"{stage}: {headline({stage: part.to_json()})}")
         # Places that were tried and confirmed together stay one step: each alone need not pay for its numbers. Steps
         # are not put together: what shows only through another (friction through springs) would be lost.
-        steps[stage] = [*part.steps, *part.alike, *(_one_curve(c) for c in found.simpler.get(stage, ()))]
+        steps[stage] = [*part.in_order, *(_one_curve(c) for c in found.simpler.get(stage, ()))]
         for step in part.alike:
             others = ", ".join(dict.fromkeys(c["effect"] for c in step.evidence["confusable_with"]))
             progress(f"{stage}: added {step.label}; here it is the same model as with {others} instead")

@@ -12,6 +12,7 @@ import pytest
 import clampid.effects
 from clampid.catalogue import catalogue
 from clampid.chain.chain import OUTPUTS
+from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC
 from clampid.effect import FAMILIES, UNITS, Effect, Stage
 from clampid.fitting.solve import clamping_offsets
 from clampid.slots import find_parameter, slots_of
@@ -86,6 +87,10 @@ def test_declaration(effect: Effect):
     assert all(
         p.bounds[0] <= (p.grid[0] if p.shape else 0.0) <= p.bounds[1] or p.bounds[0] > 0 for p in effect.parameters
     )
+
+
+def test_what_a_probe_reveals_names_a_probe_that_exists():
+    assert {e.revealed_by for e in EFFECTS.values()} <= {None, JOINT_ANGLE_PERIODIC}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)

@@ -1,0 +1,95 @@
+"""The search of one stage: score, confirm, add, refit, and start again, until nothing more is confirmed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from clampid.diagnosis.confirmed import Confirmed, with_needed_only
+from clampid.diagnosis.folds import Folds, folds_of
+from clampid.diagnosis.look import Look
+from clampid.diagnosis.trial import Bench, HeldOut, Taken, Tried, Undecided
+from clampid.evidence.candidates import Candidate
+from clampid.identification.fitted_stage import FittedStage
+
+__all__ = ["Searched", "search"]
+
+ROUNDS = 8
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What a search has found.
+
+    Attributes
+    ----------
+    before
+        Errors of the first fit on rows that it has not seen.
+    first_look
+        At what the first fit leaves.
+    steps
+        What was confirmed.
+    taken
+        Groups of candidates that these rows cannot tell apart, of which the model has one since.
+    undecided
+        Such groups, of which it has none.
+    refused
+        What was refused in the last round, as listed.
+    fitted, held, look
+        The last fit, its errors on rows that it has not seen, and a look at what it leaves.
+    """
+
+    before: HeldOut
+    first_look: Look
+    steps: list[Confirmed]
+    taken: list[Taken]
+    undecided: list[Undecided]
+    refused: list[dict[str, Any]]
+    fitted: FittedStage
+    held: HeldOut
+    look: Look
+
+
+def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
+    """Look for what a fit lacks; parts of runs to hold out instead, where whole runs would not test a candidate.
+
+    Of candidates that these rows cannot tell apart the model takes one where it makes no difference which, and the
+    search goes on: what it leaves would else hide other effects. Of poses it takes none: what is one model on these
+    places the flange differently at others.
+    """
+    rows, effects = fitted.estimate.experiment.rows, bench.effects
+    first_look = look = bench.look(fitted, 0)
+    if bench.folds is None and (finer := folds_of(rows, _on_trial(look), effects)) is not None:
+        return finer
+    before = held = bench.held_out(fitted)
+    steps: list[Confirmed] = []
+    taken: list[Taken] = []
+    undecided: list[Undecided] = []
+    refused: list[dict[str, Any]] = []
+    dropped: set[str] = set()
+    for number in range(1, ROUNDS + 1):
+        tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
+        finer = bench.folds or folds_of(rows, _on_trial(look, others), effects)
+        if finer is not None and finer is not bench.folds:
+            return finer
+        refused = [t.refusal(effects, held.rms) for t in others]
+        if isinstance(tried, Undecided) and rows.stage != "poses" and tried.alike(effects, bench.elsewhere):
+            taken.append(bench.taken(tried, fitted, held, len(steps)))
+            fitted, held = taken[-1].fitted, taken[-1].held
+        else:
+            if isinstance(tried, Undecided):
+                tried, undecided, only_beside = bench.beside(tried, fitted, held, number)
+                refused += [t.refusal(effects, held.rms) for t in only_beside]
+            if tried is None:
+                break
+            steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(refused))], dropped)
+            fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
+        look = bench.look(fitted, 2 * number)
+    return Searched(before, first_look, steps, taken, undecided, refused, fitted, held, look)
+
+
+def _on_trial(look: Look, refused: Sequence[Tried] = ()) -> list[Candidate]:
+    """The candidates that come to trial: the best name of a look, and those that were refused after it."""
+    best = look.best()
+    return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]
