@@ -79,7 +79,7 @@ def auto(
     data = {"model": str(output), **model_json(model), "diagnosis": found}
     written = "" if report is None else f" Report: {report}, about {read[0].name}."
     steps = after_mending(found, output, campaigns, report, effects_from)
-    out.show(mended_screen(data, nominal, f"Fitted and mended {output}.{written}", steps))
+    out.show(mended_screen(data, model, nominal, f"Fitted and mended {output}.{written}", steps))
     out.result(data)
 
 

@@ -199,19 +199,17 @@ def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
     return tuple(texts[k] for k in range(max(map(len, found), default=0)) for texts in found if k < len(texts))
 
 
-def mended_screen(data: Json, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
-    """What ``auto`` found and added: ``data`` is its JSON."""
+def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
+    """What ``auto`` found and added: ``data`` is its JSON, the ledger of ``model`` says what was added."""
     found = data["diagnosis"]["stages"]
     rows, facts = [], []
     for name, part in data["stages"].items():
         before = found.get(name, {}).get("heldout_rms_before")
         errors = (_of(nominal, name), before, part["heldout_rms"], part["noise_floor"])
         rows.append((name, tuple(error_text(e, part["unit"]) for e in errors), str(found[name]["verdict"])))
-        added = [
-            named(c.get("name", c["effect"]), c["where"]) for c in found[name]["candidates"] if not c["alternative"]
-        ]
-        if added:
-            facts.append((f"{name}:", f"added {listed(added, 6)}"))
+        labels = [label.partition("@") for r in model.ledger if r.stage == name for label in r.added]
+        if labels:
+            facts.append((f"{name}:", f"added {_grouped([(effect, place) for effect, _, place in labels])}"))
     return Screen(
         done,
         Errors(_title(list(data["stages"])), ("nominal", "start model", "this model", "noise floor"), tuple(rows)),
@@ -224,14 +222,25 @@ def mended_screen(data: Json, nominal: Mapping[Stage, float], done: str, steps: 
     )
 
 
+def _grouped(added: Sequence[tuple[str, str]]) -> str:
+    """Effects with their places, each effect once."""
+    places: dict[str, list[str]] = {}
+    for effect, place in added:
+        places.setdefault(effect, []).extend([place] if place else [])
+    return listed([named(effect, list(dict.fromkeys(at))) for effect, at in places.items()], 6)
+
+
 def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
     """What ``add`` did to the held-out error."""
     rows, worse, facts = [], [], []
     for name, part in data["stages"].items():
         rows.append((name, tuple(error_text(part[key], part["unit"]) for key in KEYS), ""))
-        added = [named(a.get("name", a["effect"]), [a["where"]] if isinstance(a["where"], str) else a["where"])
-                 for a in part["added"]]  # fmt: skip
-        facts.append((f"{name}:", f"added {listed(list(dict.fromkeys(added)), 6)}"))
+        places = [
+            (a.get("name", a["effect"]), place)
+            for a in part["added"]
+            for place in ([a["where"]] if isinstance(a["where"], str) else a["where"] or [""])
+        ]
+        facts.append((f"{name}:", f"added {_grouped(places)}"))
         if part["heldout_rms_after"] > part["heldout_rms_before"]:
             worse.append(name)
     first = next(iter(data["stages"].values()))
