@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import functools
 import os
+import re
+import shutil
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -18,6 +20,7 @@ from typing import Annotated, Any
 
 import typer
 
+from clampid.screen import wrapped
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
@@ -42,7 +45,7 @@ def app() -> typer.Typer:
         name="clampid",
         help="Finds out why one particular industrial robot is inaccurate, and mends it.",
         no_args_is_help=True,
-        add_completion=False,
+        add_completion=True,
         rich_markup_mode=None,
     )
     command.callback()(_common)
@@ -146,11 +149,11 @@ def run(arguments: Sequence[str], debug: bool = False) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:  # the program's outermost boundary: every error becomes one line and a code
-        return _failed(error, debug)
+        return _failed(error, debug, arguments)
     return code if isinstance(code, int) else 0
 
 
-def _failed(error: Exception, debug: bool) -> int:
+def _failed(error: Exception, debug: bool, arguments: Sequence[str]) -> int:
     if debug:
         traceback.print_exc()
     worded = getattr(error, "format_message", None)  # typer's own errors: a wrong option, a missing argument
@@ -158,7 +161,8 @@ def _failed(error: Exception, debug: bool) -> int:
         if type(error).__name__ == "NoArgsIsHelpError":
             typer.echo(worded(), err=True)
             return 2
-        return _fail(f"{worded()} (see clampid --help)" if not worded().endswith("?") else worded(), 2)
+        message = worded() + _as_list(worded(), arguments)
+        return _fail(f"{message} (see clampid --help)" if not message.endswith("?") else message, 2)
     if is_wrong_input(error):
         return _fail(str(error), 2)
     if type(error).__name__ == "Abort":
@@ -166,9 +170,23 @@ def _failed(error: Exception, debug: bool) -> int:
     return _fail(f"{type(error).__name__}: {error} (clampid --debug … shows where)", 1)
 
 
+def _as_list(message: str, arguments: Sequence[str]) -> str:
+    """A hint where the values of an option were written with spaces instead of commas; else nothing."""
+    extra = re.search(r"unexpected extra argument(?:s|\(s\))? \(([^)]*)\)", message)
+    rest = extra[1].split() if extra else []
+    for k in range(2, len(arguments)):
+        option, value = arguments[k - 2 : k]
+        if rest and arguments[k] == rest[0] and option.startswith("--") and not value.startswith("-"):
+            return f"; did you mean {option} {','.join([value, *rest])}?"
+    return ""
+
+
 def _fail(message: str, code: int) -> int:
     line = for_terminal(" ".join(message.split()))
     if len(line) > LONGEST_LINE:
         line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"
-    print(f"clampid: {line}", file=sys.stderr)
+    text = f"clampid: {line}"
+    if sys.stderr.isatty():  # elsewhere one line, for scripts
+        text = "\n".join(wrapped(text, shutil.get_terminal_size().columns, rest="  "))
+    print(text, file=sys.stderr)
     return code

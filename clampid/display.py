@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 __all__ = [
     "Scale",
+    "compact",
     "count_text",
     "error_text",
     "fixed",
@@ -109,6 +110,21 @@ def with_std(value: float, std: float, scale: Scale, *, unit: bool = True) -> st
     told, error = _pair(value * scale.factor, std * scale.factor)
     both = f"{told} ± {error}" if error else told
     return f"{both} {scale.unit}".rstrip() if unit else both
+
+
+def compact(value: float, std: float, scale: Scale) -> str:
+    """``12.34(42)``: a value and in brackets the standard error of its last digits, without the unit.
+
+    Two digits of an error that begins with 1 or 2, one of others.
+    """
+    value, std = value * scale.factor, std * scale.factor
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return number(value, 4)
+    first = f"{std:.1e}"
+    decimals = _place(std) - (0 if first[0] in "12" else 1)
+    if decimals > 0:
+        return f"{fixed(value, decimals)}({round(std * 10**decimals):d})"
+    return f"{fixed(value, decimals)}({fixed(std, decimals)})"
 
 
 def readable(value: float, unit: str, digits: int = 3) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ __all__ = [
     "Slot",
     "Term",
     "find_parameter",
+    "no_such_effect",
     "on_bound",
     "parse_term",
     "slots_of",
@@ -118,6 +120,13 @@ def slots_of(
     return tuple(found)
 
 
+def no_such_effect(name: str, catalogue: Mapping[str, Effect]) -> str:
+    """For people: that no effect has this name, and which ones may be meant."""
+    near = get_close_matches(name.lower().replace("-", "_"), catalogue, 3)
+    hint = f"did you mean {' or '.join(near)}?" if near else "`clampid effects` lists them all"
+    return f"no effect is called {name!r}; {hint}"
+
+
 def parse_term(text: str, catalogue: Mapping[str, Effect], layout: Layout) -> Term:
     """Read ``effect`` or ``effect@joint3``.
 
@@ -128,7 +137,7 @@ def parse_term(text: str, catalogue: Mapping[str, Effect], layout: Layout) -> Te
     """
     name, _, place = text.strip().partition("@")
     if name not in catalogue:
-        raise EffectError(f"no effect is called {name!r}; known: {', '.join(sorted(catalogue))}")
+        raise EffectError(no_such_effect(name, catalogue))
     if not place:
         return Term(name)
     allowed = layout.allowed(catalogue[name])

@@ -26,6 +26,8 @@ LIMIT_SLACK_RAD = 1e-3
 # Gears of robots reduce 30 to 250 times. Joint angles written as motor angles would put every joint within this of
 # zero in every posture; a clamped arm stretched out like that in all load cases is not a measurement.
 TINY_RAD = 0.1
+# No robot's joint turns farther from zero than two revolutions. Angles within that may be another robot's radians.
+MOST_TURNED_RAD = 4.0 * np.pi
 
 
 def joint_angles(campaign: Campaign, table: str) -> FloatArray:
@@ -99,14 +101,18 @@ def _wrong_unit(campaign: Campaign, table: str, q: FloatArray) -> Finding | None
     typical = np.quantile(np.abs(q), 0.95, axis=0)
     largest = f"{joint_list(far)} beyond twice the limits in up to {share.max():.0%} of the rows, e.g. "
     largest += f"{typical[far[0] - 1]:.4g} against {reach[far[0] - 1]:.4g} rad"
-    if np.all(np.deg2rad(typical[bounded]) <= MARGIN * reach[bounded]):
+    turned = float(typical[bounded].max(initial=0.0))
+    may_be_radians = turned <= MOST_TURNED_RAD
+    if not may_be_radians and np.all(np.deg2rad(typical[bounded]) <= MARGIN * reach[bounded]):
         what = "motor angles, taken through the transmission," if table == "clamped" else "joint angles"
         return Finding("error", table, column, None, f"{what} look like degrees, radians are expected: {largest}")
     through = np.quantile(np.abs(q @ robot.transmission), 0.95, axis=0)
-    if table != "clamped" and robot.transmission_known and np.all(through[bounded] <= MARGIN * reach[bounded]):
+    geared = table != "clamped" and robot.transmission_known and not may_be_radians
+    if geared and np.all(through[bounded] <= MARGIN * reach[bounded]):
         message = f"these look like motor angles, joint angles are expected: {largest}"
         return Finding("error", table, column, None, message)
-    return Finding("error", table, column, None, f"these cannot be angles of {robot.name} in radians: {largest}")
+    message = f"these angles do not fit {robot.name}: {largest}; is it another robot's data, or are they degrees?"
+    return Finding("error", table, column, None, message)
 
 
 def _motor_side(campaign: Campaign, table: str) -> Finding | None:

@@ -213,12 +213,14 @@ def _same_by_rounding(read: pd.DataFrame, noise: float | None) -> float:
 
 def _replicates(campaign: Campaign) -> Iterator[Finding]:
     count = replicates(campaign)
-    same = f"with the same directions and, within {SAME_TEMPERATURE_K:g} K, temperatures of links and motors"
+    same = f"same directions, temperatures within {SAME_TEMPERATURE_K:g} K"
     if count >= ENOUGH_RETURNS:
-        message = f"{count} points measured again {same}: they give the noise floor"
+        message = f"{count} repeated points ({same}) give the noise floor"
     else:
-        found = f"{count} points" if count else "no point"
-        message = f"{found} measured again {same}: it takes {ENOUGH_RETURNS}, so the noise floor is the instrument's"
+        message = (
+            f"{count} repeated points ({same}), fewer than {ENOUGH_RETURNS}: the noise floor is the instrument's "
+            "stated noise"
+        )
     yield Finding("note", "poses", "visit", None, message)
 
 

@@ -44,6 +44,10 @@ FARTHEST_M = 100.0
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
 CLEARLY_WRONG_M = 0.02
 TARGETS_WRONG_M = 0.01
+# Where each stop has several rows, a shift by one row spoils one row of each stop: a tenth and more of all rows.
+SHIFTED_SHARE = 0.1
+# No arm that works errs by so much: whatever the mistake is, a model of these points would be of no use.
+NOT_THIS_ROBOT_M = 0.1
 # A wrong sign of a joint that hardly moves the targets errs by less; where it is turned, all but a few millimetres go.
 SIGN_WRONG_M = 0.005
 # Orientation errors of real arms are milliradians; the base frame adds a few more.
@@ -114,8 +118,8 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
         yield Finding(
             "warning", "poses", "pose", None,
             f"{poses} pose{'s are' if poses > 1 else ' is'} {few} the {least} that the geometry of {robot.n} joints "
-            f"and {what} takes at the least ({unknown} numbers): what is fitted to them says "
-            f"little of other poses; {2 * least} and more tell their own errors",
+            f"and {what} needs ({unknown} parameters): a model fitted to them does not predict other poses; measure "
+            f"{2 * least} or more",
         )  # fmt: skip
     if oriented:
         return
@@ -238,15 +242,26 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
             message = f"{far}; they fit when mirrored: an axis has a wrong sign, or two are swapped"
             yield Finding("error", table, "x_m", None, message)
             return
+        shifted = _shifted_rows(campaign, table, poses, points, measured, good)
+        if shifted:
+            yield Finding("error", table, "q1_rad", None, f"{far}; {shifted}")
+            return
         swap = _swapped_targets(campaign, table, poses, measured, good)
         reason = f"they fit with {swap}" if swap else "wrong robot, joint order or sign?"
-        severity: Literal["error", "warning"] = "error" if swap else "warning"
+        severity: Literal["error", "warning"] = "error" if swap or size > NOT_THIS_ROBOT_M else "warning"
         yield Finding(severity, table, "target" if swap else "x_m", None, f"{far}; {reason}")
         return
     if QUATERNION[0] in campaign.tables[table]:
         yield from _orientations(table, campaign.tables[table], poses, fit.base)
     bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
     if bad.size:
+        shifted = None
+        if bad.size > SHIFTED_SHARE * len(residual):  # of several targets at a stop only the first or the last is wrong
+            shifted = _shifted_rows(campaign, table, poses, points, measured, CLEARLY_WRONG_M, 1.0 - FEW_ROWS)
+        if shifted:
+            message = f"{bad.size} of {len(residual)} positions are far from where the others say they should be"
+            yield Finding("error", table, "q1_rad", None, f"{message}; {shifted}")
+            return
         worst = int(bad[np.argmax(residual[bad])])
         renamed = _mistaken_targets(campaign, table, poses, measured, bad, fit)
         if renamed:
@@ -282,6 +297,41 @@ def _mistaken_joints(
         if np.median(_fit(poses, points, measured).distance) < good:
             found.append((first, words))
     return found[0] if len(found) == 1 else None
+
+
+def _shifted_rows(
+    campaign: Campaign,
+    table: str,
+    poses: FloatArray,
+    points: FloatArray,
+    measured: FloatArray,
+    good: float,
+    share: float = 0.5,
+) -> str | None:
+    """In words, that the joint angles of a row, or of a visit, stand beside the points of the next or the last one.
+
+    ``share`` of the rows must then fit to within ``good``, m.
+    """
+    frame = campaign.tables[table]
+    stops = frame.groupby(["pose", "visit"], sort=False).ngroup().to_numpy()
+    steps: list[tuple[str, npt.NDArray[np.intp]]] = [("row", np.arange(len(frame), dtype=np.intp))]
+    if stops[-1] + 1 < len(frame):  # several targets at a stop: all of them are beside the angles of the next stop
+        steps.append(("visit", stops.astype(np.intp)))
+    for what, number in steps:
+        firsts = {int(n): int(i) for i, n in reversed(list(enumerate(number)))}
+        for step in (1, -1):
+            of = np.array([firsts.get(int(n) + step, -1) for n in number])
+            there = of >= 0
+            if there.sum() < len(frame) // 2:
+                continue
+            moved = _fit(poses[of[there]], points[there], measured[there])
+            if np.quantile(moved.distance, share) < good:
+                other = "next" if step > 0 else "previous"
+                return (
+                    f"they fit when the points of each {what} are taken with the joint angles of the {other} one: the "
+                    f"columns are shifted against each other by one {what}"
+                )
+    return None
 
 
 def _swapped_targets(

@@ -78,10 +78,10 @@ def one_sided_words(found: Sequence[OneSided], rows: Rows, effects: Mapping[str,
     names = sorted(n for n, e in effects.items() if rows.stage in e.stages and SIDES & set(e.needs))
     joints = ", ".join(f"{f.joint} ({ {1: '+', -1: '-', 0: 'not recorded'}[f.side] })" for f in found)
     what = "approached" if rows.stage == "poses" else "moved"
-    many = "s" if len(found) > 1 else ""
+    many, was = ("s", "were") if len(found) > 1 else ("", "was")
     return (
-        f"Only ever {what} from one side: joint{many} {joints}. What has a side cannot be told there "
-        f"({', '.join(names).replace('_', ' ')}): measure from the other side, too."
+        f"Direction-dependent effects cannot be identified at joint{many} {joints}, which {was} {what} from one side "
+        f"only ({', '.join(names).replace('_', ' ')}): measure from the other side, too."
     )
 
 

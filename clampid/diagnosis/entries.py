@@ -87,13 +87,14 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
     wanted: dict[str, set[str]] = {}
     for slot in (*s.candidate.slots, *s.candidate.shapes):
         wanted.setdefault(slot.effect, set()).add(slot.place)
-    std = estimate.std
+    std, identified = estimate.std, estimate.identified
     return [
         {
             "name": slot.label,
             "value": float(estimate.theta[k]),
             "std": float(std[k]),
             "unit": unit_of(slot, effects, estimate.experiment.rows.robot),
+            "identified": bool(identified[k]),
         }
         for k, slot in enumerate(estimate.slots)
         if slot.place in wanted.get(slot.effect, set())

@@ -11,11 +11,11 @@ __all__ = ["limit_rows", "not_testable"]
 
 Json = Mapping[str, Any]
 WHY = {
-    "absent": "does nothing in these rows",
-    "absorbed": "the model takes it up",
-    "weak": "the model takes nearly all of it up",
-    "insensitive": "only a size that cannot be would show",
-    "implausible": "only a size or sign that cannot be would show",
+    "absent": "has no influence on these rows",
+    "absorbed": "absorbed by the model",
+    "weak": "nearly all of it absorbed by the model",
+    "insensitive": "only an implausible size would be found",
+    "implausible": "only an implausible size or sign would be found",
     "testable": "",
 }
 """States, the more that rows can tell the later, and what is said of them."""

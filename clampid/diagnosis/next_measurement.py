@@ -175,17 +175,17 @@ class NextPlan:
     def sentence(self) -> str:
         """For people: of what parts candidates, and which it does not."""
         never = "; ".join(
-            f"{a} from {b} ({_percent(share)} of their signal in common, {np.sqrt(left):.2g} σ apart)"
+            f"{a} from {b} ({_percent(share)} of their signal in common, a difference of {np.sqrt(left):.2g} σ)"
             for a, b, share, left in self.never
         )
         if not self.helps:
-            what = f"no {self.what[1]} that this robot can take part"
+            what = f"no {self.what[1]} that this robot can take distinguish"
             return f"{what} {never or 'them'}, with all {self.tried} tried taken together"
-        sigma = f"{np.sqrt(self.before):.2g} σ apart now, {np.sqrt(self.after):.2g} σ after"
-        gain = f"{sigma}, {np.sqrt(ENOUGH):.2g} σ tell them in 9 of 10 campaigns"
-        share = f"they share {_percent(self.shared[0])} of their signal now, {_percent(self.shared[1])} after"
-        said = f"{self.count} ({self.words}): the closest two are {gain}; {share}"
-        return f"{said}; no {self.what[1]} part {never}, with all {self.tried} tried" if never else said
+        now, then, enough = (f"{np.sqrt(square):.2g} σ" for square in (self.before, self.after, ENOUGH))
+        gain = f"the closest two differ by {now}, these raise this to {then}; {enough} is enough in 9 of 10 campaigns"
+        share = f"{_percent(self.shared[0])} of their signal is in common now, {_percent(self.shared[1])} then"
+        said = f"{self.count} ({self.words}): {gain}; {share}"
+        return f"{said}; no {self.what[1]} distinguish {never}, with all {self.tried} tried" if never else said
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""

@@ -68,4 +68,4 @@ def shift_in_words(shifts: list[dict[str, Any]]) -> str:
         row = f"row {entry['row']}" if entry["row"].isdigit() else entry["row"]
         named.append(f"{entry['parameter']} of {row} by {off}")
     more = f", and {len(shifts) - MOST} more numbers" if len(shifts) > MOST else ""
-    return f"Leaving it out had shifted the exported table: {', '.join(named)}{more}."
+    return f"Without it the exported DH table was biased: {', '.join(named)}{more}."

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from clampid.diagnosis.headline import listed, named
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.display import error_text
 from clampid.fitting.solve import Estimate
@@ -56,7 +57,7 @@ def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
 
 
 def summary_of(result: StageDiagnosis) -> str:
-    """The verdict in a sentence or two, what is left at the noise floor, and how many rows were dropped."""
+    """The verdict in a few sentences: what was missing, the errors, what is left, and how many rows were rejected."""
     notes = [found.sentence(result.unit, result.noise_floor) for found in result.remains]
     return " ".join([_verdict(result), *notes, *_dropped(result)])
 
@@ -67,7 +68,7 @@ def _dropped(result: StageDiagnosis) -> list[str]:
     if count < FEW_OUTLIERS:
         return []
     of = f" of {result.rows}" if result.rows >= count else ""
-    return [f"{count} rows{of} were rejected as outliers and count nowhere."]
+    return [f"{count} rows{of} were rejected as outliers and are not used."]
 
 
 def _verdict(result: StageDiagnosis) -> str:
@@ -76,7 +77,7 @@ def _verdict(result: StageDiagnosis) -> str:
         return error_text(x, result.unit) + ("" if result.unit == "m" else " of the motors' noise")
 
     def words(c: Mapping[str, Any]) -> str:
-        said = _named(c) + (f" at {', '.join(c['where'])}" if c["where"] else "")
+        said = named(c.get("name", c["effect"]), c["where"])
         when = c.get("when")
         return f"{said}, once, just before row {when['row']} of {when['table']}" if when else said
 
@@ -84,53 +85,53 @@ def _verdict(result: StageDiagnosis) -> str:
     floor = f"noise floor {shown(result.noise_floor)}"
     start = ""
     if confirmed:
-        fall = f"the held-out error falls from {shown(result.before)} to {shown(result.after)} ({floor})"
-        start = f"Missing: {'; '.join(confirmed)}; with it {fall}. "
+        what = listed(confirmed, len(confirmed))
+        were = "were" if len(confirmed) > 1 else "was"
+        fall = f"Held-out error {shown(result.before)} → {shown(result.after)}; {floor}."
+        start = f"{what[:1].upper()}{what[1:]} {were} missing. {fall} "
+    error = "" if confirmed else f" Held-out error {shown(result.after)}; {floor}."
     match result.verdict:
         case "adequate" | "missing" if result.above is not None:
-            return start + _above(result.above, shown(result.after), floor, "No further" if start else "No")
+            return start + _above(result.above, shown(result.after), floor, bool(start))
         case "adequate":
             return (
-                f"Nothing can be seen to be missing: the held-out error is {shown(result.before)}, {floor}; effects "
-                "above the listed limits would have been found with 90 % probability."
+                f"No missing effect was found. Held-out error {shown(result.before)}; {floor}. An effect above its "
+                "detection limit would have been found with 90 % probability."
             )
         case "missing":
-            return start + "Beyond that nothing stands out of the noise."
+            return start + "Nothing beyond the noise is left."
         case "ambiguous":
             groups: dict[int, list[str]] = {}
             for c in result.candidates:
                 if c["alternative"]:
                     groups.setdefault(c["group"], []).append(words(c))
             first, *more = ("; ".join(group) for group in groups.values())
-            nor = "".join(f" Nor, beside one of these: {group}." for group in more)
-            return f"{start}These data cannot tell apart: {first}. To part them: {result.next_measurement}.{nor}"
+            nor = "".join(f" Once one of these is added, these remain indistinguishable: {group}." for group in more)
+            what = "what is left" if confirmed else "the error"
+            return (
+                f"{start}The data do not distinguish these explanations of {what}: {first}.{error} "
+                f"To distinguish them: {result.next_measurement}.{nor}"
+            )
         case _:
-            error = "" if confirmed else f" (held-out error {shown(result.after)}, {floor})"
             if not result.depends_on:
                 return (
-                    f"{start}The error is far above the noise{error}, but no known effect explains it, and it depends "
-                    "on no recorded variable as far as these rows tell."
+                    f"{start}No known effect explains what is left, and it depends on no recorded variable as far as "
+                    f"these rows show.{error}"
                 )
-            next_step = f" To make it an effect: {result.shape['command']}" if result.shape else ""
+            next_step = f" To describe it as an effect: {result.shape['command']}" if result.shape else ""
             return (
-                f"{start}Structure is left that no known effect explains; it depends on "
-                f"{', '.join(result.depends_on)}{error}.{next_step}"
+                f"{start}No known effect explains what is left; it depends on {', '.join(result.depends_on)}."
+                f"{error}{next_step}"
             )
 
 
-def _named(c: Mapping[str, Any]) -> str:
-    """A candidate's name, and where it is a variant, what of."""
-    name, family = str(c.get("name", c["effect"])).replace("_", " "), str(c["effect"]).replace("_", " ")
-    return name if name == family else f"{name} ({family})"
-
-
-def _above(above: Mapping[str, Any], error: str, floor: str, no: str) -> str:
+def _above(above: Mapping[str, Any], error: str, floor: str, further: bool) -> str:
     """That no effect was found though the error lies above the noise, with figures and what may be the reason."""
     unseen = "; ".join(f"{place}: {', '.join(variables)}" for place, variables in above["unseen"].items())
-    blind = f" Not seen at all would be what depends on ({unseen}): the model takes that up." if unseen else ""
+    blind = f" The model absorbs errors that depend on these variables: {unseen}." if unseen else ""
     return (
-        f"{no} effect is confirmed, but the held-out error is {error}, {above['times_floor']:.2g} times the {floor}: "
-        f"{100 * above['share_of_square']:.0f} % of its square are not that noise. What may be the reason: "
-        f"{'; '.join(above['reasons'])}.{blind} Effects above the listed limits would have been found with 90 % "
-        "probability."
+        f"No {'further ' if further else 'missing '}effect was confirmed, but the held-out error is {error}: "
+        f"{above['times_floor']:.2g} times the {floor}. {100 * above['share_of_square']:.0f} % of its square are not "
+        f"noise. Possible reasons: {'; '.join(above['reasons'])}.{blind} An effect above its detection limit would "
+        "have been found with 90 % probability."
     )

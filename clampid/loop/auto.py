@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
+from clampid.diagnosis.headline import headline
 from clampid.diagnosis.result import Step
 from clampid.effect import Stage
 from clampid.identification.identify import identify
@@ -65,7 +66,7 @@ def mend(
     found = diagnose(model, campaigns, seed=seed, user_effects=user_effects)
     steps: dict[Stage, list[Step]] = {}
     for stage, part in found.stages.items():
-        progress(f"{stage}: {part.summary}")
+        progress(f"{stage}: {headline({stage: part.to_json()})}")
         # Places that were tried and confirmed together stay one step: each alone need not pay for its numbers. Steps
         # are not put together: what shows only through another (friction through springs) would be lost.
         steps[stage] = [*part.in_order, *(_one_curve(c) for c in found.simpler.get(stage, ()))]

@@ -53,7 +53,7 @@ def _table(d: Drives) -> Table:
         )
     columns = (
         "axis", "k at the motor, Nm/rad#", "k at the joint, kNm/rad#", "clearance, deg#", "detection limit, deg#",
-        "told from zero", "friction at the motor, Nm#",
+        "differs from zero", "friction at the motor, Nm#",
     )  # fmt: skip
     caption = (
         "Springs, clearances and dry friction of the drives, ± one standard error. A clearance below its detection "

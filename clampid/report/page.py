@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section
 from clampid.report.drives import drives_section
+from clampid.report.first_screen import FirstScreen, first_screen
 from clampid.report.measured import measured_section
 from clampid.report.origin import origin_section
 from clampid.report.parameters import parameters_section
@@ -72,15 +74,23 @@ def page(
         dh_section(model, campaign.robot),
         origin_section(model, campaign, effects),
     ]
+    sentences = [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)]
     return render(
-        f"{campaign.robot.title}: calibration report",
+        campaign.robot.title,
         campaign.name,
-        [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)],
-        [s for s in sections if s is not None],
+        first_screen(model, first_model, stages, diagnosis),
+        [_with_sentences(s, sentences) for s in sections if s is not None],
     )
 
 
-def render(title: str, campaign: str, verdict: Sequence[str], sections: Sequence[Section]) -> str:
+def _with_sentences(section: Section, sentences: Sequence[str]) -> Section:
+    """The findings in full, before the rounds that they are about."""
+    if section.key != "rounds":
+        return section
+    return replace(section, paragraphs=(*sentences, *section.paragraphs))
+
+
+def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Section]) -> str:
     """Fill the template."""
     environment = Environment(
         loader=PackageLoader("clampid", "report"),
@@ -92,7 +102,7 @@ def render(title: str, campaign: str, verdict: Sequence[str], sections: Sequence
     return environment.get_template("template.html").render(
         title=title,
         campaign=campaign,
-        verdict=verdict,
+        first=first,
         sections=sections,
         kind=lambda block: type(block).__name__,
         typeset=_typeset,

@@ -8,13 +8,13 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from clampid.comparison.nominal import nominal_points
 from clampid.display import error_text
 from clampid.effect import Stage
 from clampid.models.model import Model, Round
 from clampid.report.spread import Spread, spread_table
 from clampid.report.stage_data import StageData, in_order, stage_title
 from clampid.report.style import BLUE, GREEN, GREY, ORANGE, Figure, Section, as_table, axes, layout
-from clampid.stages.pose_rows import align
 
 __all__ = ["rounds_of", "rounds_section", "unit_of"]
 
@@ -34,16 +34,12 @@ def rounds_of(model: Model, first: Model | None, stage: Stage) -> tuple[Round, .
 
 
 def nominal_error(data: StageData) -> float | None:
-    """Error of the robot as described, its base aligned with what was measured; poses that were fitted on only."""
+    """Error of the robot as described, base and targets fitted to the same rows, m; of fitted poses only."""
     piece = data.first
     good = piece.good[:, 0] & ~piece.held
     if data.stage != "poses" or not good.any():
         return None
-    measured = piece.rows.measured[good, :3]
-    points = measured - piece.experiment.with_slots(()).residual(np.zeros(0))[0][good, :3]
-    base = align(points, measured)
-    error = measured - points @ base[:3, :3].T - base[:3, 3]
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    return nominal_points(piece.rows, piece.experiment.effects, good)
 
 
 def rounds_section(
@@ -68,11 +64,20 @@ def rounds_section(
             x = [-1, 0]
             y = [nominal * factor, rounds[0].rms * factor]
             plot.add_trace(
-                _line(x[:1], y[:1], "robot as described, base aligned", GREY, "diamond-open", column == len(listed)),
+                _line(
+                    x[:1],
+                    y[:1],
+                    "robot as described, base and targets fitted",
+                    GREY,
+                    "diamond-open",
+                    column == len(listed),
+                ),
                 1,
                 column,
             )
-            rows.append((stage_title(stage), "robot as described, base aligned", error_text(nominal, unit), "–", "–"))
+            rows.append(
+                (stage_title(stage), "robot as described, base and targets fitted", error_text(nominal, unit), "–", "–")
+            )
         show = column == 1
         fit, held = [r.rms * factor for r in rounds], [r.heldout_rms * factor for r in rounds]
         floor = [r.noise_floor * factor for r in rounds]

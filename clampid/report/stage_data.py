@@ -21,7 +21,7 @@ __all__ = ["Piece", "StageData", "in_order", "stage_data", "stage_title"]
 
 ORDER: tuple[Stage, ...] = ("poses", "free_air", "clamped")
 """Poses first: they are what the robot is calibrated for."""
-_TITLES = {"free_air": "Free air and wrist (torques)", "clamped": "Clamped (torques)", "poses": "Filtered poses"}
+_TITLES = {"free_air": "Free air and wrist (torques)", "clamped": "Clamped (torques)", "poses": "Poses"}
 
 
 @dataclass(frozen=True)

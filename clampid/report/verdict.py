@@ -45,7 +45,7 @@ def _tells_error(said: str, found: Json, rounds: Sequence[Round]) -> bool:
     """Whether a summary gives the held-out error already, and the model has not gone further since."""
     after = found.get("heldout_rms_after")
     further = len(rounds) > 1 and (after is None or abs(rounds[-1].heldout_rms / float(after) - 1.0) > 0.02)
-    return "held-out" in said and not further
+    return "held-out" in said.lower() and not further
 
 
 def _fall(model: Model, first: Model | None, stage: Stage, found: Json | None, comparison: Json | None) -> str:

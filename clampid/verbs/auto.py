@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from clampid.verbs.inputs import read_checked, split_effects
-from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed
+from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
-from clampid.verbs.output import Output, output_file
+from clampid.verbs.output import Output, finite, output_file
 
 if TYPE_CHECKING:
     from clampid.models.model import Model
@@ -35,21 +35,26 @@ def auto(
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Identify, then diagnose and add until nothing more is confirmed."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     output_file(output, "json")
     if report is not None:
         output_file(report, "markup")
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects
+    from clampid.comparison.nominal import nominal_errors
     from clampid.identification.identify import identify
     from clampid.loop.auto import mend
+    from clampid.loop.kept_diagnosis import keep_diagnosis
     from clampid.models.model import save_model
     from clampid.verbs.findings import show_diagnosis
+    from clampid.verbs.next_step import after_mending
     from clampid.verbs.rejected import rejected_words
+    from clampid.verbs.screens import mended_screen
     from clampid.verbs.show import model_json, show_model
 
     with out.working("reading"):
@@ -59,14 +64,23 @@ def auto(
     with out.working("diagnosing, adding"):
         model, diagnosis = mend(first, read, seed=seed, user_effects=effects_from, progress=out.step)
     save_model(model, output)
+    with out.working("comparing with the nominal robot"):
+        nominal = nominal_errors(model, read, effects_from)
     found = diagnosis.to_json()
     rejected = rejected_words(model, read, effects_from)
     show_model(model, with_user_effects(effects_from), read[0].robot, rejected, out)
     show_diagnosis(found, out)
     if report is not None:
         _write_report(report, model, read[0], found, first, seed, effects_from, out)
-    out.say(f"model: {output}")
-    out.result({"model": str(output), **model_json(model), "diagnosis": found})
+    try:
+        keep_diagnosis(output, read, finite(found))
+    except OSError as error:  # it only saves a report the time to compute it again
+        out.step(f"the diagnosis is not kept for a report: {error}")
+    data = {"model": str(output), **model_json(model), "diagnosis": found}
+    written = "" if report is None else f" Report: {report}, about {read[0].name}."
+    steps = after_mending(found, output, campaigns, report, effects_from)
+    out.show(mended_screen(data, model, nominal, f"Fitted and mended {output}.{written}", steps))
+    out.result(data)
 
 
 def _write_report(
@@ -94,4 +108,3 @@ def _write_report(
             first_model=first,
             user_effects=effects_from,
         )
-    out.say(f"report: {target}, about {campaign.name}")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from clampid.verbs.check_screen import check_screen, contents
 from clampid.verbs.inputs import finding_text
-from clampid.verbs.options import Json, OneCampaign, Quiet
+from clampid.verbs.options import Json, OneCampaign, Quiet, Verbose
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def check(
         bool, typer.Option("--iso9283", help="Accuracy and repeatability of the robot itself, from returns to poses.")
     ] = False,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Read and validate a campaign folder; say what it holds and what can be identified from it."""
@@ -34,11 +36,11 @@ def check(
     from experiments.check import check_campaign, holdings
     from experiments.long_log import LONG_ROWS
 
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     read = read_campaign(campaign, held=LONG_ROWS)
     holds, findings = holdings(read), check_campaign(read)
     standard = standard_effects([read]) if stages_of([read]) else {}
-    stages = {
+    stages: dict[str, Any] = {
         stage: {
             "tables": [t for t in TABLES_OF[stage] if t in read.tables],
             "standard": [term.label for term in terms],
@@ -48,7 +50,7 @@ def check(
         for stage, terms in standard.items()
     }
     out.say(f"{holds['campaign']}: {holds['robot']}, {holds['joints']} joints, measured by {holds['instrument']}")
-    rows = [(name, f"{table['rows']}", _contents(table)) for name, table in holds["tables"].items()]
+    rows = [(name, f"{table['rows']}", contents(table)) for name, table in holds["tables"].items()]
     out.table("", ("table", "rows", "what it holds"), rows, left=3)
     for line in _stated(read):
         out.say(f"known beforehand: {line}")
@@ -69,6 +71,7 @@ def check(
     ]
     wrong = sum(f.severity == "error" for f in findings)
     measured = {} if wrong or not iso9283 else {"iso9283": _iso9283(read, out)}
+    out.show(check_screen(holds, stages, shown, campaign, measured, list(_stated(read))))
     out.result({**holds, "stages": stages, "findings": shown, **measured})
     if wrong:
         first = next(finding_text(f) for f in findings if f.severity == "error")
@@ -123,30 +126,6 @@ def _stated(campaign: Campaign) -> Iterator[str]:
         yield f"{d.between[0]} to {d.between[1]}: {1e3 * d.value:.10g} mm, to {readable(d.std, 'm')}"
     for name, sensor in stated.sensors.items():
         yield f"sensor {name}: " + ("not used" if sensor.at == "none" else f"at {sensor.at}, weight {sensor.weight:g}")
-
-
-def _contents(table: Mapping[str, Any]) -> str:
-    """A table's summary in words."""
-    words = []
-    for key in ("poses", "visits", "replicates", "runs", "sweeps"):
-        if table.get(key):
-            words.append(f"{table[key]} {key}")
-    words.append(f"{table['duration_s'] / 60:.0f} min")
-    moved = table["joints_moved"]
-    words.append(f"joints {', '.join(map(str, moved))} move" if moved else "no joint moves")
-    for key, word in (
-        ("targets", "targets"),
-        ("anchors", "anchors"),
-        ("orientation", "orientations"),
-        ("directions", "approach directions"),
-        ("velocities", "velocities"),
-        ("fixture", "fixture watched"),
-        ("temperatures", "temperatures"),
-    ):
-        value = table.get(key)
-        if value:
-            words.append(f"{len(value)} {word}" if isinstance(value, list) else word)
-    return "; ".join(words)
 
 
 def _only_asked(effect: Effect, campaign: Campaign) -> bool:

@@ -9,7 +9,7 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import numbers_of, read_checked
-from clampid.verbs.options import EffectsFrom, Json, ModelFile, OneCampaign, Quiet, Seed
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, OneCampaign, Quiet, Seed, Verbose
 from clampid.verbs.output import Output, output_file
 
 __all__ = ["compare"]
@@ -32,10 +32,11 @@ def compare(
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Hold a model against a campaign, table by table, fit rows and held-out rows apart."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     parts = tuple(part.strip() for part in refit.split(",") if part.strip())
     for part in parts:
         if part not in ("base", "tool"):
@@ -49,8 +50,10 @@ def compare(
         output_file(report, "markup")
 
     from clampid.comparison.compare import compare as hold_against
+    from clampid.comparison.nominal import nominal_errors
     from clampid.models.model import load_model
     from clampid.verbs.findings import show_comparison
+    from clampid.verbs.screens import comparison_screen
 
     loaded = load_model(model)
     with out.working("reading"):
@@ -65,6 +68,7 @@ def compare(
             user_effects=effects_from,
             sample=centre,
         )
+        nominal = nominal_errors(loaded, read, effects_from)
     data = {**comparison.to_json(), "model": str(model), "campaign": str(campaign)}
     show_comparison(data, out)
     if report is not None:
@@ -74,5 +78,5 @@ def compare(
         with out.working("diagnosing and writing the report"):
             diagnosis = diagnose(loaded, read, seed=seed, user_effects=effects_from).to_json()
             write_report(report, loaded, read, comparison=data, diagnosis=diagnosis, user_effects=effects_from)
-        out.say(f"report: {report}")
+    out.show(comparison_screen(data, nominal, model, campaign, report, effects_from))
     out.result(data)

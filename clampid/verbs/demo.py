@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from clampid.verbs.errors import CallError
-from clampid.verbs.options import Json, Quiet
+from clampid.verbs.options import Json, Quiet, Verbose
 from clampid.verbs.output import Output
 from experiments.targets import check_folder
 
@@ -19,15 +19,18 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Draws the hidden effect, the robot and the noise.")] = 1,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where everything goes.")] = Path("demo"),
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the whole loop on a virtual robot with an effect hidden, and write a report."""
-    output = Output(quiet, json)
+    output = Output(quiet, json, verbose)
     if out.exists() and not out.is_dir():
         raise CallError(f"{out}: expected a folder, found a file")
     check_folder(out)
 
     from clampid.loop.demo import demo as run_demo
+    from clampid.verbs.demo_screen import demo_screen
 
     result = run_demo(out, seed, say=output.say, working=output.working)
+    output.show(demo_screen(result))
     output.result(result.to_json())

@@ -9,8 +9,8 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked
-from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed
-from clampid.verbs.output import Output, output_file
+from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed, Verbose
+from clampid.verbs.output import Output, finite, output_file
 from clampid.verbs.plan_options import names_of
 
 if TYPE_CHECKING:
@@ -43,15 +43,19 @@ def diagnose(
     ] = None,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Say where a model fails, and which effect is missing."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
 
     from clampid.diagnosis.diagnose import diagnose as look_for_missing
+    from clampid.diagnosis.headline import listed
+    from clampid.loop.kept_diagnosis import keep_diagnosis
     from clampid.models.model import load_model
     from clampid.verbs.findings import show_diagnosis
-    from clampid.verbs.next_step import next_steps
+    from clampid.verbs.next_step import after_diagnosis
+    from clampid.verbs.screens import diagnosis_screen
 
     target = None if plan is None else output_file(plan, "text")
     if plan_for is not None and target is None:
@@ -64,30 +68,34 @@ def diagnose(
         found = look_for_missing(loaded, read, seed=seed, flips=flips, user_effects=effects_from, plan_for=wanted)
     data = found.to_json()
     show_diagnosis(data, out)
-    for line in next_steps(data, model, campaigns, effects_from):
-        out.say(line)
-    if target is not None:
-        _write_plans(found, len(read), target, out)
+    try:
+        keep_diagnosis(model, read, finite(data))
+    except OSError as error:  # it only saves a report the time to compute it again
+        out.step(f"the diagnosis is not kept for a report: {error}")
+    written = [] if target is None else _write_plans(found, len(read), target)
+    done = f"Diagnosed {model} on {listed([str(c) for c in campaigns], 2)}."
+    steps = after_diagnosis(data, model, campaigns, target, effects_from)
+    out.show(diagnosis_screen(data, done, written, steps))
     out.result(data)
 
 
-def _write_plans(found: Diagnosis, campaigns: int, target: Path, out: Output) -> None:
-    """Write what to measure next, a file for each stage that has a plan, or say why there is none."""
+def _write_plans(found: Diagnosis, campaigns: int, target: Path) -> list[str]:
+    """Write what to measure next, a file for each stage that has a plan, and say so, or why there is none."""
     from experiments.plans.write import write_plan
 
     if campaigns > 1:
-        out.say("no plan is written: a plan is made for one campaign's cell; name one campaign")
-        return
+        return ["No plan is written: a plan is made for one campaign's cell; name one campaign."]
     plans = {name: stage.next_plan for name, stage in found.stages.items() if stage.next_plan is not None}
     ready = {name: made for name, made in plans.items() if made.plan is not None}
-    for name, made in plans.items():
-        if made.plan is None:
-            out.say(f"{name}: no plan is written: {made.nothing}")
-    for name in found.stages:
-        if name not in plans:
-            out.say(f"{name}: no plan is written: nothing is left to part, and nothing is tested too weakly")
+    said = []
     for name, made in ready.items():
         path = target if len(ready) == 1 else target.with_name(f"{target.stem}.{name}{target.suffix}")
         if made.plan is not None:
             write_plan(made.plan, path)
-            out.say(f"wrote {path}: {made.count}, {made.plan.duration / 60:.0f} min; clampid run {path} measures them")
+            minutes = f"{made.plan.duration / 60:.0f} min"
+            said.append(f"Wrote {path}: {made.count}, {minutes}.")
+    said += [f"{name}: no plan is written: {made.nothing}." for name, made in plans.items() if made.plan is None]
+    for name in found.stages:
+        if name not in plans:
+            said.append(f"{name}: no plan is written: no candidates to distinguish, and none tested too weakly.")
+    return said

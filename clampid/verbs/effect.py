@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -44,11 +45,20 @@ def new(
         output_file(output, "text")
 
     from clampid.diagnosis.effect_new import effect_new
+    from clampid.screen import Next, Screen
 
     variables = [part.strip() for part in depends_on.split(",")]
     path = effect_new(name, variables, at, stage=cast("Stage | None", stage), orders=orders, path=output)
-    out.say(f"effect: {path}")
-    out.say(f"use it: clampid add {name} MODEL.json CAMPAIGN -o MODEL2.json --effects-from {path}")
+    look = Next(
+        "Next, see how it is understood:", shlex.join(["clampid", "effects", name, "--effects-from", str(path)])
+    )
+    out.show(
+        Screen(
+            f"Wrote {path}, the effect {name}.",
+            notes=(f"To fit it: clampid add {name} MODEL.json CAMPAIGN -o MODEL2.json --effects-from {path}",),
+            next=(look,),
+        )
+    )
 
 
 @effect.command()

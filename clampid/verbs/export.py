@@ -253,8 +253,8 @@ def _by_convention(model: Model, out: Output) -> None:
     slots = [slot for slot in model.stages["poses"].slots if slot.effect == "geometry"]
     if not any(slot.parameter.startswith("flange_") for slot in slots):
         out.step(
-            "the flange stands where it is described, by convention: points tell where their targets are, which carry "
-            "what it is off by, so that the last row and the tool have no standard errors of their own"
+            "an error of the flange frame is absorbed by the target positions: the flange is kept as described, and "
+            "the last row and the tool have no standard errors of their own"
         )
 
 

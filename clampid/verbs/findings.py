@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clampid.display import error_text, ranged, with_error
+from clampid.diagnosis.headline import equally_good
+from clampid.diagnosis.headline import listed as joined
+from clampid.display import error_text, places_text, ranged, readable, with_error
 from clampid.verbs.limits import show_limits, show_plan
 from clampid.verbs.output import Output
 from clampid.verbs.placing import show_placing
@@ -13,6 +15,7 @@ from clampid.verbs.placing import show_placing
 __all__ = ["extrapolating_text", "show_addition", "show_comparison", "show_diagnosis", "where_text"]
 
 MANY = 40  # parameters of one effect at one place, beyond which nobody reads them one by one
+FIXED = 1e-6  # of its value: a standard error below that share is none, the fit holds the parameter
 WORDS = {
     "adequate": "nothing is missing",
     "missing": "an effect is missing",
@@ -119,9 +122,15 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
         candidates, unit = part["candidates"], part["unit"]
         if candidates:
             columns = ("effect", "at", "p", "p of the family", "held out, before", "after")
-            out.table("", columns, [_candidate(candidate, unit) for candidate in candidates], left=2)
+            good = equally_good(candidates)
+            out.table("", columns, [_candidate(candidate, unit, candidate in good) for candidate in candidates], left=2)
             parameters = [p for candidate in candidates for p in candidate["parameters"]]
-            out.table("", ("parameter", "value"), _values(parameters))
+            known = [p for p in parameters if p.get("identified", True)]
+            if known:
+                out.table("", ("parameter", "value"), _values(known))
+            if len(known) < len(parameters):
+                names = [str(p["name"]) for p in parameters if not p.get("identified", True)]
+                out.say(f"  not identifiable: {joined(names, 12)}")
             _show_caveats(candidates, out)
         _show_omission(part.get("omission") or (), out)
         for found in part.get("simpler", ()):
@@ -139,10 +148,12 @@ def show_diagnosis(data: Mapping[str, Any], out: Output) -> None:
             out.say(f"  rejected as outliers: {listed}{f' and {more} more' if more > 0 else ''}")
 
 
-def _candidate(candidate: Mapping[str, Any], unit: str) -> tuple[str, ...]:
+def _candidate(candidate: Mapping[str, Any], unit: str, good: bool) -> tuple[str, ...]:
+    """A row of the table; of alternatives, whether it explains the data as well as the best."""
+    which = ("or " if good else "less good: ") if candidate.get("alternative") else ""
     return (
-        ("or " if candidate.get("alternative") else "") + candidate.get("name", candidate["effect"]),
-        where_text(candidate["where"]),
+        which + candidate.get("name", candidate["effect"]),
+        where_text(candidate["where"]) if isinstance(candidate["where"], str) else places_text(candidate["where"]),
         _number(candidate.get("p_value"), 2),
         _number(candidate.get("p_familywise"), 2),
         error_text(candidate.get("heldout_rms_before"), unit),
@@ -185,13 +196,21 @@ def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     out = []
     for (effect, place), own in groups.items():
         if len(own) <= MANY:
-            out += [(p["name"], with_error(p["value"], _nan(p.get("std")), p["unit"])) for p in own]
+            out += [(p["name"], _value(p)) for p in own]
             continue
         total = sum(p["value"] ** 2 for p in own) ** 0.5
         spread = sum(_nan(p.get("std")) ** 2 for p in own) ** 0.5
         name = f"{effect}@{place}, {len(own)} numbers, root sum of squares"
         out.append((name, with_error(total, spread, own[0]["unit"])))
     return out
+
+
+def _value(p: Mapping[str, Any]) -> str:
+    """A value with its standard error; of a constant that the fit holds, without one."""
+    std = _nan(p.get("std"))
+    if std < FIXED * abs(p["value"]):
+        return f"{readable(p['value'], p['unit'])} (fixed)"
+    return with_error(p["value"], std, p["unit"])
 
 
 def where_text(where: str | Sequence[str]) -> str:

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 
 __all__ = ["history"]
 
 
-def history(model: ModelFile, effects_from: EffectsFrom = None, json: Json = None, quiet: Quiet = False) -> None:
+def history(
+    model: ModelFile,
+    effects_from: EffectsFrom = None,
+    json: Json = None,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
     """Show each round's effects, evidence and error."""
     from clampid.catalogue import with_user_effects
     from clampid.models.model import load_model
+    from clampid.verbs.screens import history_screen
     from clampid.verbs.show import show_rounds, stage_unit
 
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     ledger = load_model(model).ledger
     with_user_effects(effects_from)  # a ledger is read without; a file that is wrong is said all the same
     show_rounds(ledger, out)
@@ -31,4 +38,5 @@ def history(model: ModelFile, effects_from: EffectsFrom = None, json: Json = Non
         }
         for r in ledger
     ]
+    out.show(history_screen(rounds, model))
     out.result({"rounds": rounds})

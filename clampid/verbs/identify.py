@@ -8,7 +8,7 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked, split_effects
-from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed
+from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, output_file
 
@@ -35,10 +35,11 @@ def identify(
     ] = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit a model, stage by stage: free air, clamped, filtered poses; or all at once."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     output_file(output, "json")
     if not 0.0 <= holdout < 1.0:
         raise CallError(f"--holdout: expected a share from 0 to below 1, found {holdout:g}")
@@ -47,10 +48,12 @@ def identify(
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects
+    from clampid.comparison.nominal import nominal_errors
     from clampid.identification.identify import identify as fit_model
     from clampid.models.drives import clamped_drives
     from clampid.models.model import save_model
     from clampid.verbs.rejected import rejected_words
+    from clampid.verbs.screens import fit_screen
     from clampid.verbs.show import model_json, show_drives, show_model
     from experiments.long_log import LONG_ROWS
 
@@ -67,6 +70,8 @@ def identify(
             bootstrap=bootstrap,
             cost=cost,
         )
+    with out.working("comparing with the nominal robot"):
+        nominal = nominal_errors(model, read, effects_from)
     save_model(model, output)
     rejected = rejected_words(model, read, effects_from)
     show_model(model, with_user_effects(effects_from), read[0].robot, rejected, out)
@@ -75,5 +80,5 @@ def identify(
     if drives is not None:
         show_drives(drives, out)
         data["stages"]["clamped"]["drives"] = drives.to_json()
-    out.say(f"model: {output}")
+    out.show(fit_screen(data, nominal, rejected, campaigns, effects_from))
     out.result(data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -46,6 +47,7 @@ def import_table(
         raise CallError(f"{output}: expected a new or empty folder, found something there")
     check_folder(output)
 
+    from clampid.screen import Next, Screen
     from experiments.campaign import write_campaign
     from experiments.foreign import import_tables, read_mapping
 
@@ -60,12 +62,14 @@ def import_table(
         content["robot"] = str((mapping.parent / str(content["robot"])).resolve())
     _look_at(_campaign(content, tables), mapping, tables, out)
     write_campaign(output, content, {table.table: table.frame for table in tables}, "csv")
-    out.say(f"campaign: {output}")
+    facts = []
     for table in tables:
-        out.say(f"{table.table}: {len(table.frame)} rows of {table.samples} read")
+        facts.append((table.table, f"{len(table.frame)} rows of {table.samples} read"))
         if table.scatter is not None:
             scatter = ", ".join(f"{1e6 * s:.3g}" for s in table.scatter)
-            out.say(f"{table.table}: scatter of one sample along x, y, z: {scatter} um")
+            facts.append(("", f"scatter of one sample along x, y, z: {scatter} µm"))
+    ask = Next("Next, look at what it holds:", shlex.join(["clampid", "check", str(output)]))
+    out.show(Screen(f"Wrote the campaign {output}.", facts=tuple(facts), next=(ask,)))
     out.result({"campaign": str(output), "tables": {table.table: _json(table) for table in tables}})
 
 

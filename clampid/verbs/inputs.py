@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -92,7 +93,9 @@ def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[
             continue
         stage: Stage | None = next((s for s in get_args(Stage) if s == head.strip()), None)
         if stage is None:
-            raise CallError(f"--effects {text}: no stage is called {head!r}; known: {', '.join(get_args(Stage))}")
+            near = get_close_matches(head.strip(), get_args(Stage), 1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise CallError(f"--effects {text}: no stage is called {head!r}; {hint}known: {', '.join(get_args(Stage))}")
         if stage in staged:
             raise CallError(f"--effects: the stage {stage} is given twice; expected one list for it")
         staged[stage] = _names(names, text)

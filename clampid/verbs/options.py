@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["Campaigns", "Effects", "EffectsFrom", "Json", "ModelFile", "OneCampaign", "Output", "Quiet", "Seed"]
+__all__ = [
+    "Campaigns",
+    "Effects",
+    "EffectsFrom",
+    "Json",
+    "ModelFile",
+    "OneCampaign",
+    "Output",
+    "Quiet",
+    "Seed",
+    "Verbose",
+]
 
 OneCampaign = Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="A campaign folder.", show_default=False)]
 Campaigns = Annotated[
@@ -36,3 +47,4 @@ Json = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.", show_default=False)]
 Seed = Annotated[int, typer.Option(help="Of everything random.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print the tables, too.", show_default=False)]

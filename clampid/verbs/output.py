@@ -1,9 +1,13 @@
-"""What verbs print: results on stdout (nothing but JSON where that is asked for), progress and warnings on stderr."""
+"""What verbs print: one screen on stdout, or nothing but JSON where that is asked for; progress and warnings on stderr.
+
+Details (``say``, ``table``) are printed before the screen, of verbs that have ``--verbose`` only with it.
+"""
 
 from __future__ import annotations
 
 import json as json_module
 import math
+import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,9 +22,12 @@ from kinematics.escaping import for_terminal
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from clampid.screen import Screen
+
 __all__ = ["Output", "finite", "output_file"]
 
-WIDTH = 120  # of tables that go to a file or a pipe, where no terminal says
+WIDTH = 120  # of details that go to a file or a pipe, where neither a terminal nor COLUMNS says
+STYLES = {"good": "bold green", "open": "bold yellow", "bad": "bold red", "title": "bold", "quiet": "dim"}
 
 
 class Output:
@@ -32,10 +39,13 @@ class Output:
         No progress.
     json
         File for the JSON, ``-`` for stdout (which then carries nothing else), or None.
+    verbose
+        Whether details are printed.
     """
 
-    def __init__(self, quiet: bool = False, json: str | None = None) -> None:
+    def __init__(self, quiet: bool = False, json: str | None = None, verbose: bool = True) -> None:
         self.quiet, self.json = quiet, "-" if json is not None and is_stdout(json) else json
+        self.verbose, self.said = verbose, False
         if self.json is not None and self.json != "-":
             output_file(Path(self.json), "json")
 
@@ -50,17 +60,28 @@ class Output:
         return _console(stderr=True)
 
     def say(self, text: str = "") -> None:
-        """A line for people, as it is: no markup, no colours guessed."""
-        self.console.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
+        """A detail for people: whole words, on as many lines as it takes."""
+        if self.verbose:
+            self.said = True
+            _print(self.console, text)
+
+    def show(self, screen: Screen) -> None:
+        """The screen that a verb ends in."""
+        from clampid.screen import laid_out
+
+        if self.said:
+            _print_line(self.console, "")
+        for line in laid_out(screen, self.console.width):
+            _print_line(self.console, line.text, STYLES.get(line.tone, ""))
 
     def warn(self, text: str) -> None:
         """A line on stderr that --quiet does not silence."""
-        self.errors.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
+        _print(self.errors, text)
 
     def step(self, text: str) -> None:
         """A plain line of progress."""
         if not self.quiet:
-            self.errors.print(for_terminal(text), markup=False, highlight=False, soft_wrap=True)
+            _print(self.errors, text)
 
     @contextmanager
     def working(self, text: str) -> Iterator[None]:
@@ -79,19 +100,18 @@ class Output:
         else:
             self.step(f"{text} …")
             yield
-        self.step(f"{text}: {time.monotonic() - start:.1f} s")
+            self.step(f"{text}: {time.monotonic() - start:.1f} s")
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> None:
-        """A table for people; the first ``left`` columns are text, the others numbers."""
-        from rich import box
-        from rich.table import Table
+        """A detail for people as a table; the first ``left`` columns are text, the others numbers."""
+        if not self.verbose:
+            return
+        from clampid.text_table import table_lines
 
-        table = Table(title=title or None, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-        for k, name in enumerate(columns):
-            table.add_column(name, justify="left" if k < left else "right", overflow="fold")
-        for row in rows:
-            table.add_row(*(_plain(cell) for cell in row))
-        self.console.print(table, highlight=False)
+        self.said = True
+        lines = table_lines(columns, [list(map(str, row)) for row in rows], left, self.console.width)
+        for line in ["", *([title] if title else []), *lines, ""]:
+            _print_line(self.console, line)
 
     def result(self, data: Mapping[str, Any] | Sequence[Any]) -> None:
         """The result for programs, where it was asked for; numbers that are not finite become null."""
@@ -134,14 +154,26 @@ def output_file(path: Path, kind: Kind | None = None) -> Path:
     return check_output(path, kind)
 
 
-def _plain(cell: str) -> Any:
-    from rich.text import Text
+def _print_line(console: Console, text: str, style: str = "") -> None:
+    """Print a line as it is: no markup, no colours guessed."""
+    console.print(for_terminal(text), style=style or None, markup=False, highlight=False, soft_wrap=True)
 
-    return Text(for_terminal(cell))
+
+def _print(console: Console, text: str) -> None:
+    """Print text with its words whole; what follows an indent is indented."""
+    from clampid.screen import wrapped
+
+    for line in text.split("\n"):
+        indent = line[: len(line) - len(line.lstrip())]
+        for part in wrapped(line, console.width, rest=f"{indent}  ") or [""]:
+            _print_line(console, part)
 
 
 def _console(stderr: bool, silent: bool = False) -> Console:
+    """As wide as the terminal, or as COLUMNS says; colours on a terminal only, and not with NO_COLOR."""
     from rich.console import Console
 
     console = Console(stderr=stderr, quiet=silent)
-    return console if console.is_terminal else Console(stderr=stderr, quiet=silent, width=WIDTH)
+    if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():
+        return console
+    return Console(stderr=stderr, quiet=silent, width=WIDTH)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,12 +12,13 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.grouped import grouped
 from clampid.verbs.inputs import numbers_of
-from clampid.verbs.options import Json, Quiet, Seed
+from clampid.verbs.options import Json, Quiet, Seed, Verbose
 from clampid.verbs.output import Output, output_file
 from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of
 
 if TYPE_CHECKING:
     from clampid.planning.sight import Sight
+    from clampid.screen import Screen
     from clampid.stages.rows import Array
     from experiments.plans.model import Expected, Plan
 
@@ -47,10 +48,11 @@ def free_air(
     acceleration: Acceleration = None,
     seed: Seed = 0,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Configurations visited in free air, which tell gravity and friction."""
-    out = _begin(output, json, quiet)
+    out = _begin(output, json, quiet, verbose)
     with _refusals():
         from clampid.planning.free_air import plan_free_air
         from clampid.planning.logs import STANDARD
@@ -78,10 +80,11 @@ def wrist(
     acceleration: Acceleration = None,
     seed: Seed = 0,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Swings in which a wrist motor turns with its joint still, and the reverse, which part their frictions."""
-    out = _begin(output, json, quiet)
+    out = _begin(output, json, quiet, verbose)
     with _refusals():
         from clampid.planning.wrist import SWING_STOPS, plan_wrist
 
@@ -122,10 +125,11 @@ def clamping(
     effects: Effects = None,
     seed: Seed = 0,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Sweeps against a clamped flange, which tell springs, clearances and friction; the clamp's load is bounded."""
-    out = _begin(output, json, quiet)
+    out = _begin(output, json, quiet, verbose)
     with _refusals():
         import numpy as np
 
@@ -146,10 +150,10 @@ def clamping(
                 joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n),
                 scene=where.scene(cell), seed=seed, assumed=(*assumed, *more, *usual),
             )  # fmt: skip
-        _finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings")
         force = max(float(s.force.max()) for s in made.sweeps)
         moment = max(float(s.moment.max()) for s in made.sweeps)
-        out.say(f"on the clamp at most {force:.0f} N of {max_force:g} N and {moment:.0f} Nm of {max_moment:g} Nm")
+        load = f"on the clamp at most {force:.0f} N of {max_force:g} N and {moment:.0f} Nm of {max_moment:g} Nm"
+        _finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings", (load,))
 
 
 @plan.command()
@@ -197,10 +201,11 @@ def poses(
     acceleration: Acceleration = None,
     seed: Seed = 0,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Poses to measure: seen, clear, chosen for what they tell, approached from both sides, in a short order."""
-    out = _begin(output, json, quiet)
+    out = _begin(output, json, quiet, verbose)
     with _refusals():
         from clampid.planning.poses import PoseWishes, balance_of, plan_poses
         from clampid.planning.region import box_of, sphere_part_of
@@ -221,8 +226,7 @@ def poses(
         own = sum(visit.table == "poses" for visit in made.visits)
         balance = balance_of(made)
         what = f"{count} poses in {own} visits, {len(made.visits) - own} for verification"
-        _finish(made, output, out, what, approaches=balance.to_json())
-        out.say(balance.words)
+        _finish(made, output, out, what, (balance.words,), approaches=balance.to_json())
 
 
 def _sight(instrument: str | None, view: str | None, facing: str | None, tolerance: float) -> Sight | None:
@@ -257,8 +261,8 @@ def _postures(texts: list[str] | None, n: int) -> Array | None:
     return np.array(rows)
 
 
-def _begin(output: Path, json: str | None, quiet: bool) -> Output:
-    out = Output(quiet, json)
+def _begin(output: Path, json: str | None, quiet: bool, verbose: bool) -> Output:
+    out = Output(quiet, json, verbose)
     output_file(output, "text")
     if output.suffix.lower() != ".toml":
         raise CallError(f"{output}: expected a name that ends in .toml")
@@ -276,17 +280,34 @@ def _refusals() -> Iterator[None]:
         raise CallError(str(error)) from error
 
 
-def _finish(made: Plan, output: Path, out: Output, what: str, **more: Any) -> None:
+def _finish(made: Plan, output: Path, out: Output, what: str, notes: Sequence[str] = (), **more: Any) -> None:
     """Write the plan, and say what it is and what it will tell."""
     from experiments.plans.write import write_plan
 
     write_plan(made, output)
-    out.say(f"plan: {output}; {made.kind}, {made.cell.robot.name}, {what}, {made.duration / 60:.1f} min")
-    for sentence in made.assumed:
-        out.say(f"assumed: {sentence}")
     if made.expected is not None:
         _tell(made.expected, out)
+    out.show(_screen(made, output, what, notes))
     out.result(_as_json(made, output) | more)
+
+
+def _screen(made: Plan, output: Path, what: str, said: Sequence[str]) -> Screen:
+    """What was planned, and what it will identify."""
+    from clampid.screen import Screen
+
+    facts = [("assumed", sentence) for sentence in made.assumed]
+    verdict, notes = "", list(said)
+    if made.expected is not None:
+        known = sum(p.identified for p in made.expected.parameters)
+        verdict = f"It identifies {known} of {len(made.expected.parameters)} parameters."
+        notes += [f"not identified: {sentence}" for sentence in made.expected.not_identified]
+    return Screen(
+        f"Wrote {output}: {made.kind} of {made.cell.robot.name}, {what}, {made.duration / 60:.1f} min.",
+        facts=tuple(facts),
+        verdict=verdict,
+        notes=tuple(notes),
+        more="Expected errors of all parameters: --verbose, --json FILE." if verdict else "",
+    )
 
 
 def _tell(expected: Expected, out: Output) -> None:

@@ -40,7 +40,9 @@ def rejected_words(model: Model, campaigns: Sequence[Campaign], effects_from: Pa
         else:
             listed = [f"{table} row {row}" for _, table, row in stage.outliers]
         more = f" and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
-        out[name] = f"{len(stage.outliers)} rows: {'; '.join(listed[:SHOWN])}{more}"
+        out[name] = (
+            f"{len(stage.outliers)} {'rows' if len(stage.outliers) > 1 else 'row'}: {'; '.join(listed[:SHOWN])}{more}"
+        )
     return out
 
 

@@ -80,10 +80,10 @@ def show_model(
     ``rejected``: stage → its outliers in words.
     """
     from clampid.fitting.observability import index_words
+    from clampid.verbs.parameter_tables import show_parameters
 
-    columns = ("parameter", "at", "value", "± std", "unit", "")
     for name, stage in model.stages.items():
-        out.table(name, columns, parameter_rows(stage, effects, robot), left=2)
+        show_parameters(name, stage, effects, robot, out)
         _show_sessions(name, stage, effects, out)
         for effect in dict.fromkeys(s.effect for s in stage.slots):
             if effects[effect].caveat:
@@ -151,10 +151,7 @@ def _show_unknown(
             limits.setdefault((f"{slot.effect}.{slot.parameter}", size), []).append(slot.place)
     if limits:
         listed = ", ".join(f"{parameter} at {places_text(at)} {size}" for (parameter, size), at in limits.items())
-        out.say(
-            f"{name}: {NOT_KNOWN}: the standard error is not below the size that the parameter may reasonably have, "
-            f"whatever its value: {listed}"
-        )
+        out.say(f"{name}: not identifiable is a parameter whose standard error is not below its usual size: {listed}")
 
 
 def _show_correlations(name: str, stage: StageModel, out: Output) -> None:
@@ -226,7 +223,7 @@ def show_drives(drives: Drives, out: Output) -> None:
         rows.append((f"{j + 1}", *springs, gap, limit, verdict, _pair(d.friction[j], d.friction_std[j])))
     columns = (
         "axis", "k [Nm/rad] at the motor", "at the joint [kNm/rad]", "clearance [deg]", "detection limit [deg]",
-        "told from zero", "friction [Nm] at the motor",
+        "differs from zero", "friction [Nm] at the motor",
     )  # fmt: skip
     out.table("drives", columns, rows)
     cross = []

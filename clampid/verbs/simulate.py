@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -50,6 +51,7 @@ def simulate(
         raise CallError(f"{output}: expected a new or empty folder, found something there")
     check_folder(output)
 
+    from clampid.screen import Next, Screen
     from experiments.simulate import hidden_file
     from experiments.simulate import simulate as measure
 
@@ -59,7 +61,15 @@ def simulate(
         measure(
             output, robot, items, seed=seed, session=session, poses=poses, tables=only, file_format=file_format.value
         )
-    out.say(f"campaign: {output}")
-    out.say(f"what was hidden: {hidden_file(output)}")
+    ask = shlex.join(["clampid", "check", str(output)])
+    facts = (("campaign", str(output)), ("what was hidden", str(hidden_file(output))))
+    out.show(
+        Screen(
+            f"Measured a campaign on the virtual robot {robot}.",
+            None,
+            facts,
+            next=(Next("Next, look at what it holds:", ask),),
+        )
+    )
     told = {"robot": robot, "seed": seed, "session": session}
     out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), **told})

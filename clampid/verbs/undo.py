@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from clampid.verbs.inputs import read_checked
-from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet
+from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, output_file
 
@@ -16,14 +16,16 @@ def undo(
     output: OutputFile,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Take back the last round: fit again without what it added."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     output_file(output, "json")
 
     from clampid.loop.undo import undo as step_back
     from clampid.models.model import load_model, save_model
+    from clampid.verbs.screens import undo_screen
     from clampid.verbs.show import show_rounds
 
     loaded = load_model(model)
@@ -32,7 +34,6 @@ def undo(
     with out.working("fitting again"):
         before, gone = step_back(loaded, read, user_effects=effects_from)
     save_model(before, output)
-    out.say(f"{gone.stage}: without {', '.join(gone.added)}")
     show_rounds(before.ledger, out)
-    out.say(f"model: {output}")
+    out.show(undo_screen(before, gone, output, campaigns, effects_from))
     out.result({"model": str(output), "stage": gone.stage, "removed": list(gone.added)})

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from clampid.display import quantity
-from clampid.verbs.options import Json, Quiet, Seed
+from clampid.verbs.options import Json, Quiet, Seed, Verbose
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
     from clampid.loop.worked_example import WorkedExample
+    from clampid.screen import Screen
 
 __all__ = ["worked_example"]
 
@@ -24,10 +25,11 @@ def worked_example(
     ] = None,
     seed: Seed = 0,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure a robot with the springs that the thesis prints, and work its example out: 183.12 and 183.15 µm."""
-    output = Output(quiet, json)
+    output = Output(quiet, json, verbose)
 
     from clampid.loop.worked_example import worked_example as work_out
     from clampid.verbs.show import show_drives
@@ -37,7 +39,28 @@ def worked_example(
     _show_springs(result, output)
     show_drives(result.drives, output)
     _show_example(result, output)
+    output.show(_screen(result))
     output.result(result.to_json())
+
+
+def _screen(result: WorkedExample) -> Screen:
+    """The springs and the displacement, printed and found."""
+    from clampid.screen import Screen
+
+    facts = []
+    for j, printed in enumerate(result.printed_spring):
+        found, error, _ = quantity(float(result.drives.stiffness[j]), float(result.drives.stiffness_std[j]), "")
+        facts.append((f"spring {j + 1}", f"printed {printed:g}, found {found} ± {error} Nm/rad at the motor"))
+    for what, printed, (value, std) in (
+        ("spring 5 alone", result.printed_alone, result.alone),
+        ("whole matrix", result.printed_full, result.full),
+    ):
+        facts.append((what, f"printed {1e6 * printed:.2f}, found {1e6 * value:.2f} ± {1e6 * std:.2f} µm"))
+    return Screen(
+        "Simulated a clamped campaign with the thesis' springs, and worked its example out from what was identified.",
+        facts=tuple(facts),
+        more="Clearances, friction and the compliance matrix: --verbose, --json FILE.",
+    )
 
 
 def _show_springs(result: WorkedExample, out: Output) -> None:

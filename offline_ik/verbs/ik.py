@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from clampid.display import fixed, length, number, readable
-from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
+from offline_ik.verbs.screen import ik_screen
 
 if TYPE_CHECKING:
     from offline_ik.answer import Solution
@@ -52,11 +54,13 @@ def ik(
     pyfai: Annotated[bool, typer.Option("--pyfai", help="Give the geometry for pyFAI as well.")] = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
+    from offline_ik.assumed import assumptions
     from offline_ik.checks import check_directions
     from offline_ik.coordinates import check_target
     from offline_ik.ways import ways_to
@@ -75,13 +79,23 @@ def ik(
         from offline_ik.pyfai import pyfai_geometry
 
         data["pyfai"] = pyfai_geometry(detector.cell.convention, answer.target).to_json()
-    for note in data["notes"]:
-        out.warn(note)
-    say_assumed(detector, out)
+    assumed = assumptions(detector)
+    if json == "-":  # then there is no screen
+        for note in data["notes"]:
+            out.warn(note)
+        say_assumed(detector, out)
+    elif assumed:
+        out.say("\n  ".join(["assumed, because no cell says:", *assumed]))
     _show(detector, ways, out)
     if "pyfai" in data:
         at = ", ".join(f"{name} {fixed(value, 9)}" for name, value in data["pyfai"].items())
         out.say(f"pyFAI: {at} (m, rad; poni counted from the detector's middle)")
+    position = f"gamma {gamma:g} rad, delta {delta:g} rad, r {r:g} m"
+    call: list[str | Path] = [model, "--gamma", f"{gamma!r}", "--delta", f"{delta!r}", "--r", f"{r!r}"]
+    own = () if effects_from is None else ("--effects-from", effects_from)
+    given = (("--cell", cell), ("--robot", robot), ("--running", running), ("--near", near))
+    call += [f"{option}={value}" for option, value in given if value is not None]
+    out.show(ik_screen(detector, ways, position, [*call, *own], data["notes"], len(assumed), approach))
     out.result(data)
 
 
@@ -146,8 +160,8 @@ CAME = {
 
 CHECKED = {
     "way": "",
-    "approach": "the way to the approach's point is not checked, nobody said from where (--near); from there on ",
-    "place": "not checked, nobody said from where (--near); the place itself is ",
+    "approach": "to the approach's point not checked: give the starting posture with --near; from there on ",
+    "place": "not checked: give the starting posture with --near; the place itself is ",
 }
 
 
@@ -191,4 +205,4 @@ def _show_solution(solution: Solution, r: float, out: Output) -> None:
 
         out.say(f"extrapolating: {extrapolating_text([beyond.to_json() for beyond in solution.extrapolating])}")
     if solution.singular:
-        out.warn(f"near a singularity: {', '.join(solution.singular)}")
+        out.say(f"near a singularity: {', '.join(solution.singular)}")

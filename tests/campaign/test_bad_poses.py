@@ -106,7 +106,7 @@ def test_too_few_poses_with_orientations(campaign: Campaign) -> None:
     quaternion = Rotation.from_matrix(place[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     full = table.assign(target="flange", **dict(zip(("x_m", "y_m", "z_m"), place[:, :3, 3].T, strict=True)))
     full = full.assign(**dict(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True)))
-    words = "4 poses are fewer than the 5 that the geometry of 6 joints and the flange takes at the least (30 numbers)"
+    words = "4 poses are fewer than the 5 that the geometry of 6 joints and the flange needs (30 parameters)"
     assert any(words in f.message for f in told(campaign, full)), told(campaign, full)
 
 
@@ -117,7 +117,7 @@ def test_too_few_poses(campaign: Campaign, poses: int, words: str) -> None:
     table = campaign.tables["poses"]
     found = told(campaign, table[table["pose"] <= poses])
     assert any(words in f.message and f.severity == "warning" for f in found), found
-    assert not any("takes at the least" in f.message for f in told(campaign, table[table["pose"] <= 10]))
+    assert not any("that the geometry of" in f.message for f in told(campaign, table[table["pose"] <= 10]))
 
 
 def test_a_target_on_the_last_joints_axis(campaign: Campaign) -> None:
@@ -169,3 +169,26 @@ def test_points_in_a_plane_or_on_a_line(campaign: Campaign, axes: list[int], joi
     assert [f.message.startswith(words) for f in flat] == [True]
     thick = [f for f in told(campaign, on_a_face(campaign, axes, joints, 0.1)) if "the points lie" in f.message]
     assert thick == []
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_joint_angles_beside_the_points_of_the_next_stop_are_refused(campaign: Campaign, step: int) -> None:
+    table = campaign.tables["poses"]
+    stops = table.groupby(["pose", "visit"], sort=False).ngroup().to_numpy()
+    angles = table[[f"q{i}_rad" for i in range(1, 7)]].groupby(stops).first().to_numpy()
+    shifted = {f"q{i + 1}_rad": np.roll(angles[:, i], step)[stops] for i in range(6)}
+    said = told(campaign, table.assign(**shifted))[0]
+    assert said.severity == "error"
+    other = "next" if step > 0 else "previous"
+    assert f"the points of each visit are taken with the joint angles of the {other} one" in said.message
+    assert "shifted against each other by one visit" in said.message
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_joint_angles_beside_the_points_of_the_next_row_are_refused(campaign: Campaign, step: int) -> None:
+    table = campaign.tables["poses"]
+    said = told(
+        campaign, table.assign(**{q: np.roll(table[q].to_numpy(), step) for q in table.filter(regex="^q._rad")})
+    )[0]
+    assert said.severity == "error"
+    assert "shifted against each other by one row" in said.message

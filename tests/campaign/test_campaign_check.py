@@ -270,13 +270,13 @@ class TestVelocities:
 
 class TestStops:
     def test_returns(self, tmp_path: Path) -> None:
-        found(findings(tmp_path, change("poses", lambda f: f)), "note", "poses", "3 points measured again")
+        found(findings(tmp_path, change("poses", lambda f: f)), "note", "poses", "3 repeated points")
         tables = change("poses", lambda f: f[f["visit"] == 1])
-        found(findings(tmp_path / "b", tables), "note", "poses", "no point measured again")
+        found(findings(tmp_path / "b", tables), "note", "poses", "0 repeated points")
 
     def test_returns_at_another_temperature_are_not_replicates(self, tmp_path: Path) -> None:
         tables = change("poses", lambda f: f.assign(temp_link1_C=f["temp_link1_C"] + f["visit"]))
-        found(findings(tmp_path, tables), "note", "poses", "no point measured again")
+        found(findings(tmp_path, tables), "note", "poses", "0 repeated points")
 
     def test_visits_not_counted(self, tmp_path: Path) -> None:
         found(findings(tmp_path, change("poses", lambda f: f.assign(visit=1))), "warning", "poses", "within one visit")
@@ -303,6 +303,12 @@ class TestStops:
 def test_instrument(tmp_path: Path) -> None:
     all_found = findings(tmp_path, change("poses", lambda f: f), instrument={"position_std_m": 2e-3})
     found(all_found, "warning", "campaign.toml", "can hardly see a robot's errors")
+
+
+def test_angles_of_another_robot_are_not_called_degrees(tmp_path: Path) -> None:
+    tables = change("poses", lambda f: f.assign(q3_rad=f["q3_rad"] + 7.0))
+    said = found(findings(tmp_path, tables), "error", "poses", "is it another robot's data, or are they degrees?")
+    assert "look like degrees" not in said.message
 
 
 def test_columns_of_another_robot(tmp_path: Path) -> None:

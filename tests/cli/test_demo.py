@@ -46,9 +46,9 @@ def test_the_demo_finds_what_was_hidden_and_tells_it_last(seed: int, clampid: Cl
     assert ran.code == 0, ran.err
     result = json.loads((tmp_path / "demo.json").read_text())
     assert result["named"]
-    lines = ran.out.splitlines()
-    told = next(i for i, line in enumerate(lines) if line.startswith("What was hidden:"))
-    assert told > max(i for i, line in enumerate(lines) if line.startswith("Held-out error"))
+    told = ran.out.index("- Hidden had been:")
+    assert told > ran.out.index("Error (rms) on held-out rows")
+    assert len(ran.out.splitlines()) <= 24
     assert "<html" in (tmp_path / "demo" / "report.html").read_text(encoding="utf-8")[:2000]
     fell = [
         result["after"]["tables"][t]["heldout"]["rms"] < result["before"]["tables"][t]["heldout"]["rms"]

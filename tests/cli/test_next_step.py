@@ -28,16 +28,16 @@ def test_what_is_confirmed_is_added_and_looked_at_again(tmp_path: Path) -> None:
     (tmp_path / "mended.json").touch()
     found = told(candidate("backlash", "joint1", "joint2"), candidate("base_tilt", "base", alternative=True))
     add, again = next_steps(found, model, [Path("arm")])
-    assert add == (
-        f"to add it: clampid add poses=backlash@joint1,poses=backlash@joint2 '{model}' arm -o {tmp_path}/mended2.json"
+    assert add.command == (
+        f"clampid add poses=backlash@joint1,backlash@joint2 '{model}' arm -o {tmp_path}/mended2.json"
     )
-    assert again == f"and to look again: clampid diagnose {tmp_path}/mended2.json arm"
+    assert again.command == f"clampid diagnose {tmp_path}/mended2.json arm"
 
 
 def test_a_variant_is_added_by_its_own_name_and_not_its_familys() -> None:
     found = told({**candidate("gear_eccentricity", "joint2"), "name": "motor_eccentricity"})
     add, _ = next_steps(found, Path("m.json"), [Path("arm")])
-    assert add == "to add it: clampid add poses=motor_eccentricity@joint2 m.json arm -o mended.json"
+    assert add.command == "clampid add poses=motor_eccentricity@joint2 m.json arm -o mended.json"
 
 
 def test_of_what_cannot_be_told_apart_any_one() -> None:
@@ -45,9 +45,9 @@ def test_of_what_cannot_be_told_apart_any_one() -> None:
         *(candidate(name, "joint2", alternative=True) for name in ("gear_eccentricity", "gravity_compensator"))
     )
     lines = next_steps(found, Path("m.json"), [Path("a"), Path("b")], Path("f.py"))
-    assert lines == [
-        "to add one of these: clampid add poses=gear_eccentricity@joint2 m.json a b -o mended.json --effects-from f.py",
-        "or: clampid add poses=gravity_compensator@joint2 m.json a b -o mended.json --effects-from f.py",
+    assert [step.command for step in lines] == [
+        "clampid add poses=gear_eccentricity@joint2 m.json a b -o mended.json --effects-from f.py",
+        "clampid add poses=gravity_compensator@joint2 m.json a b -o mended.json --effects-from f.py",
     ]
     assert next_steps(told(), Path("m.json"), [Path("a")]) == []
 

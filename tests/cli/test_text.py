@@ -86,10 +86,10 @@ def test_limits_come_by_effect_the_best_seen_first() -> None:
 
 def test_what_cannot_be_tested_is_named_with_the_reason() -> None:
     assert not_testable(TESTED) == {
-        "does nothing in these rows": ["payload", "joint_angle_curve"],
-        "the model takes it up": ["backlash@joint4"],
-        "the model takes nearly all of it up": ["gear_eccentricity@joint2"],
-        "only a size that cannot be would show": ["backlash@joint3"],
+        "has no influence on these rows": ["payload", "joint_angle_curve"],
+        "absorbed by the model": ["backlash@joint4"],
+        "nearly all of it absorbed by the model": ["gear_eccentricity@joint2"],
+        "only an implausible size would be found": ["backlash@joint3"],
     }
 
 
@@ -101,7 +101,7 @@ def test_a_diagnosis_lists_the_limits_that_it_speaks_of(capsys: Capture) -> None
     assert "of 15, all in --json" in out
     rows = [line.split()[0] for line in out.splitlines() if "µrad" in line]
     assert rows == ["gear_eccentricity.a1", "backlash.gap", *(f"effect{k}.p" for k in range(11, 5, -1))]
-    assert "not testable here: payload, joint_angle_curve (does nothing in these rows); backlash@joint4" in out
+    assert "not testable here: payload, joint_angle_curve (has no influence on these rows); backlash@joint4" in out
     show_diagnosis({"stages": {"poses": part}}, Output())
     assert "testable" not in capsys.readouterr().out
 

@@ -79,6 +79,6 @@ def test_nothing_is_said_where_nothing_is_strong(stage: StageModel, capsys: pyte
     model = model_of(replace(stage, covariance=np.diag(np.diag(stage.covariance))))
     show_model(model, catalogue(), load_robot("ur10"), {}, Output(quiet=True))
     said = capsys.readouterr().out
-    assert "geometry.x" in said
+    assert "poses: geometry, deviations from the description" in said
     assert "correlations" not in said
     assert model_json(model)["stages"]["poses"]["correlations"] == []

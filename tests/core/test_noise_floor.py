@@ -43,14 +43,14 @@ def test_check_and_the_floor_say_the_same(base: Campaign, count: int) -> None:
     if count < ENOUGH_RETURNS:
         assert floor.source == "instrument"
         assert floor.most > floor.norm  # nobody has measured how well the robot repeats
-        assert said.startswith(f"{count or 'no'} point")
-        assert said.endswith(f"it takes {ENOUGH_RETURNS}, so the noise floor is the instrument's")
+        assert said.startswith(f"{count} repeated points")
+        assert said.endswith(f"fewer than {ENOUGH_RETURNS}: the noise floor is the instrument's stated noise")
         return
     assert floor.source == "replicates"
     assert floor.most == floor.norm
     assert floor.norm == pytest.approx(np.sqrt(3) * SCATTER, rel=0.25)
-    assert said.startswith(f"{count} points measured again")
-    assert said.endswith("they give the noise floor")
+    assert said.startswith(f"{count} repeated points")
+    assert said.endswith("give the noise floor")
 
 
 def test_what_does_not_return_in_the_same_way_does_not_count() -> None:

@@ -22,7 +22,9 @@ def ran(tmp_path_factory: pytest.TempPathFactory):
     folder = tmp_path_factory.mktemp("example") / "arm"
     app = typer.Typer()
     app.command()(verb)
-    result = CliRunner().invoke(app, ["--out", str(folder), "--seed", "3", "--json", str(folder) + ".json"])
+    result = CliRunner().invoke(
+        app, ["--out", str(folder), "--seed", "3", "--json", str(folder) + ".json", "--verbose"]
+    )
     assert result.exit_code == 0, result.output
     return result.stdout, json.loads(Path(str(folder) + ".json").read_text()), folder
 

@@ -94,7 +94,13 @@ def near(shown: str, is_now: str) -> bool:
     return abs(a - b) <= max(NUMBERS_DIFFER * abs(b), 1.001 * digit)
 
 
-LONG = ("README.md", "exports.md", "calibration-engineer.md", "unknown-effect.md")  # of the better part of a minute
+LONG = (
+    "README.md",
+    "screens.md",
+    "exports.md",
+    "calibration-engineer.md",
+    "unknown-effect.md",
+)  # of the better part of a minute
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,20 @@ def run(*args: object) -> subprocess.CompletedProcess[str]:
 def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "ik.json"
     near = "0.1,-1.2,1.2,0.1,0.4,0"
-    done = run("ik", model_file, *PLACE, "--cell", cell_file, "--near", near, "--approach", "--pyfai", "--json", out)
+    done = run(
+        "ik",
+        model_file,
+        *PLACE,
+        "--cell",
+        cell_file,
+        "--near",
+        near,
+        "--approach",
+        "--pyfai",
+        "--json",
+        out,
+        "--verbose",
+    )
     assert done.returncode == 0, done.stderr
     assert "convention: thesis, gamma_outer" in done.stdout
     assert "joint 6" in done.stdout
@@ -58,7 +71,7 @@ def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
     out, asked = tmp_path / "ik.json", ["ik", str(model_file), *PLACE, "--cell", str(cell_file)]
 
     def said(*more: str) -> tuple[str, dict]:
-        done = CliRunner().invoke(app(), [*asked, *more, "--json", str(out)])
+        done = CliRunner(env={"COLUMNS": "400"}).invoke(app(), [*asked, *more, "--json", str(out), "--verbose"])
         assert done.exit_code == 0, done.output
         return done.output, json.loads(out.read_text(encoding="utf-8"))
 
@@ -73,7 +86,7 @@ def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
     ):  # fmt: skip
         assert value in text
     assert f"KUKA Status and Turn: S{solution['status']}T{solution['turn']}" in text
-    assert "path: not checked, nobody said from where" in text
+    assert "path: not checked: give the starting posture with --near" in text
     assert data["path"]["checked"] == "place"
     text, data = said("--approach")
     assert "from there on safe" in text
@@ -92,7 +105,7 @@ def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path
     done = run("ik", model, *PLACE, "--cell", cell_file, "--json", out)
     assert done.returncode == 0, done.stderr
     note = "the model has no effect of the link temperatures: they change nothing"
-    assert note in done.stderr
+    assert note in " ".join(done.stdout.split())
     assert json.loads(out.read_text(encoding="utf-8"))["notes"] == [note]
 
 
@@ -103,12 +116,12 @@ def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
     asked = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.4", "--near=0.5,-0.2,1.2,3,-1.4,0", "--cell", cell_file)
     done = run("ik", model_file, *asked, "--json", out)
     assert done.returncode == 0, done.stderr
-    assert "the nearest posture is refused (sample stage" in done.stderr
-    assert "path: safe" in done.stdout
+    assert "the nearest posture is refused (sample stage" in " ".join(done.stdout.split())
+    assert "the move is safe." in " ".join(done.stdout.split())
     data = json.loads(out.read_text(encoding="utf-8"))
     assert data["path"]["safe"] is True
     assert "sample stage" in data["refused"][0]["reasons"][0]
-    done = run("ik", model_file, *asked, "--branch", "all", "--approach", "--json", out)
+    done = run("ik", model_file, *asked, "--branch", "all", "--approach", "--json", out, "--verbose")
     assert done.returncode == 0, done.stderr
     solutions = json.loads(out.read_text(encoding="utf-8"))["solutions"]
     assert {s["path"]["safe"] for s in solutions} == {True, False}
@@ -119,7 +132,7 @@ def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
 def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr
-    assert "assumed, for want of a cell that says:\n" in done.stderr
+    assert "assumed, because no cell says:\n" in done.stderr
     for what in ("sample: 1.432, 0, -0.017 m", "gravity: 0, 0, -9.81 m/s2", "links of 20 degC", "says: 12 kg"):
         assert f"{what}\n" in done.stderr
     assert "sample" in json.loads(done.stdout)["cell"]["assumed"]
@@ -158,8 +171,9 @@ def test_a_model_that_is_none_is_refused(tmp_path: Path) -> None:
 def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path) -> None:
     done = run("ik", model_file, "--gamma", "0.3", "--delta", "0.2", "--r", "3", "--cell", cell_file)
     assert done.returncode == 0
-    assert "not reachable: out of reach by" in done.stdout
-    assert "nearest: gamma" in done.stdout
+    assert "The robot cannot put the detector there." in done.stdout
+    assert "- out of reach by" in done.stdout
+    assert "nearest  gamma" in done.stdout
 
 
 def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> None:

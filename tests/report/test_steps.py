@@ -29,7 +29,7 @@ def test_steps_and_what_was_rejected_beside_each() -> None:
     section = steps_section(model(step(), first, by_hand), None)
     assert section is not None
     title, steps, rejected = section.blocks
-    assert title == "Filtered poses"
+    assert title == "Poses"
     assert isinstance(steps, Table)
     assert isinstance(rejected, Table)
     listed = [dict(zip(steps.columns, row, strict=True)) for row in steps.rows]

@@ -98,8 +98,6 @@ def test_the_sentence_has_units_and_errors():
         {"row": "3", "parameter": "d", "shift": 4.53e-5, "std": 3.1e-6, "unit": "m"},
         {"row": "base", "parameter": "rx", "shift": -2.2e-6, "std": 2.7e-7, "unit": "rad"},
     ]
-    said = (
-        "Leaving it out had shifted the exported table: d of row 3 by 45.3 ± 3.1 µm, rx of base by -2.20 ± 0.27 µrad."
-    )
+    said = "Without it the exported DH table was biased: d of row 3 by 45.3 ± 3.1 µm, rx of base by -2.20 ± 0.27 µrad."
     assert shift_in_words(shifts) == said
     assert shift_in_words([]) == ""

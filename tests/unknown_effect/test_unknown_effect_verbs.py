@@ -22,7 +22,7 @@ def test_new_writes_a_file_and_says_how_to_use_it(tmp_path: Path, monkeypatch, c
     monkeypatch.chdir(tmp_path)
     assert typed("effect new snag --depends-on q4,dir4 --at joint4") == 0
     said = capsys.readouterr().out
-    assert "effect: snag.py" in said
+    assert "Wrote snag.py" in said
     assert "--effects-from snag.py" in said
     assert typed("effects --effects-from snag.py --quiet --json -") == 0
     (own,) = (e for e in json.loads(capsys.readouterr().out) if e["name"] == "snag")

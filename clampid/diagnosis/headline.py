@@ -1,0 +1,214 @@
+"""A diagnosis in one sentence of at most 25 words, and in short notes, from the dictionary that programs get."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal
+
+from clampid.display import error_text, places_text, with_error
+
+__all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome"]
+
+Json = Mapping[str, Any]
+Outcome = Literal["good", "open"]
+MOST_WORDS = 25
+AS_GOOD = 1.5
+"""An alternative explains the rest as well as another only if its held-out error is at most so many times as large."""
+PLACELESS = ("base", "instrument", "tool", "robot", "fixture")
+FEW = 3
+MATTERS = 1e-5
+"""m or rad: a smaller shift of the exported table is no example to give."""
+OPEN = {
+    "ambiguous": "several effects explain what is left equally well",
+    "unknown": "no known effect explains the rest",
+}
+"""What is left, where there is no room to name it."""
+
+
+def named(name: str, places: Sequence[str]) -> str:
+    """``gear eccentricity at joint 2``: an effect by its name in the catalogue, and where it acts."""
+    shown = [p for p in places if p not in PLACELESS and not p.startswith("session")]
+    words = name.replace("_", " ")
+    if not shown:
+        return words
+    at = places_text(shown)
+    if len(shown) == 1:
+        kind = shown[0].rstrip("0123456789")
+        at = f"{kind} {shown[0].removeprefix(kind)}".rstrip()
+    return f"{words} at {at}"
+
+
+def equally_good(candidates: Sequence[Json]) -> list[Json]:
+    """The alternatives that may be offered as equally good.
+
+    One whose parameters the data do not determine, or which leaves a clearly larger held-out error than the best of its
+    group, is not among them.
+    """
+    groups: dict[int, list[Json]] = {}
+    for c in candidates:
+        if c["alternative"]:
+            groups.setdefault(c.get("group", 0), []).append(c)
+    out: list[Json] = []
+    for group in groups.values():
+        determined = [c for c in group if _determined(c)] or group
+        errors = [c["heldout_rms_after"] for c in determined if c.get("heldout_rms_after") is not None]
+        least = min(errors, default=math.inf)
+        out += [c for c in determined if (c.get("heldout_rms_after") or least) <= AS_GOOD * least]
+    return out
+
+
+def _determined(candidate: Json) -> bool:
+    known = [bool(p["identified"]) for p in candidate.get("parameters", ()) if "identified" in p]
+    return any(known) or not known
+
+
+def headline(stages: Json, mended: bool = False) -> str:
+    """The verdict on all stages in one sentence of at most 25 words.
+
+    Parameters
+    ----------
+    stages
+        Stage → what the JSON of ``diagnose`` has for it.
+    mended
+        Whether what was missing has been added to the model.
+    """
+    sentences = list(_variants(stages, mended))
+    return next((s for s in sentences if len(s.split()) <= MOST_WORDS), sentences[-1])
+
+
+def outcome(stages: Json, mended: bool = False) -> Outcome:
+    """``good`` where nothing is left to add or to find out."""
+    for part in stages.values():
+        unfinished = part["verdict"] in ("ambiguous", "unknown") or part.get("above_floor") is not None
+        if unfinished or (part["verdict"] == "missing" and not mended):
+            return "open"
+    return "good"
+
+
+def _variants(stages: Json, mended: bool) -> Iterator[str]:
+    """The sentence with all its detail, then with less and less."""
+    falls = [part for part in stages.values() if any(not c["alternative"] for c in part["candidates"])]
+    if falls and not _left(stages, True, 99) and (mended or len(falls) == 1):
+        ends = [error_text(falls[0][f"heldout_rms_{when}"], falls[0]["unit"]) for when in ("before", "after")]
+        said = _sentence(stages, mended, True, False, 99).removesuffix(".")
+        above = any(part.get("above_floor") for part in stages.values())
+        rest = "the error is still above the noise floor" if above else "nothing beyond the noise is left"
+        yield f"{said}; {rest}." if mended else f"{said}; with it the held-out error falls from {ends[0]} to {ends[1]}."
+    several = len(stages) > 1
+    for where, stage_names, most in ((True, several, 99), (True, False, 99), (True, False, 3), (False, False, 3)):
+        yield _sentence(stages, mended, where, stage_names, most)
+    for where, most in ((True, 3), (False, 3), (False, 1)):
+        yield _sentence(stages, mended, where, False, most, brief=True)
+    missing = sum(not c["alternative"] for part in stages.values() for c in part["candidates"])
+    now = f", {'are' if missing > 1 else 'is'} now in the model" if mended else ""
+    said = f"{missing} effect{'s were' if missing > 1 else ' was'} missing{now}; " if missing else ""
+    yield _capital(f"{said}{_briefly(stages) or 'nothing is left'}.")
+
+
+def _briefly(stages: Json) -> str:
+    """What stays open, without naming it; empty where nothing does."""
+    return " and ".join(
+        words for verdict, words in OPEN.items() if any(p["verdict"] == verdict for p in stages.values())
+    )
+
+
+def _sentence(stages: Json, mended: bool, where: bool, stage_names: bool, most: int, *, brief: bool = False) -> str:
+    missing = [
+        (stage, named(c.get("name", c["effect"]), c["where"] if where else ()))
+        for stage, part in stages.items()
+        for c in part["candidates"]
+        if not c["alternative"]
+    ]
+    what = [f"{words} ({stage})" if stage_names else words for stage, words in dict.fromkeys(missing)]
+    left = _briefly(stages) if brief else _left(stages, where, most)
+    if what:
+        were = "were" if len(what) > 1 else "was"
+        are = "are" if len(what) > 1 else "is"
+        now = f" and {are} now in the model" if mended else ""
+        said = f"{listed(what, most)} {were} missing{now}"
+        return _capital(f"{said}; {left}." if left else f"{said}.")
+    return _capital(f"{left or _nothing(stages)}.")
+
+
+def _left(stages: Json, where: bool, most: int) -> str:
+    """What stays open after that; empty where nothing does."""
+    either = [c for part in stages.values() if part["verdict"] == "ambiguous" for c in equally_good(part["candidates"])]
+    unknown = [v for part in stages.values() if part["verdict"] == "unknown" for v in part.get("depends_on") or ("",)]
+    before = any(not c["alternative"] for part in stages.values() for c in part["candidates"])
+    out = []
+    if len(either) == 1:
+        out.append(f"{named(either[0].get('name', either[0]['effect']), either[0]['where'])} explains the rest best")
+    elif either:
+        names = [named(c.get("name", c["effect"]), c["where"] if where else ()) for c in either]
+        rest = "what is left" if before else "the error"
+        out.append(f"{_either(names, most)} explain {rest} equally well")
+    if unknown:
+        what = listed(list(dict.fromkeys(unknown)), 4)
+        what = f"an error that depends on {what}" if any(unknown) else "an error that depends on no recorded variable"
+        out.append(f"no known effect explains {what}")
+    return "; ".join(out)
+
+
+def _either(names: Sequence[str], most: int) -> str:
+    if len(names) > most:
+        return f"{len(names)} effects"
+    return listed(list(dict.fromkeys(names)), most)
+
+
+def _nothing(stages: Json) -> str:
+    """That nothing was found, with how far the error is from the noise floor."""
+    above = [part["above_floor"]["times_floor"] for part in stages.values() if part.get("above_floor")]
+    if above:
+        return f"no missing effect was found, but the held-out error is {max(above):.2g} times the noise floor"
+    return "no missing effect was found: the held-out error is at the noise floor"
+
+
+def listed(words: Sequence[str], most: int = 3) -> str:
+    """``a, b and c``, or ``a, b and 3 more``."""
+    if len(words) > most:
+        words = [*words[:most], f"{len(words) - most} more"]
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
+    """What a person must know beside the verdict on a stage, the most important first; a sentence or two each."""
+    out = []
+    good = equally_good(part["candidates"])
+    worse = [c for c in part["candidates"] if c["alternative"] and c not in good]
+    for c in worse:
+        error = error_text(c.get("heldout_rms_after"), part["unit"])
+        out.append(f"{named(c.get('name', c['effect']), c['where'])} explains it less well: held-out error {error}.")
+    plan = part.get("next_plan") or {}
+    if plan.get("for") == "parting" and part["verdict"] == "ambiguous":
+        kind = {"free_air": "runs", "clamped": "sweeps"}.get(stage, "poses")
+        if plan.get("helps"):
+            now, then = f"{plan['sigma_before']:.2g} σ", f"{plan['sigma_after']:.2g} σ"
+            out.append(f"The closest two differ by {now}; {plan['count']} proposed {kind} raise this to {then}.")
+        else:
+            out.append(f"No {kind} that this robot can take distinguish all of them.")
+    elif part["verdict"] == "ambiguous" and part.get("next_measurement"):
+        out.append(f"To distinguish them: {part['next_measurement']}.")
+    if above := part.get("above_floor"):
+        out.append(
+            f"The held-out error is {above['times_floor']:.2g} times the noise floor. One possible reason: "
+            f"{above['reasons'][0].partition(':')[0]}."
+        )
+    if sides := part.get("one_sided"):
+        joints = places_text([f"joint{s['joint']}" for s in sides])
+        what = "approached" if stage == "poses" else "moved"
+        known = " (direction not recorded)" if all(s["side"] == 0 for s in sides) else ""
+        out.append(f"Direction-dependent effects were not tested at {joints}: {what} from one side only{known}.")
+    if len(part.get("outliers") or ()) >= FEW:
+        out.append(f"{len(part['outliers'])} rows were rejected as outliers.")
+    if shifts := part.get("exported_shift"):
+        p = max(shifts, key=lambda p: (abs(p["shift"]) > MATTERS, abs(p["shift"]) / (p["std"] or 1.0)))
+        row = p["row"] if str(p["row"]).isalpha() else f"row {p['row']}"
+        much = with_error(p["shift"], p["std"], p["unit"])
+        biased = "Without what was added the DH table was biased" if mended else "Without it the DH table is biased"
+        out.append(f"{biased} in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}.")
+    return [f"{stage}: {text}" for text in out]

@@ -1,0 +1,62 @@
+"""A diagnosis kept beside its model, so that a report need not compute it again.
+
+``diagnose`` and ``auto`` write ``MODEL.diagnosis.json``. It names the model and the campaigns by their contents: of
+another model or other campaigns it is not taken.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from clampid.models.model import write_text
+from experiments.campaign import Campaign
+
+__all__ = ["keep_diagnosis", "kept_diagnosis", "kept_file"]
+
+FORMAT = "clampid-diagnosis/1"
+
+
+def kept_file(model: Path) -> Path:
+    """Where the diagnosis of a model is kept."""
+    return model.with_suffix(".diagnosis.json")
+
+
+def keep_diagnosis(model: Path, campaigns: Sequence[Campaign], diagnosis: Mapping[str, Any]) -> None:
+    """Write a diagnosis beside its model.
+
+    Parameters
+    ----------
+    model
+        The model file, as it is now.
+    diagnosis
+        As the JSON of ``diagnose`` has it, without numbers that are not finite.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    text = json.dumps({"format": FORMAT, **_of(model, campaigns), "diagnosis": diagnosis}, indent=1, ensure_ascii=False)
+    write_text(kept_file(model), text + "\n")
+
+
+def kept_diagnosis(model: Path, campaign: Campaign) -> Mapping[str, Any] | None:
+    """The diagnosis of this model on this campaign, alone or with others, or None where none was kept."""
+    try:
+        data = json.loads(kept_file(model).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        return None
+    known = _of(model, [campaign])
+    same = data.get("model") == known["model"] and known["campaigns"][0] in data.get("campaigns", ())
+    return data.get("diagnosis") if same else None
+
+
+def _of(model: Path, campaigns: Sequence[Campaign]) -> dict[str, Any]:
+    digest = hashlib.sha256(model.read_bytes()).hexdigest()
+    return {"model": digest, "campaigns": [campaign.fingerprint for campaign in campaigns]}

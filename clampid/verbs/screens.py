@@ -1,0 +1,307 @@
+"""The screens of the verbs about models: what each says in 24 lines, from the dictionaries that programs get."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from clampid.diagnosis.headline import headline, listed, named, notes, outcome
+from clampid.display import error_text
+from clampid.screen import Errors, Next, Screen, Tone
+
+if TYPE_CHECKING:
+    from clampid.effect import Stage
+    from clampid.models.model import Model, Round
+
+__all__ = [
+    "addition_screen",
+    "comparison_screen",
+    "diagnosis_screen",
+    "fit_screen",
+    "history_screen",
+    "mended_screen",
+    "typed",
+    "undo_screen",
+]
+
+Json = Mapping[str, Any]
+HELD_OUT = "Error (rms) on held-out rows"
+SIGMA = "; torques in σ, units of each motor's noise"
+NEAR = 1.3
+"""A held-out error of at most so many noise floors is said to be at the noise floor; as diagnosis has it."""
+OVERFITTED = 3.0
+"""A held-out error of more than so many fitted ones: the fit followed its rows, and predicts no others."""
+
+
+def typed(*words: str | Path, effects_from: Path | None = None) -> str:
+    """A command to copy, with the user's own effects where there are some."""
+    own = [] if effects_from is None else ["--effects-from", str(effects_from)]
+    return shlex.join(["clampid", *map(str, words), *own])
+
+
+def _title(stages: Sequence[str], what: str = HELD_OUT) -> str:
+    return what + (SIGMA if any(stage not in ("poses", "verification", "distances") for stage in stages) else "")
+
+
+def _of(nominal: Mapping[Stage, float], name: str) -> float | None:
+    """The described robot's error of a stage, where it is known."""
+    return {str(stage): error for stage, error in nominal.items()}.get(name)
+
+
+def _times(error: float | None, floor: float | None) -> float:
+    return float("nan") if not error or not floor else error / floor
+
+
+def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str, Tone]:
+    """A verdict on held-out errors and their floors, stage by stage, and how it is meant."""
+    far = [(times, name) for name, error, floor in rows if (times := _times(error, floor)) > NEAR]
+    if not far:
+        return "The held-out error is at the noise floor.", "good"
+    times, name = max(far)
+    return f"{name}: the held-out error is {times:.2g} times the noise floor, so an effect may be missing.", "open"
+
+
+def fit_screen(
+    data: Json, nominal: Mapping[Stage, float], rejected: Json, campaigns: Sequence[Path], effects_from: Path | None
+) -> Screen:
+    """What ``identify`` did.
+
+    Parameters
+    ----------
+    data
+        Its JSON.
+    nominal
+        Stage → the error of the described robot; see :func:`clampid.comparison.nominal.nominal_errors`.
+    rejected
+        Stage → its rejected rows in words.
+    """
+    stages = data["stages"]
+    rows, facts, said = [], [], []
+    for name, part in stages.items():
+        unit = part["unit"]
+        errors = (_of(nominal, name), part["heldout_rms"], part["noise_floor"])
+        rows.append((name, tuple(error_text(e, unit) for e in errors), ""))
+        known = part["parameters"] - len(part["not_identifiable"])
+        effects = ", ".join(_once(part["effects"])).replace("_", " ")
+        facts.append((name, f"{effects}; {known} of {part['parameters']} parameters are identifiable"))
+        if (part["heldout_rms"] or 0.0) > OVERFITTED * (part["rms"] or float("inf")):
+            fitted = error_text(part["rms"], unit)
+            held = error_text(part["heldout_rms"], unit)
+            said.append(
+                f"{name}: {held} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
+                "parameters. Measure more, or fit fewer effects."
+            )
+        if name in rejected:
+            said.append(f"{name}: rejected as outliers: {_first(rejected[name])}.")
+    verdict, tone = _judged([(n, p["heldout_rms"], p["noise_floor"]) for n, p in stages.items()])
+    if any("too few rows" in text for text in said):
+        verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
+    model = data["model"]
+    return Screen(
+        f"Fitted {model} to {_campaigns(campaigns)}.",
+        Errors(_title(list(stages)), ("nominal", "this model", "noise floor"), tuple(rows)),
+        tuple(facts),
+        verdict,
+        tone,
+        tuple(said),
+        "Parameters with their standard errors: --verbose, --json FILE.",
+        (Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),),
+    )
+
+
+def _once(labels: Sequence[str]) -> list[str]:
+    """Effects without their places, each once."""
+    return list(dict.fromkeys(label.partition("@")[0] for label in labels))
+
+
+def _first(text: str) -> str:
+    """The count and the first of several things listed with semicolons."""
+    first, more, _ = text.partition("; ")
+    return f"{first}, …" if more else first
+
+
+def _campaigns(campaigns: Sequence[Path]) -> str:
+    return listed([str(c) for c in campaigns], 2)
+
+
+def comparison_screen(
+    data: Json,
+    nominal: Mapping[Stage, float],
+    model: Path,
+    campaign: Path,
+    report: Path | None,
+    effects_from: Path | None,
+) -> Screen:
+    """What ``compare`` found."""
+    rows, judged, said = [], [], []
+    for name, table in data["tables"].items():
+        held = (table.get("heldout") or {}).get("rms", table.get("rms"))
+        floor = table.get("noise_floor")
+        errors = (_of(nominal, name), held, floor)
+        rows.append((name, tuple(error_text(e, table["unit"]) for e in errors), ""))
+        judged.append((name, held, floor))
+        beyond = table.get("extrapolating")
+        if beyond and beyond["rows"]:
+            kinds = listed(list(dict.fromkeys(q["quantity"] for q in beyond["quantities"])))
+            said.append(f"{name}: {beyond['rows']} of {beyond['of']} held-out rows lie outside the fitted {kinds}.")
+        far = table.get("extrapolated")
+        if far and far["share"]:
+            said.append(f"{name}: {100 * far['share']:.0f} % of held-out rows stand at joint angles no pose was near.")
+        if wrong := (table.get("heldout") or {}).get("outliers"):
+            said.append(f"{name}: {len(wrong)} held-out rows were left out as wrong.")
+    if (data.get("compensation") or {}).get("summary"):
+        said.append(f"poses: {data['compensation']['summary']}")
+    verdict, tone = _judged(judged)
+    heads = ("nominal", "this model", "noise floor")
+    ask = typed("diagnose", model, campaign, effects_from=effects_from)
+    return Screen(
+        f"Compared {model} with {campaign}." + ("" if report is None else f" Report: {report}."),
+        Errors(_title(list(data["tables"])), heads, tuple(rows)),
+        (),
+        verdict,
+        tone,
+        tuple(said),
+        "Fitted rows, motors, ISO 9283 and largest errors: --verbose, --json FILE.",
+        (Next("Next, find out what is missing:", ask),),
+    )
+
+
+def diagnosis_screen(data: Json, done: str, written: Sequence[str], steps: Sequence[Next]) -> Screen:
+    """What ``diagnose`` found."""
+    stages = data["stages"]
+    added = any(not c["alternative"] for part in stages.values() for c in part["candidates"])
+    heads = {key: head for key, head in zip(KEYS, HEADS, strict=True) if added or key != "heldout_rms_after"}
+    rows = [
+        (name, tuple(error_text(part[key], part["unit"]) for key in heads), str(part["verdict"]))
+        for name, part in stages.items()
+    ]
+    return Screen(
+        done,
+        Errors(_title(list(stages)), tuple(heads.values()), tuple(rows)),
+        (),
+        headline(stages),
+        outcome(stages),
+        (*written, *_notes(stages)),
+        "Evidence, values and detection limits: --verbose, --json FILE.",
+        tuple(steps),
+    )
+
+
+KEYS = ("heldout_rms_before", "heldout_rms_after", "noise_floor")
+HEADS = ("this model", "mended", "noise floor")
+
+
+def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
+    """Notes on all stages, the most important of each first."""
+    found = [notes(name, part, mended) for name, part in stages.items()]
+    return tuple(texts[k] for k in range(max(map(len, found), default=0)) for texts in found if k < len(texts))
+
+
+def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
+    """What ``auto`` found and added: ``data`` is its JSON, the ledger of ``model`` says what was added."""
+    found = data["diagnosis"]["stages"]
+    rows, facts = [], []
+    for name, part in data["stages"].items():
+        before = found.get(name, {}).get("heldout_rms_before")
+        errors = (_of(nominal, name), before, part["heldout_rms"], part["noise_floor"])
+        rows.append((name, tuple(error_text(e, part["unit"]) for e in errors), str(found[name]["verdict"])))
+        labels = [label.partition("@") for r in model.ledger if r.stage == name for label in r.added]
+        if labels:
+            facts.append((f"{name}:", f"added {_grouped([(effect, place) for effect, _, place in labels])}"))
+    return Screen(
+        done,
+        Errors(_title(list(data["stages"])), ("nominal", "start model", "this model", "noise floor"), tuple(rows)),
+        tuple(facts),
+        headline(found, mended=True),
+        outcome(found, mended=True),
+        _notes(found, mended=True),
+        "Parameters, evidence and detection limits: --verbose, --json FILE, --report FILE.html.",
+        tuple(steps),
+    )
+
+
+def _grouped(added: Sequence[tuple[str, str]]) -> str:
+    """Effects with their places, each effect once."""
+    places: dict[str, list[str]] = {}
+    for effect, place in added:
+        places.setdefault(effect, []).extend([place] if place else [])
+    return listed([named(effect, list(dict.fromkeys(at))) for effect, at in places.items()], 6)
+
+
+def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
+    """What ``add`` did to the held-out error."""
+    rows, worse, facts = [], [], []
+    for name, part in data["stages"].items():
+        rows.append((name, tuple(error_text(part[key], part["unit"]) for key in KEYS), ""))
+        places = [
+            (a.get("name", a["effect"]), place)
+            for a in part["added"]
+            for place in ([a["where"]] if isinstance(a["where"], str) else a["where"] or [""])
+        ]
+        facts.append((f"{name}:", f"added {_grouped(places)}"))
+        if part["heldout_rms_after"] > part["heldout_rms_before"]:
+            worse.append(name)
+    first = next(iter(data["stages"].values()))
+    ends = [error_text(first[key], first["unit"]) for key in KEYS]
+    if worse:
+        verdict, tone = f"{listed(worse)}: the held-out error rose, so what was added does not help.", "bad"
+    else:
+        verdict, tone = f"The held-out error fell from {ends[0]} to {ends[1]}; the noise floor is {ends[2]}.", "good"
+    shown: Tone = "bad" if tone == "bad" else "good"
+    return Screen(
+        done,
+        Errors(_title(list(data["stages"])), ("before", "after", "noise floor"), tuple(rows)),
+        tuple(facts),
+        verdict,
+        shown,
+        (),
+        "Values with their standard errors: --verbose, --json FILE.",
+        tuple(steps),
+    )
+
+
+def undo_screen(
+    model: Model, gone: Round, output: Path, campaigns: Sequence[Path], effects_from: Path | None
+) -> Screen:
+    """What ``undo`` left."""
+    last = next(r for r in reversed(model.ledger) if r.stage == gone.stage)
+    unit = "m" if gone.stage == "poses" else "sigma"
+    errors = tuple(error_text(e, unit) for e in (gone.heldout_rms, last.heldout_rms, last.noise_floor))
+    verdict, tone = _judged([(gone.stage, last.heldout_rms, last.noise_floor)])
+    again = typed("diagnose", output, *campaigns, effects_from=effects_from)
+    return Screen(
+        f"Fitted {output} without {listed(list(gone.added), 6)}.",
+        Errors(_title([gone.stage]), ("before", "this model", "noise floor"), ((gone.stage, errors, ""),)),
+        (),
+        verdict,
+        tone,
+        (),
+        "All rounds: --verbose.",
+        (Next("Next, diagnose again:", again),),
+    )
+
+
+def history_screen(rounds: Sequence[Json], model: Path) -> Screen:
+    """The ledger: the last rounds, as many as fit."""
+    most = 14
+    rows = []
+    for k, r in enumerate(rounds, 1):
+        errors = tuple(error_text(r[key], r["unit"]) for key in ("rms", "heldout_rms", "noise_floor"))
+        what = f"+ {listed(_once(r['added']), 2)}" if r["added"] else listed(_once(r["effects"]), 2)
+        rows.append((f"{k} {r['stage']}", errors, what.replace("_", " ")))
+    left = len(rounds) - most
+    said = (f"{left} earlier rounds: --verbose.",) if left > 0 else ()
+    last = {r["stage"]: r for r in rounds}
+    verdict, tone = _judged([(name, r["heldout_rms"], r["noise_floor"]) for name, r in last.items()])
+    return Screen(
+        f"{model}: {len(rounds)} rounds.",
+        Errors(_title([r["stage"] for r in rounds], "Error (rms)"), ("fitted", "held out", "noise floor"),
+               tuple(rows[-most:])),
+        (),
+        verdict,
+        tone,
+        said,
+        "Evidence of each round: --verbose, --json FILE.",
+    )  # fmt: skip

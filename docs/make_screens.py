@@ -1,0 +1,80 @@
+"""Record the screens of docs/screens.md: python docs/make_screens.py [FOLDER WITH ur10_series_d].
+
+Without the folder the recordings of the real robot stay as they are.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+PAGE = Path(__file__).parent / "screens.md"
+SIMULATED = (
+    "clampid check arm",
+    "clampid identify arm -o model.json",
+    "clampid compare model.json arm",
+    "clampid diagnose model.json arm",
+    "clampid add poses=gear_eccentricity@joint2 model.json arm -o mended.json",
+    "clampid history mended.json",
+    "clampid auto arm -o auto.json",
+    "clampid ik model.json --gamma 0.3 --delta 0.2 --r 0.8",
+)
+REAL = (
+    "clampid check ur10_series_d",
+    "clampid identify ur10_series_d -o ur10.json",
+    "clampid compare ur10.json ur10_series_d",
+    "clampid diagnose ur10.json ur10_series_d",
+    "clampid auto ur10_series_d -o ur10_auto.json",
+    "clampid ik ur10.json --gamma 0.3 --delta 0.2 --r 0.8",
+)
+MAKE = (
+    "clampid simulate -o arm --poses 100 --tables free_air,wrist,poses,verification --hide gear_eccentricity@joint2 -q"
+)
+INTRODUCTION = f"""# What the verbs print
+
+Every verb ends in one screen: at most 24 lines of 80 columns. The last lines are the next command. `--verbose` prints
+the tables, too; `--json FILE` writes everything for programs. Colours appear on a terminal only, and not with
+`NO_COLOR`. These recordings are made by `docs/make_screens.py`, and the tests run them again.
+
+## A simulated campaign
+
+<!-- first: {MAKE} -->
+"""
+BETWEEN = """
+## A real robot
+
+A Universal Robots UR10, measured by a laser tracker at 632 poses; see [What a real robot was missing](real-robot.md).
+
+"""
+NOT_RUN = "<!-- not run: the campaign is not in the repository -->\n"
+
+
+def recorded(command: str, folder: str) -> str:
+    """A console block with the command and what it prints."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    env = {**os.environ, "PATH": path, "COLUMNS": "80"}
+    done = subprocess.run(["bash", "-c", command], cwd=folder, env=env, capture_output=True, text=True, check=True)
+    return f"```console\n$ {command}\n{done.stdout}```\n"
+
+
+def main() -> None:
+    """Write the page."""
+    old = PAGE.read_text(encoding="utf-8") if PAGE.exists() else BETWEEN
+    real = old.partition(BETWEEN)[2]
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            ["bash", "-c", f"export PATH={Path(sys.executable).parent}:$PATH; {MAKE}"], cwd=folder, check=True
+        )
+        simulated = "\n".join(recorded(command, folder) for command in SIMULATED)
+    if len(sys.argv) > 1:
+        with tempfile.TemporaryDirectory() as folder:
+            os.symlink(Path(sys.argv[1]).resolve() / "ur10_series_d", Path(folder) / "ur10_series_d")
+            real = "\n".join(NOT_RUN + recorded(command, folder) for command in REAL)
+    PAGE.write_text(INTRODUCTION + simulated + BETWEEN + real, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
