@@ -7,7 +7,10 @@ followed. Devices, pipes and ``/dev/stdout`` are written to directly, because a 
 from __future__ import annotations
 
 import contextlib
+import functools
+import hashlib
 import os
+import platform
 import stat
 import sys
 import uuid
@@ -73,6 +76,7 @@ def new_file(path: str | Path) -> Iterator[Path]:
         with naming(path):
             target = real_path(path)
             target.parent.mkdir(parents=True, exist_ok=True)
+            _remove_left_over(target)
             partial = target.with_name(_partial_name(target))
             os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
             yield partial
@@ -142,8 +146,14 @@ def _without_a_name(path: str | Path, data: bytes) -> bool:
         if (found := status_of(path)) is not None:
             os.fchmod(handle, stat.S_IMODE(found.st_mode) & 0o777)
         os.fsync(handle)
+        _remove_left_over(target)
         partial = target.with_name(_partial_name(target))
         try:
+            if found is None:
+                with contextlib.suppress(FileExistsError):  # somebody else was faster: then as with an older one
+                    os.link(f"/proc/self/fd/{handle}", target, src_dir_fd=folder, follow_symlinks=True)
+                    flush_folder(target.parent)
+                    return True
             os.link(f"/proc/self/fd/{handle}", partial, src_dir_fd=folder, follow_symlinks=True)
         except OSError as error:
             if error.errno in DISK:
@@ -159,7 +169,36 @@ def _without_a_name(path: str | Path, data: bytes) -> bool:
 
 
 def _partial_name(target: Path) -> str:
-    return f".{target.stem[:64]}.{uuid.uuid4().hex[:8]}.partial{target.suffix[:16]}"
+    return f".{target.stem[:64]}.{os.getpid()}-{_host()}-{uuid.uuid4().hex[:8]}.partial{target.suffix[:16]}"
+
+
+def _remove_left_over(target: Path) -> None:
+    """Remove what processes that were killed while they wrote this file have left beside it."""
+    ending = f".partial{target.suffix[:16]}"
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(target.parent):
+            if not (entry.name.startswith(f".{target.stem[:64]}.") and entry.name.endswith(ending)):
+                continue
+            number, _, rest = entry.name.removesuffix(ending).rpartition(".")[2].partition("-")
+            if number.isdigit() and rest.partition("-")[0] == _host() and not _runs(int(number)):
+                Path(entry.path).unlink(missing_ok=True)
+
+
+@functools.cache
+def _host() -> str:
+    """A mark of this machine: what another one writes in a shared folder is not looked at."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
+
+
+def _runs(process: int) -> bool:
+    """Whether a process of this number is there; its number may be another's by now, and then its file stays."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
 
 
 def _flush_file(path: Path) -> None:

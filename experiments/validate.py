@@ -18,6 +18,7 @@ __all__ = ["increasing", "typed_columns", "validate_table"]
 # components does not change the norm, so that what exceeds this is not a unit quaternion at all.
 QUATERNION_TOLERANCE = 1e-3
 
+LEAST_STEP_S = 1e-5  # of a log: controllers sample at 10 kHz at most
 LARGEST_WHOLE = 2**53  # beyond, neighbouring numbers are one and the same as floats
 
 
@@ -50,11 +51,23 @@ def validate_table(
     result = typed_columns(frame, table, source)
     if table.run is not None:
         _refuse_unordered(result, table.run, source)
+        _refuse_tiny_steps(result, table.run, source)
     else:
         _refuse_repeated(result, source)
         _refuse_bad_quaternions(result, source)
         _refuse_unknown_targets(result, targets, source)
     return result
+
+
+def _refuse_tiny_steps(frame: pd.DataFrame, run: str, source: TableFile) -> None:
+    """A clock in another unit than seconds: what looks at a log sample by sample would take for ever."""
+    if "time_s" not in frame or len(frame) < 2:
+        return
+    step = np.diff(frame["time_s"].to_numpy())[np.diff(frame[run].to_numpy()) == 0]
+    median = float(np.median(step)) if step.size else np.inf
+    if median < LEAST_STEP_S:
+        expected = f"seconds, with steps of at least {LEAST_STEP_S:g} s"
+        raise source.fault(expected=expected, found=f"steps of {median:.3g} s", column="time_s")
 
 
 def typed_columns(frame: pd.DataFrame, table: TableFormat, source: TableFile) -> pd.DataFrame:

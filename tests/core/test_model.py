@@ -136,6 +136,7 @@ def test_written_whole_or_not_at_all(model: Model, tmp_path: Path, monkeypatch: 
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", fail)
+    monkeypatch.setattr(os, "link", lambda *_, **__: fail())
     with pytest.raises(OSError, match="No space"):
         save_model(model, path)
     with pytest.raises(OSError, match="No space"):

@@ -20,6 +20,7 @@ from spoil import spoilt
 from clampid.cli import run
 from clampid.models.model import load_model
 from experiments.campaign import CampaignError, read_campaign
+from experiments.simulate import simulate
 from kinematics.description import load_robot
 from kinematics.reading import fraction_of
 from kinematics.robot import DescriptionError
@@ -161,3 +162,11 @@ def test_an_error_is_one_line_of_bounded_length(tmp_path: Path, capsys) -> None:
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1
     assert len(said) < 5000
+
+
+def test_a_clock_in_nanoseconds_is_refused(tmp_path: Path) -> None:
+    simulate(tmp_path / "arm", "ur10", seed=3, tables=("free_air",))
+    table = pd.read_parquet(tmp_path / "arm" / "free_air.parquet")
+    table.assign(time_s=1e-9 * table["time_s"]).to_parquet(tmp_path / "arm" / "free_air.parquet")
+    with pytest.raises(CampaignError, match="column time_s: expected seconds"):
+        read_campaign(tmp_path / "arm")
