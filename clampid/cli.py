@@ -24,7 +24,6 @@ from clampid.screen import wrapped
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
-from kinematics.escaping import for_terminal
 
 __all__ = ["app", "main"]
 
@@ -182,6 +181,8 @@ def _as_list(message: str, arguments: Sequence[str]) -> str:
 
 
 def _fail(message: str, code: int) -> int:
+    from kinematics.escaping import for_terminal  # its package takes numpy with it, which help does without
+
     line = for_terminal(" ".join(message.split()))
     if len(line) > LONGEST_LINE:
         line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"

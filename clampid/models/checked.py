@@ -175,7 +175,7 @@ def _table(where: str, data: Any) -> Mapping[str, Any]:
 
 def _list(where: str, data: Any, most: int) -> Sequence[Any]:
     if not isinstance(data, list):
-        raise _CheckError(f"{where}: expected a list, found {_shown(data)}")
+        raise _CheckError(f"{where}: expected a list, found {'nothing' if data is None else _shown(data)}")
     if len(data) > most:
         raise _CheckError(f"{where}: expected at most {most}, found {len(data)}")
     return data
