@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 from clampid.verbs.streams import write_result
 from experiments.targets import Kind, check_output, is_stdout
-from kinematics.escaping import for_terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -156,6 +155,8 @@ def output_file(path: Path, kind: Kind | None = None) -> Path:
 
 def _print_line(console: Console, text: str, style: str = "") -> None:
     """Print a line as it is: no markup, no colours guessed."""
+    from kinematics.escaping import for_terminal  # its package takes numpy with it, which help does without
+
     console.print(for_terminal(text), style=style or None, markup=False, highlight=False, soft_wrap=True)
 
 
