@@ -287,7 +287,7 @@ def _resolved(
     active = {slot.effect for slot in estimate.slots}
     out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
     asked = [t for t in asked if effects[t.effect].aligns is None]
-    absent = {t.effect: effects[t.effect] for t in asked}
+    absent = {t.effect: replace(effects[t.effect], asked=False) for t in asked}  # somebody asks for them
     space = space_of(estimate)
     scored = [*score(space, named_candidates(estimate, absent)), *event_scores(estimate, space, absent)]
     shapes: dict[Any, float] = {}

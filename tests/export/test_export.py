@@ -197,7 +197,7 @@ def test_links_of_another_temperature_than_their_expansion_was_identified_on_are
     save_model(model.with_stage(replace(model.stages["poses"], ranges=ranges)), file)
     for verb, name in ((dh, "dh.csv"), (urdf, "robot.urdf"), (kuka, "machine.dat")):
         verb(file, output=tmp_path / name, temperature=45.0, quiet=True)
-        said = capsys.readouterr().err
+        said = " ".join(capsys.readouterr().err.split())
         assert "extrapolating: link 1 (link temperature to 45.0 degC, identified to 30.0 degC), link 3" in said
         verb(file, output=tmp_path / name, temperature=25.0, quiet=True)
         assert "extrapolating" not in capsys.readouterr().err

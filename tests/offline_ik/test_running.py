@@ -189,7 +189,9 @@ def test_a_linked_robot_that_is_another_is_refused(detector: Detector) -> None:
 
 def test_the_command_takes_the_time_and_names_the_robot(warming_file: Path, cell_file: Path, tmp_path: Path) -> None:
     out, ik = tmp_path / "ik.json", ["ik", str(warming_file), *PLACE]
-    done = CliRunner().invoke(app(), [*ik, "--cell", str(cell_file), "--running", "90min", "--json", str(out)])
+    done = CliRunner().invoke(
+        app(), [*ik, "--cell", str(cell_file), "--running", "90min", "--json", str(out), "--verbose"]
+    )
     assert done.exit_code == 0, done.output
     assert "robot: kuka_kr20_r1810, running for 1.5 h" in done.output
     data = json.loads(out.read_text(encoding="utf-8"))

@@ -140,7 +140,7 @@ def test_from_a_verdict_to_a_command(simulated, tmp_path: Path, monkeypatch: pyt
     run("effect", "trust", own, cwd=tmp_path)
     run("diagnose", "mended.json", campaign.path, "--json", "after.json", "-q", cwd=tmp_path)
     assert json.loads((tmp_path / "after.json").read_text())["stages"]["poses"]["verdict"] == "adequate"
-    assert "unknown_joint3@joint3" in run("history", "mended.json", cwd=tmp_path)
+    assert "unknown_joint3@joint3" in run("history", "mended.json", "--verbose", cwd=tmp_path)
 
     # The model names its file; from another folder it is found beside the model.
     mended, file = load_model(tmp_path / "mended.json"), tmp_path / own
