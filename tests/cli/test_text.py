@@ -16,12 +16,6 @@ from clampid.verbs.show import show_rounds, terms_text
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture(autouse=True)
-def no_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As wide as a file: parallel test runs set the width of their own terminal."""
-    monkeypatch.delenv("COLUMNS", raising=False)
-
-
 def a_round(*added: str, **evidence: object) -> Round:
     return Round("poses", ("geometry", *added), added, 1.1e-4, 1.2e-4, 1e-4, evidence)
 
