@@ -147,10 +147,8 @@ def _one(
 
     asked = propose if len(opened.campaigns) == 1 else None
     effects = _effects_for(opened, stage)
-    called, elsewhere = (
-        _called_for(opened, stage),
-        [s for s in opened.stages if s != stage and opened.has(TABLES_OF[s])],
-    )
+    called = _called_for(opened, stage)
+    elsewhere = [s for s in opened.stages if s != stage and opened.has(TABLES_OF[s])]
     found = diagnose_stage(fitted, effects, refit, verification, seed, flips, asked, called, elsewhere)
     found.warnings += refused
     if stage == "poses" and found.next_plan is not None:

@@ -79,7 +79,8 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
     found: list[Candidate | None] = []
     levers = _levers(estimate, sensitivity[:, :, offsets["joint_angle"]])
     air = _air(rows)
-    common = [*_by_other_joints(rows), *air]
+    others = _by_other_joints(rows)
+    common, alone = [*others, *air], [c for c in others if len(c[1]) == 1]
     for j in range(n):
         q, load = s["q"][:, j], _scaled(s["gravity_torque"][:, j])
         own: list[Covariate] = [
@@ -102,10 +103,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         found.append(_at(frame, range(6), name, f"temp_link{link}", (f"temp_link{link}",), warm[:, None]))
         found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in air]
         if name in ("base", "flange"):  # what turns or stops there moves them, and no joint's error can say it
-            for k in range(n):
-                wave, d = _harmonics(s["q"][:, k], 1), s["direction"][:, k, None]
-                found.append(_at(frame, range(6), name, f"q{k + 1}", (f"q{k + 1}",), wave))
-                found.append(_at(frame, range(6), name, f"dir{k + 1}", (f"dir{k + 1}",), d))
+            found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in alone]
     place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
     readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k, None]) for k, a in enumerate("xyz")]
     for (i, a), (k, b) in combinations_with_replacement(enumerate("xyz"), 2):

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clampid.models.model import write_text
 from experiments.campaign import Campaign
+from experiments.outputs import write_text
 
 __all__ = ["keep_diagnosis", "kept_diagnosis", "kept_file"]
 

@@ -23,7 +23,7 @@ from clampid.stages.rows import Array
 from experiments.outputs import write_text
 from kinematics.reading import json_of, read_text
 
-__all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model", "write_text"]
+__all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model"]
 
 FORMAT = "clampid-model/1"
 

@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
-from clampid.models.model import FORMAT, Model, ModelError, load_model, save_model, write_text
+from clampid.models.model import FORMAT, Model, ModelError, load_model, save_model
 from clampid.slots import Term, find_parameter
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
+from experiments.outputs import write_text
 
 Simulated = Callable[..., Campaign]
 
