@@ -165,7 +165,7 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
         """Rows of these tables that no fit has seen, or each predicted by a fit without it."""
         if opened.session is None or any(held):
             return rows, residual, ~fitted
-        estimate = opened.refit(stage).estimate
+        estimate = opened.refit(stage).with_best_weights(seed).estimate
         test, left = cross_validated(estimate, estimate.experiment.rows, seed)
         return test, left, np.ones(len(test), dtype=bool)
 

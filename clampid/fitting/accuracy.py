@@ -16,7 +16,16 @@ from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
-__all__ = ["Floor", "StageErrors", "counted", "cross_validated", "noise_floor", "predicted", "stage_errors"]
+__all__ = [
+    "Floor",
+    "StageErrors",
+    "counted",
+    "cross_validated",
+    "noise_floor",
+    "parts_of_rows",
+    "predicted",
+    "stage_errors",
+]
 
 FOLDS = 5
 QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
@@ -175,7 +184,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     curvature within a standard error. Flanks stay where the whole fit has them.
     """
     experiment, white = estimate.experiment.with_flanks(estimate.theta), estimate.whitened
-    part = _parts(rows, seed)
+    part = parts_of_rows(rows, seed)
     residual = experiment.error(estimate.theta)
     size = experiment.sizes()
     its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.held()), part[white.entry]
@@ -204,7 +213,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     return rows, residual
 
 
-def _parts(rows: Rows, seed: int) -> Integers:
+def parts_of_rows(rows: Rows, seed: int) -> Integers:
     """Which of five parts each row ``(N,)`` is of, whole folds."""
     order = rows.shuffled_folds(seed)
     place = np.argsort(order)  # order holds each fold once

@@ -27,7 +27,18 @@ from clampid.stages.prewhitening import ORDER, Grouping, Predictors, Whitener, a
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import medians
 
-__all__ = ["LogFit", "LogNoise", "LogPrior", "Residuals", "fit_log", "residuals", "summed"]
+__all__ = [
+    "LogFit",
+    "LogNoise",
+    "LogPrior",
+    "Residuals",
+    "fit_log",
+    "learned",
+    "residuals",
+    "summed",
+    "used_of",
+    "weighted",
+]
 
 ENOUGH = 20  # rows of a motor from which a median says what an outlier is
 
@@ -134,22 +145,7 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
     outliers = np.zeros(0, dtype=np.int64)
 
     def solved(noise: LogNoise, theta: Array, part: Integers | None = None) -> tuple[Moments, dict[int, Moments]]:
-        def at(here: Array) -> _PartedPoint:
-            design.move(here)
-            sums = summed(design, folds, outliers, noise, part)
-            total = sum(sums.values(), Moments.none(design.at))
-            if not total.count:
-                raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
-            if not np.isfinite(total.squares):
-                raise FitError("free_air: the model gives no finite prediction; are the units right?")
-            return _PartedPoint(total.moved(here), sums)
-
-        if design.linear:
-            point = at(theta)
-            return minimise(point.moments, theta, prior.precision, prior.mean, prior.size), point.sums
-        best, _ = descend(at, theta, prior.precision, prior.mean, prior.limits)
-        design.move(best.theta)
-        return best.moments, best.sums
+        return weighted(design, folds, prior, outliers, noise, theta, part)
 
     found, _ = solved(LogNoise(np.ones(design.n)), start)
     rows = int(design.fold_rows[folds].sum())
@@ -160,13 +156,45 @@ def fit_log(design: LogDesign, folds: Bools, prior: LogPrior, start: Array, part
             break
         outliers, noise = np.union1d(outliers, bad), None
         found, _ = solved(LogNoise(np.ones(design.n)), found.at)
-    noise = noise or _learned(design, folds, outliers, found.at)
+    noise = noise or learned(design, folds, outliers, found.at)
     found, sums = solved(noise, found.at, part)
-    again = _learned(design, folds, outliers, found.at)
+    again = learned(design, folds, outliers, found.at)
     if not noise.settled(again):
         noise = again
         found, sums = solved(noise, found.at, part)
     return LogFit(found, noise, outliers, part, sums)
+
+
+def weighted(
+    design: LogDesign,
+    folds: Bools,
+    prior: LogPrior,
+    outliers: Integers,
+    noise: LogNoise,
+    start: Array,
+    part: Integers | None = None,
+) -> tuple[Moments, dict[int, Moments]]:
+    """Fit the rows that are no outliers with weights that are known: the sums at the solution, and those of the parts.
+
+    Parameters and errors as in :func:`fit_log`.
+    """
+
+    def at(here: Array) -> _PartedPoint:
+        design.move(here)
+        sums = summed(design, folds, outliers, noise, part)
+        total = sum(sums.values(), Moments.none(design.at))
+        if not total.count:
+            raise FitError("free_air: no rows can be used: no motor moves, or every row is an outlier")
+        if not np.isfinite(total.squares):
+            raise FitError("free_air: the model gives no finite prediction; are the units right?")
+        return _PartedPoint(total.moved(here), sums)
+
+    if design.linear:
+        point = at(start)
+        return minimise(point.moments, start, prior.precision, prior.mean, prior.size), point.sums
+    best, _ = descend(at, start, prior.precision, prior.mean, prior.limits)
+    design.move(best.theta)
+    return best.moments, best.sums
 
 
 def summed(
@@ -308,8 +336,8 @@ def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -
     return np.unique(np.concatenate(bad)), (memory or _Memory(design.n)).noise()
 
 
-def _learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> LogNoise:
-    """The noise that residuals show."""
+def learned(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -> LogNoise:
+    """The noise that the residuals of some folds ``(F,)`` show at the parameters ``(P + K,)``."""
     memory = _Memory(design.n)
     for found in residuals(design, folds, outliers, theta):
         memory.add(found)

@@ -12,7 +12,7 @@ from clampid.fitting.moments import Moments, minimise
 from clampid.stages.log_design import LogDesign
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["log_errors", "parts_of"]
+__all__ = ["cross_fitted", "log_errors", "parts_of"]
 
 ENOUGH = 20  # triples of rows from which noise is read
 _NONE = np.zeros(0, dtype=np.int64)
@@ -87,7 +87,7 @@ def log_errors(
         part = np.zeros(len(kept), dtype=np.int64)
     else:
         part = parts_of(folds, kept, seed)
-        theta = _cross_fitted(design, fit, prior, kept, part)
+        theta = cross_fitted(design, fit, prior, kept, part)
     floor = _Floor(max(1, round(QUIET_S / max(design.facts.spacing, 1e-9))), design.n)
     fitted, test = _Squares.none(design.n), _Squares.none(design.n)
     for found in residuals(design, np.ones_like(kept) if held else kept, fit.outliers, fit.moments.at):
@@ -127,7 +127,7 @@ def parts_of(folds: Rows, kept: Bools, seed: int) -> Integers:
     return out
 
 
-def _cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers) -> Array:
+def cross_fitted(design: LogDesign, fit: LogFit, prior: LogPrior, kept: Bools, part: Integers) -> Array:
     """Parameters ``(parts, P + K)`` that fits without each part give, with that part's own offsets."""
     alike = fit.part is not None and np.array_equal(part[kept], fit.part[kept])
     sums = fit.sums if alike else summed(design, kept, fit.outliers, fit.noise, part)

@@ -18,7 +18,7 @@ from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorr
 from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 from experiments.signals import segments
 
-__all__ = ["Late", "Noise", "Whitened", "initial_noise", "learn_noise"]
+__all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
 
 NORMAL = 1.4826  # median absolute deviation to standard deviation of a normal
 
@@ -140,7 +140,7 @@ class Noise:
         out = columns[index] / self.sigma[index, channel][:, None]
         if not self.autocorrelations:
             return np.asarray(out)
-        groups = _groups(rows, index, self.together)
+        groups = groups_of(rows, index, self.together)
         whitener = Whitener(groups.row, groups.stretch)
         return whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
 
@@ -148,7 +148,7 @@ class Noise:
         """The rows ``(g,)`` that stand for what is whitened of the used rows ``(k,)``."""
         if not self.autocorrelations or self.together == 1:
             return index
-        return np.asarray(index[_groups(rows, index, self.together).first + self.together // 2])
+        return np.asarray(index[groups_of(rows, index, self.together).first + self.together // 2])
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
@@ -192,7 +192,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
     for c in range(residual.shape[1]):
         index = np.flatnonzero(rows.used[:, c])
         x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
-        taken = _groups(rows, index, together)
+        taken = groups_of(rows, index, together)
         products, pairs = lag_products(taken.mean(x[index] / sigma[index, c, None]), taken.row, taken.stretch)
         if (absorbed is not None or together > 1) and pairs[0]:
             sigma[:, c] *= max(np.sqrt(products[0] / pairs[0]), 1e-12)  # the residual alone, row by row, has scale 1
@@ -201,7 +201,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
     return Noise(sigma, tuple(autocorrelations), together, tuple(counts))
 
 
-def _groups(rows: Rows, index: Integers, together: int) -> Grouping:
+def groups_of(rows: Rows, index: Integers, together: int) -> Grouping:
     """The groups of some rows ``(k,)``; of a log that is thinned, by their places in the whole of it."""
     place = index if together == 1 else rows.constants["log_row"][index]
     return Grouping.of(place, _stretches(rows)[index], together)

@@ -11,6 +11,7 @@ import numpy as np
 from clampid.effect import Effect, Stage
 from clampid.fitting.accuracy import Floor, StageErrors, noise_floor, stage_errors
 from clampid.fitting.base_parameters import base_parameters
+from clampid.fitting.equal_weights import Weights, with_best_weights
 from clampid.fitting.fit import fit
 from clampid.fitting.friction_start import with_friction_start
 from clampid.fitting.gauge import independent_geometry
@@ -52,6 +53,8 @@ class FittedStage:
         Springs and clearances of the clamped stage that the poses contradict, so that none were taken over.
     universal
         Of a fit by the mean norm: its P_mean, P_std and P_max beside those of least squares, m.
+    weights
+        How a log's weights were chosen, if they were.
     """
 
     model: StageModel
@@ -60,6 +63,7 @@ class FittedStage:
     rows: Rows
     contradicted: tuple[Agreement, ...] = ()
     universal: Mapping[str, Any] | None = None
+    weights: Weights | None = None
 
     @property
     def anchors(self) -> Anchors:
@@ -83,7 +87,20 @@ class FittedStage:
             found["contradicted"] = [a.to_json() for a in self.contradicted]
         if self.universal is not None:
             found["universal"] = dict(self.universal)
+        if self.weights is not None:
+            found["weights"] = self.weights.to_json()
         return found
+
+    def with_best_weights(self, seed: int) -> FittedStage:
+        """A log with the weights that predict best (:mod:`clampid.fitting.equal_weights`); other stages as they are.
+
+        For the model that is kept. Diagnosis judges fits by their whitened residuals, and needs the others.
+        """
+        if self.model.stage != "free_air":
+            return self
+        estimate, weights = with_best_weights(self.estimate, seed)
+        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, self.model.told)
+        return replace(self, model=model, estimate=estimate, weights=weights)
 
     def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
         """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""

@@ -227,7 +227,8 @@ def identify(
         else:
             rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
             held, own = held_out_folds(rows, holdout, seed), cost if stage == "poses" else "least-squares"
-            parts.append(fit_stage(rows, catalogue, wanted, before, held=held, cost=own))
+            fitted = fit_stage(rows, catalogue, wanted, before, held=held, cost=own)
+            parts.append(fitted if joint else fitted.with_best_weights(seed))
         before[stage] = parts[-1].model
     alone = parts
     if joint:

@@ -13,10 +13,12 @@ from clampid.fitting.accuracy import StageErrors
 from clampid.fitting.base_names import BaseParameter
 from clampid.fitting.base_parameters import INERTIAL, grouped
 from clampid.fitting.descent import covariance_of
+from clampid.fitting.equal_weights import Weights
 from clampid.fitting.fit_log import LogFit, LogPrior, fit_log
 from clampid.fitting.log_errors import log_errors, parts_of
 from clampid.fitting.log_sample import MOST_ROWS, sampled_columns
 from clampid.fitting.log_springs import log_by_springs
+from clampid.fitting.log_weights import best_weighted
 from clampid.fitting.nulls import assumed_of, named_directions
 from clampid.fitting.observability import observability, projected
 from clampid.fitting.priors import description_priors
@@ -41,6 +43,8 @@ class FittedLog:
         ``(P + K, P + K)``, SI.
     kept
         Which folds were fitted ``(F,)``.
+    weights
+        How the log's weights were chosen, if it has parts to choose by.
     """
 
     stage: LogStage
@@ -49,6 +53,7 @@ class FittedLog:
     prior: LogPrior
     covariance: Array
     kept: Bools
+    weights: Weights | None = None
 
     def errors(self, verification: Rows | None, seed: int) -> StageErrors:
         """Errors on fitted and held-out rows; no log has a table of its own to be verified by."""
@@ -58,7 +63,7 @@ class FittedLog:
     @property
     def evidence(self) -> dict[str, Any]:
         """What the ledger keeps beside the errors."""
-        return {}
+        return {} if self.weights is None else {"weights": self.weights.to_json()}
 
     def with_solution(self, theta: Array, covariance: Array, told: Prior) -> FittedLog:
         """The same stage at the solution ``(P + K,)`` of a joint fit; ``told`` is what the other stages say."""
@@ -117,11 +122,23 @@ class LogStage:
         return self.design.linear
 
     def fit(
-        self, held: Sequence[Sequence[int]], start: Mapping[Slot, float] | None = None, seed: int | None = None
+        self,
+        held: Sequence[Sequence[int]],
+        start: Mapping[Slot, float] | None = None,
+        seed: int = 0,
+        *,
+        correlated: bool = False,
     ) -> FittedLog:
         """Fit all folds but those held out (per session their local numbers): what `identify` does with rows.
 
-        ``seed``: of the cross-validation, if errors are to be asked for; it then takes no passes of its own.
+        Parameters
+        ----------
+        start
+            Where the search of shapes begins.
+        seed
+            Of the cross-validation, by which weights are chosen (:mod:`clampid.fitting.equal_weights`).
+        correlated
+            Weights are those by the correlation of the noise, whatever they predict.
 
         Raises
         ------
@@ -134,11 +151,13 @@ class LogStage:
         precision, mean = prior_of(self.experiment, priors)
         mean = np.where(self.experiment.held(), at, mean)
         prior = LogPrior(precision, mean, limits_of(self.experiment))
-        part = None if seed is None or any(held) else parts_of(self.folds, kept, seed)
-        fit = fit_log(self.design, kept, prior, at, part)
+        part = parts_of(self.folds, kept, seed)
+        fit, weights = fit_log(self.design, kept, prior, at, part), None
+        if not correlated:
+            fit, weights = best_weighted(self.design, fit, prior, kept, part)
         covariance = covariance_of(fit.moments.normal, prior.precision, fit.moments.squares, fit.moments.count)
         model = self.model_of(fit, prior, covariance, kept, tuple(tuple(f) for f in held))
-        return FittedLog(self, model, fit, prior, covariance, kept)
+        return FittedLog(self, model, fit, prior, covariance, kept, weights)
 
     def model_of(
         self,

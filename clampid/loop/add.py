@@ -220,6 +220,11 @@ def _stage_with(
         fitted = fit_stage(fitted.rows, effects, every, before, start, held, told, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
+    if rounds and stage == "free_air":
+        fitted = fitted.with_best_weights(seed)
+        errors = fitted.errors(verification, seed, floor)
+        known = {**rounds[-1].evidence, "heldout_rms_after": errors.heldout_rms, **fitted.evidence}
+        rounds[-1] = replace(rounds[-1], rms=errors.rms, heldout_rms=errors.heldout_rms, evidence=known)
     return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out))
 
 

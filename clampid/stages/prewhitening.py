@@ -182,6 +182,11 @@ class Predictors:
         self._known = np.zeros(0, dtype=np.uint64)
         self._weights = np.zeros((0, ORDER + 1))
 
+    @property
+    def plain(self) -> Array:
+        """Weights ``(13,)`` of a row and of the twelve directly before it, none missing; as :meth:`of` gives them."""
+        return np.asarray(self.of(_PLAIN, np.arange(1, ORDER + 1)[:, None])[0])
+
     def of(self, kinds: Kinds, lags: Integers) -> Array:
         """Weights ``(u, 13)`` of the row and of those before it: the row less its prediction, over what that leaves.
 
@@ -244,7 +249,7 @@ class Whitener:
         """Whitened columns ``(k, m)`` of those rows."""
         x = np.ascontiguousarray(columns, dtype=np.float64)
         width, filtered = x.shape[1], np.empty(x.shape)
-        plain = predictors.of(_PLAIN, np.arange(1, ORDER + 1)[:, None])[0]
+        plain = predictors.plain
         broken = predictors.of(self._kinds, self._lags)
         # Rows are as far from each other in memory as in time, so that whole columns are shifted at once.
         flat, out = x.reshape(-1), filtered.reshape(-1)

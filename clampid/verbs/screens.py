@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
 from clampid.display import error_text
 from clampid.screen import Errors, Next, Screen, Tone
+from clampid.verbs.show import weights_text
 
 if TYPE_CHECKING:
     from clampid.effect import Stage
@@ -93,6 +94,8 @@ def fit_screen(
                 f"{name}: {held} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
                 "parameters. Measure more, or fit fewer effects."
             )
+        if weighted := weights_text(part.get("weights")):
+            said.append(f"{name}: {weighted}.")
         if name in rejected:
             said.append(f"{name}: rejected as outliers: {_first(rejected[name])}.")
     verdict, tone = _judged([(n, p["heldout_rms"], p["noise_floor"]) for n, p in stages.items()])
@@ -202,8 +205,10 @@ def _notes(stages: Json, mended: bool = False) -> tuple[str, ...]:
 def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done: str, steps: Sequence[Next]) -> Screen:
     """What ``auto`` found and added: ``data`` is its JSON, the ledger of ``model`` says what was added."""
     found = data["diagnosis"]["stages"]
-    rows, facts = [], []
+    rows, facts, said = [], [], []
     for name, part in data["stages"].items():
+        if weighted := weights_text(part.get("weights")):
+            said.append(f"{name}: {weighted}.")
         before = found.get(name, {}).get("heldout_rms_before")
         errors = (_of(nominal, name), before, part["heldout_rms"], part["noise_floor"])
         rows.append((name, tuple(error_text(e, part["unit"]) for e in errors), str(found[name]["verdict"])))
@@ -216,7 +221,7 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
         tuple(facts),
         headline(found, mended=True),
         outcome(found, mended=True),
-        _notes(found, mended=True),
+        (*_notes(found, mended=True), *said),
         "Parameters, evidence and detection limits: --verbose, --json FILE, --report FILE.html.",
         tuple(steps),
     )

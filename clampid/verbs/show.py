@@ -27,6 +27,7 @@ __all__ = [
     "show_rounds",
     "stage_unit",
     "terms_text",
+    "weights_text",
 ]
 
 NOT_KNOWN = "not identifiable from these data"
@@ -267,12 +268,22 @@ def evidence_words(entry: Round) -> list[str]:
     for c in entry.evidence.get("confusable_with", ()):
         alike.setdefault(c["effect"], c)  # the closest place of each comes first
     out = []
+    if said := weights_text(entry.evidence.get("weights")):
+        out.append(said)
     if alike:
         listed = (f"{label_text(name, c['where'])} ({_share(c['cos2'])})" for name, c in alike.items())
         out.append(f"confusable with {', '.join(listed)}; in brackets cos²")
     refused = [r for r in entry.evidence.get("rejected", ()) if "heldout_rms_after" in r]
     out += [f"refused: {label_text(r['name'], r['where'])}: {r['reason']}" for r in refused]
     return out
+
+
+def weights_text(weights: Mapping[str, Any] | None) -> str:
+    """That a log was fitted with equal weights, and what they are worth; nothing where it was not."""
+    if not weights or not weights["equal"]:
+        return ""
+    gain, error = (f"{100.0 * weights[key]:.2g}" for key in ("gain", "std"))
+    return f"fitted with equal weights: they lower the mean square of held-out rows by {gain} ± {error} %"
 
 
 def terms_text(labels: Iterable[str]) -> str:
@@ -308,7 +319,8 @@ def model_json(model: Model) -> dict[str, Any]:
     stages: dict[str, Any] = {}
     effects = effects_of(model)
     for name, stage in model.stages.items():
-        last = next((r for r in reversed(model.ledger) if r.stage == name), None)
+        rounds = [r for r in model.ledger if r.stage == name]
+        last = rounds[-1] if rounds else None
         stages[name] = {
             "unit": stage_unit(name),
             "effects": [term.label for term in stage.terms],
@@ -325,6 +337,8 @@ def model_json(model: Model) -> dict[str, Any]:
             "heldout_rms": last and last.heldout_rms,
             "noise_floor": last and last.noise_floor,
         }
+        if weights := next((r.evidence["weights"] for r in reversed(rounds) if "weights" in r.evidence), None):
+            stages[name]["weights"] = weights
         if apart := session_differences(stage, effects):
             stages[name]["session_differences"] = [d.to_json() for d in apart]
     return {

@@ -73,7 +73,7 @@ def by_windows(
         window=window,
         kept_bytes=kept,
     )
-    return stage.fit(held)
+    return stage.fit(held, correlated=True)
 
 
 def assert_same(found: FittedLog, expected: FittedStage, errors: StageErrors) -> None:
