@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
 from clampid.catalogue import catalogue
+from clampid.fitting.accuracy import predicted
 from clampid.fitting.equal_weights import RINGING, Weights, gradient_power, informed
+from clampid.fitting.fit_log import LogNoise, LogPrior, weighted
 from clampid.fitting.moments import Moments
+from clampid.fitting.priors import description_priors
+from clampid.fitting.solve import limits_of, prior_of
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.identify import identify, stage_rows
+from clampid.identification.identify import has_inertia, identify, stage_rows
 from clampid.identification.identify_log import FittedLog, LogStage
 from clampid.loop.add import add
 from clampid.slots import Term
+from clampid.stages.experiment import experiment
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts
 from clampid.stages.prewhitening import REACH, Grouping, Predictors
-from experiments.campaign import Campaign
+from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
@@ -136,3 +142,49 @@ def test_a_difference_within_its_error_changes_no_weight() -> None:
     assert not Weights(gain=-0.02, error=0.01, parts=5).equal
     assert Weights(gain=0.04, error=0.03, parts=5).equal
     assert not Weights(gain=0.04, error=0.03, parts=2).equal  # of two parts the error itself is hardly known
+
+
+def worse_than_least_squares(fitted: Campaign, unseen: Campaign) -> tuple[float, float]:
+    """By how much `identify` is worse on raw rows that nothing has seen, and the standard error of that.
+
+    Least squares has the same columns, and no weights. The mean square of a motor counts in units of what least squares
+    leaves; the error is from pieces of rows that follow each other.
+    """
+    model = identify(fitted).stages["free_air"]
+    effects = catalogue()
+    moves = has_inertia(model.terms, effects)
+    log = LogStage(log_parts([fitted]), layout_of([fitted]), effects, model.terms, moves)
+    every, none = np.ones(len(log.folds), dtype=bool), np.zeros(0, dtype=np.int64)
+    precision, mean = prior_of(log.experiment, description_priors(log.folds))
+    prior = LogPrior(precision, mean, limits_of(log.experiment))
+    ordinary, _ = weighted(log.design, every, prior, none, LogNoise(np.ones(log.design.n)), mean)
+    rows = stage_rows([unseen], layout_of([unseen]), "free_air", accelerating=moves)
+    trial = experiment(rows, effects, model.slots)
+    own, other = (predicted(trial, theta) ** 2 for theta in (model.theta, ordinary.at[: len(model.slots)]))
+    scale = np.mean(other, axis=0, where=rows.used)
+    worse = np.sum((own - other) * rows.used / scale, axis=1)
+    pieces = np.array([piece.sum() for piece in np.array_split(worse, 20)]) / len(worse)
+    return float(pieces.sum()), float(np.sqrt(len(pieces)) * pieces.std(ddof=1))
+
+
+def test_kept_fit_of_a_lacking_model_predicts_as_least_squares_does(patterned: Campaign) -> None:
+    table = patterned.tables["free_air"]
+    first, last = (
+        replace(patterned, tables={"free_air": table[table["run"] == run].reset_index(drop=True)}) for run in (1, 2)
+    )
+    worse, error = worse_than_least_squares(first, last)
+    assert worse < error, (worse, error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda_log", "tx40_current_log"])
+def test_kept_fit_of_a_real_log_predicts_as_least_squares_does(shared_folder: Path, name: str) -> None:
+    whole = read_campaign(shared_folder / "real" / name)
+    table = whole.tables["free_air"]
+    cut = round(0.8 * len(table))
+    first, last = (
+        replace(whole, tables={"free_air": part.reset_index(drop=True)}, fingerprint=str(k))
+        for k, part in enumerate((table.iloc[:cut], table.iloc[cut:]))
+    )
+    worse, error = worse_than_least_squares(first, last)
+    assert worse < error, (worse, error)
