@@ -1,7 +1,7 @@
 """The language of the server: one request a line, one answer a line, without any socket.
 
 A request is a word and ``key=value`` pairs, separated by blanks; an answer is a JSON object. What is malformed gets an
-answer with ``"ok": false`` and changes nothing. docs/server.md has the list.
+answer with ``"ok": false`` and changes nothing. docs/reference/server.md has the list.
 """
 
 from __future__ import annotations
