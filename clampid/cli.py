@@ -33,7 +33,7 @@ OUTPUTS = frozenset({"output", "out", "report", "plan", "json"})
 """Parameters of verbs that name what is written; files that others name are read."""
 ORDER = (
     "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "undo", "export", "base", "effects",
-    "effect", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
+    "effect", "robots", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
 )  # fmt: skip
 """Verbs in the order in which one meets them; others follow by name."""
 

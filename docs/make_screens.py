@@ -46,7 +46,8 @@ the tables, too; `--json FILE` writes everything for programs. Colours appear on
 BETWEEN = """
 ## A real robot
 
-A Universal Robots UR10, measured by a laser tracker at 632 poses; see [What a real robot was missing](../explanation/real-robot.md).
+A Universal Robots UR10, measured by a laser tracker at 632 poses. See
+[What a real robot was missing](../explanation/real-robot.md).
 
 """
 NOT_RUN = "<!-- not run: the campaign is not in the repository -->\n"
