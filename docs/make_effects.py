@@ -253,8 +253,9 @@ def page() -> str:
                     lines.append(f"| `{effect.name}` | {words} | {equation} | {seen} |")
     lines += [
         "",
-        "*Seen in*: poses are measured points, free air are torques of a moving arm, clamped are torques with the "
-        "flange clamped. Symbols are those of the [glossary](../glossary.md) and of [the campaign folder](campaign.md).",
+        "*Seen in*: poses are measured points, free air are torques of a moving arm, clamped are torques with "
+        "the flange clamped. Symbols are those of the [glossary](../glossary.md) and of "
+        "[the campaign folder](campaign.md).",
         "",
     ]
     return "\n".join(lines)

@@ -35,8 +35,8 @@ $ clampid effects --json effects.json
 $ clampid identify --help
 ```
 
-A package of your own adds a verb by an entry point in the group `clampid.verbs`. It names a function whose arguments are
-typer's, or a `typer.Typer` for a group of verbs.
+A package of your own adds a verb by an entry point in the group `clampid.verbs`. It names a function whose arguments
+are typer's, or a `typer.Typer` for a group of verbs.
 """
 
 

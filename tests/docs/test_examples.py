@@ -97,9 +97,12 @@ def near(shown: str, is_now: str) -> bool:
 LONG = (
     "README.md",
     "screens.md",
-    "exports.md",
-    "calibration-engineer.md",
-    "unknown-effect.md",
+    "export.md",
+    "find-what-is-missing.md",
+    "measure-accuracy.md",
+    "describe-an-unknown-effect.md",
+    "read-a-verdict.md",
+    "the-loop.md",
 )  # of the better part of a minute
 
 
