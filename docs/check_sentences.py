@@ -1,7 +1,7 @@
 """Check that the documentation reads easily: ``make docs`` and the tests run it.
 
 Over all pages of docs/ and README.md a sentence has at most 18 words on average, and none has more than 35. A page of
-docs/how-to has at most 900 words. Code, tables, headings, captions of images and comments are left out.
+docs/how-to has at most 900 words, a decision record 120. Code, tables, headings, captions of images and comments are left out.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ DOCS = Path(__file__).parent
 MEAN_WORDS = 18.0
 MOST_WORDS = 35
 HOW_TO_WORDS = 900
+DECISION_WORDS = 120
 
 FENCE = re.compile(r"^(?P<indent> *)```.*?^(?P=indent)```[^\n]*$", re.DOTALL | re.MULTILINE)
 COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
@@ -23,6 +24,7 @@ DIRECTIVE = re.compile(r"^:::.*(?:\n    .*)*", re.MULTILINE)
 ITEM = re.compile(r"^(?:[-*+]|\d+\.)\s+")
 BOUNDARY = re.compile(r"(?<=[.!?])[)*\"”]*\s+(?=[*(\[\"“`]*[A-Z0-9ΔΘθτσA-ZÄÖÜ`])")
 ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|et al|vs|cf|Fig|Eq|No|approx|incl)\.$")
+RECORD = re.compile(r"^\*\*\d+\. .*?(?=\n\n|\Z)", re.DOTALL | re.MULTILINE)
 WORD = re.compile(r"\w")
 
 
@@ -96,6 +98,10 @@ def complaints(pages: list[Path]) -> list[str]:
         words = sum(s.words for s in own)
         if page.parent.name == "how-to" and words > HOW_TO_WORDS:
             out.append(f"{page.name}: expected at most {HOW_TO_WORDS} words on a how-to page, found {words}")
+        if page.stem == "decisions":
+            for record in RECORD.findall(page.read_text(encoding="utf-8")):
+                if (words := len(record.split())) > DECISION_WORDS:
+                    out.append(f"{page.name}: expected at most {DECISION_WORDS} words, found {words}: {record[:60]}")
     return out
 
 
