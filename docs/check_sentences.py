@@ -1,7 +1,8 @@
 """Check that the documentation reads easily: ``make docs`` and the tests run it.
 
 Over all pages of docs/ and README.md a sentence has at most 18 words on average, and none has more than 35. A page of
-docs/how-to has at most 900 words, a decision record 120. Code, tables, headings, captions of images and comments are left out.
+docs/how-to has at most 900 words, a decision record 120. Code, tables, headings, captions of images and comments
+are left out.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def page() -> str:
         options = [p for p in shown if p.param_type_name != "argument"]
         rows = [option(p) for p in (*arguments, *options)]
         if rows:
-            lines += ["| | |", "|---|---|", *rows, ""]
+            lines += ["| argument or option | meaning |", "|---|---|", *rows, ""]
     return "\n".join(lines)
 
 

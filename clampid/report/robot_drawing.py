@@ -14,7 +14,8 @@ __all__ = ["robot_drawing"]
 
 Array = npt.NDArray[np.float64]
 
-SIDE = 420  # pixels of one view
+SIDE = 420  # pixels across one view
+LEAST_HEIGHT = 180  # pixels
 MARGIN = 60
 VIEWS = (("from the side", 0, 2, "x", "z"), ("from above", 0, 1, "x", "y"))
 """Title, the base frame's axis to the right and the one upwards, and their names."""
@@ -41,10 +42,10 @@ def robot_drawing(robot: RobotDescription) -> str:
     middle = 0.5 * (points.max(axis=0) + points.min(axis=0))
     extent = float(np.ptp(points, axis=0).max()) or 1.0
     scale = (SIDE - 2 * MARGIN) / extent
-    body = [view for k in range(len(VIEWS)) for view in _view(robot, points, middle, scale, k)]
-    length = _round_length(0.3 * extent)
-    body += _ruler(length, scale)
-    width, height = len(VIEWS) * SIDE, SIDE + 50
+    tall = max(LEAST_HEIGHT, scale * float(np.ptp(points[:, 1:], axis=0).max()) + 2 * MARGIN)
+    body = [view for k in range(len(VIEWS)) for view in _view(robot, points, middle, scale, tall, k)]
+    body += _ruler(_round_length(0.3 * extent), scale, tall)
+    width, height = len(VIEWS) * SIDE, round(tall + 60)
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" '
         f'font-family="sans-serif" font-size="13" fill="{INK}"><rect width="100%" height="100%" fill="white"/>'
@@ -53,17 +54,19 @@ def robot_drawing(robot: RobotDescription) -> str:
     return "\n".join([head, title, *body, "</svg>", ""])
 
 
-def _view(robot: RobotDescription, points: Array, middle: Array, scale: float, k: int) -> list[str]:
+def _view(robot: RobotDescription, points: Array, middle: Array, scale: float, tall: float, k: int) -> list[str]:
     name, right, up, right_name, up_name = VIEWS[k]
     depth = ({0, 1, 2} - {right, up}).pop()
     toward = -1.0 if depth == 1 else 1.0  # the reader stands at −y of the side view, at +z of the one from above
 
     def at(point: Array) -> tuple[float, float]:
         x = k * SIDE + SIDE / 2 + scale * (point[right] - middle[right])
-        return float(x), float(30 + SIDE / 2 - scale * (point[up] - middle[up]))
+        return float(x), float(30 + tall / 2 - scale * (point[up] - middle[up]))
 
     line = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(at, points))
     out = [f'<polyline points="{line}" fill="none" stroke="{BLUE}" stroke-width="6" stroke-linejoin="round"/>']
+    x, y = at(points[0])
+    out.append(f'<rect x="{x - 12:.1f}" y="{y - 3:.1f}" width="24" height="8" fill="{INK}"/>')
     taken: list[tuple[float, float]] = []
     for number, joint in enumerate(robot.joints, 1):
         x, y = at(np.asarray(joint.point))
@@ -71,18 +74,16 @@ def _view(robot: RobotDescription, points: Array, middle: Array, scale: float, k
         beside = _free((x + 12, y - 12), taken)
         taken.append(beside)
         out.append(f'<text x="{beside[0]:.1f}" y="{beside[1]:.1f}">{number}</text>')
-    x, y = at(points[0])
-    out.append(f'<rect x="{x - 12:.1f}" y="{y - 3:.1f}" width="24" height="8" fill="{INK}"/>')
     x, y = at(points[-1])
     below = _free((x + 10, y + 20), taken)
     out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{INK}"/>')
     out.append(f'<text x="{below[0]:.1f}" y="{below[1]:.1f}">flange</text>')
-    left, foot = k * SIDE + 16, SIDE + 8
+    left, foot = k * SIDE + 16, tall + 40
     out.append(_arrow((left, foot), (left + 34, foot), GREY) + _arrow((left, foot), (left, foot - 34), GREY))
     out.append(
-        f'<text x="{left + 38}" y="{foot + 4}" fill="{GREY}">{right_name}</text>'
-        f'<text x="{left - 4}" y="{foot - 40}" fill="{GREY}">{up_name}</text>'
-        f'<text x="{left + 70}" y="{foot + 4}" fill="{GREY}">{name}</text>'
+        f'<text x="{left + 38}" y="{foot + 4:.1f}" fill="{GREY}">{right_name}</text>'
+        f'<text x="{left - 4}" y="{foot - 40:.1f}" fill="{GREY}">{up_name}</text>'
+        f'<text x="{left + 70}" y="{foot + 4:.1f}" fill="{GREY}">{name}</text>'
     )
     return out
 
@@ -129,8 +130,8 @@ def _round_length(wanted: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1 + 1e-9)))
 
 
-def _ruler(length: float, scale: float) -> list[str]:
-    x, y = len(VIEWS) * SIDE - 20 - length * scale, SIDE + 30
+def _ruler(length: float, scale: float, tall: float) -> list[str]:
+    x, y = len(VIEWS) * SIDE - 20 - length * scale, tall + 44
     return [
         f'<line x1="{x:.1f}" y1="{y}" x2="{x + length * scale:.1f}" y2="{y}" stroke="{INK}" stroke-width="3"/>',
         f'<text x="{x:.1f}" y="{y - 8}">{length:g} m</text>',

@@ -81,8 +81,9 @@ def test_a_drawing_is_whole_and_to_scale() -> None:
 
 
 def test_a_drawing_is_written_where_it_is_asked_for(tmp_path: Path, clampid: Clampid) -> None:
-    ran = clampid("robots", "ur10", "--svg", tmp_path / "ur10.svg")
-    assert ran.code == 0, ran.err
+    for _ in range(2):  # the second time over the first drawing
+        ran = clampid("robots", "ur10", "--svg", tmp_path / "ur10.svg")
+        assert ran.code == 0, ran.err
     assert (tmp_path / "ur10.svg").read_text().startswith("<svg")
     assert "did you mean ur10" in clampid("robots", "ur1O").complaint
     assert re.search(r"--svg: expected the robot", clampid("robots", "--svg", tmp_path / "x.svg").complaint)
