@@ -1,4 +1,4 @@
-"""Identification: from campaigns to a model, stage by stage: free air, clamped, filtered poses."""
+"""Identification: from campaigns to a model, stage by stage: free air, clamped, poses."""
 
 from __future__ import annotations
 

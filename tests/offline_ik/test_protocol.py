@@ -85,7 +85,7 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
         (b"where gamma=0.3 delta=0.2 r=0.8 approach=maybe", "expected yes or no"),
         (b"path gamma=0.3 delta=0.2 r=0.8", "expected a posture to start from"),
         (b"path gamma=0.3 delta=0.2 r=0.8 approach=maybe from=0,0,0,0,0,0", "expected yes or no"),
-        (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= beside gamma="),
+        (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= with gamma="),
         (b"start", "expected q="),
         (b"at", "expected a posture"),
         (b"at q=1,2", "expected 6 joint angles"),
