@@ -84,7 +84,7 @@ def add(
     Parameters
     ----------
     terms
-        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a
+        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can identify it. Without a
         stage: in every stage where the effect acts.
 
     Raises
