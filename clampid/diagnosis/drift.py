@@ -46,7 +46,7 @@ class Drift:
         """For people."""
         return (
             f"Residuals of consecutive visits are correlated ({self.correlation:.2f}): robot or instrument have "
-            "drifted. Without a second run in another order, effects of time or temperature are not separable from that."
+            "drifted. Without a second run in another order, effects of time or temperature are not separable from it."
         )
 
 

@@ -293,7 +293,7 @@ def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
 
 
 def test_the_page_of_the_protocol_names_every_request_and_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "server.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "server.md").read_text(encoding="utf-8")
     for word, keys in WORDS.items():
         assert f"`{word}`" in page
         assert all(f"`{key}" in page for key in keys), word
