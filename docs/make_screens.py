@@ -21,6 +21,8 @@ SIMULATED = (
     "clampid history mended.json",
     "clampid auto arm -o auto.json",
     "clampid ik model.json --gamma 0.3 --delta 0.2 --r 0.8",
+    "clampid robots kuka_kr20_r1810",
+    "clampid robots staubli_tx40",
 )
 REAL = (
     "clampid check ur10_series_d",
