@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
 from clampid.catalogue import catalogue
+from clampid.cli import app
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -21,6 +24,24 @@ def script(name: str) -> dict[str, Any]:
 def test_a_generated_page_is_up_to_date(name: str) -> None:
     made = script(name)
     assert made["PAGE"].read_text(encoding="utf-8") == made["page"]()
+
+
+def test_every_verb_and_option_that_a_page_names_exists() -> None:
+    verbs, options = set[str](), {"--help"}
+    for name, verb in script("make_verbs.py")["commands"]():
+        verbs.add(name.split()[0])
+        options |= {option for parameter in verb.params for option in parameter.opts}
+    options |= {option for parameter in typer.main.get_command(app()).params for option in parameter.opts}
+    wrong = []
+    for page in [DOCS.parent / "README.md", *DOCS.rglob("*.md")]:
+        text = page.read_text(encoding="utf-8").replace("\\\n", "")
+        for command in re.findall(r"(?:^\$ |`|^  |first: |&& )clampid ([^`\n]*)", text, re.MULTILINE):
+            words = command.split("#")[0].split(" && ")[0].split()
+            named = [w.split("=")[0] for w in words if re.match(r"--[a-z]", w)]
+            if words and re.fullmatch(r"[a-z-]+", words[0]) and not words[0].startswith("-"):
+                wrong += [f"{page.name}: {words[0]}"] if words[0] not in verbs else []
+            wrong += [f"{page.name}: {option}" for option in named if option.rstrip(",.") not in options]
+    assert wrong == []
 
 
 def test_every_effect_has_words_on_its_signature() -> None:
