@@ -74,10 +74,13 @@ format: $(VENV)/.develop
 	$(BIN)/ruff format .
 
 docs: $(VENV)/.develop
+	$(BIN)/python docs/check_sentences.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 figures: $(VENV)/.develop
 	$(BIN)/python docs/make_figures.py
+	$(BIN)/python docs/make_effects.py --picture
+	$(BIN)/python docs/make_gallery.py
 
 clean:
 	rm -rf $(VENV) site build dist demo .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

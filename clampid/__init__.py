@@ -7,9 +7,11 @@ for, so that nothing of the product has to be there for the rest of it.
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from clampid.comparison.compare import compare
     from clampid.diagnosis.diagnose import diagnose
     from clampid.exports.export import dh_export, dh_table, urdf_export
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Model",
+    "__version__",
     "add",
     "auto",
     "calibrated_chain",
@@ -54,6 +57,8 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return version("clampid")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

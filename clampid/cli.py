@@ -29,11 +29,11 @@ __all__ = ["app", "main"]
 
 GROUP = "clampid.verbs"
 LONGEST_LINE = 4000  # characters of an error: a file may bring names of any length
-OUTPUTS = frozenset({"output", "out", "report", "plan", "json"})
+OUTPUTS = frozenset({"output", "out", "report", "plan", "svg", "json"})
 """Parameters of verbs that name what is written; files that others name are read."""
 ORDER = (
     "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "undo", "export", "base", "effects",
-    "effect", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
+    "effect", "robots", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
 )  # fmt: skip
 """Verbs in the order in which one meets them; others follow by name."""
 

@@ -175,9 +175,8 @@ class Parameter:
     size
         What it may reasonably amount to: scales the solver.
     spread
-        Standard deviation of its prior in sizes. The usual 10 says next to nothing. Of an effect with many parameters,
-        which rows can hardly tell one by one, 1 says what they amount to: what the rows leave open stays near zero, by
-        as much as the family's size allows.
+        Standard deviation of its prior in sizes. The usual 10 is a weak prior. For an effect with many parameters that
+        are hardly identifiable one by one, 1 keeps them near zero unless the rows say otherwise.
     gearing
         Of a number at the motor whose size, bounds and grid are stated at the joint: the power of the gear ratio by
         which they are larger at the motor, such as 2 for a compliance (angles times the ratio, torques over it), 1 for
@@ -198,8 +197,8 @@ class Parameter:
         Where a fit keeps it at its start: ``everywhere``, because it is chosen and not measured, or at the ``first`` of
         its places, because the others count from there.
     share
-        Whether it is a share of another amplitude, none to all, to which a fit keeps it. It begins at all: at none its
-        effect's shapes would mean nothing, and a search that begins there, on the bound, may stay.
+        Whether it is a fraction in [0, 1] of another amplitude. It starts at 1: at 0 the shape parameters have no
+        gradient.
     """
 
     name: str
@@ -295,7 +294,7 @@ class Effect:
         How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
         ``jointly``: at all places at once, after which each place must pay for itself.
     holds_weight
-        Whether it is there to hold the arm's weight: at a joint that bears none, such as an upright one, there is none.
+        Whether it holds the arm's weight: a joint that bears none, such as an upright one, does not have it.
     sized_by
         Its shape parameter that is the size of all its amplitudes, which are counted in it and have a prior of one.
         Where nobody gives it, the rows do (:mod:`clampid.evidence.of_size`); a fit holds it.
@@ -313,7 +312,7 @@ class Effect:
         elsewhere. Diagnosis tries every place that poses visited (:mod:`clampid.evidence.scan`), with every value of
         its other shapes; a fit begins at the likeliest.
     caveat
-        What standard errors of its parameters leave out, for people.
+        What standard errors of its parameters leave out, in words.
     known_within
         Of an empirical form per joint or link: the signal inside whose measured range alone the form is known, so that
         its stated uncertainty grows beyond (:mod:`clampid.models.ranges`). None of a law.

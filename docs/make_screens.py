@@ -1,4 +1,4 @@
-"""Record the screens of docs/screens.md: python docs/make_screens.py [FOLDER WITH ur10_series_d].
+"""Record the screens of docs/reference/screens.md: python docs/make_screens.py [FOLDER WITH ur10_series_d].
 
 Without the folder the recordings of the real robot stay as they are.
 """
@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-PAGE = Path(__file__).parent / "screens.md"
+PAGE = Path(__file__).parent / "reference" / "screens.md"
 SIMULATED = (
     "clampid check arm",
     "clampid identify arm -o model.json",
@@ -21,6 +21,8 @@ SIMULATED = (
     "clampid history mended.json",
     "clampid auto arm -o auto.json",
     "clampid ik model.json --gamma 0.3 --delta 0.2 --r 0.8",
+    "clampid robots kuka_kr20_r1810",
+    "clampid robots staubli_tx40",
 )
 REAL = (
     "clampid check ur10_series_d",
@@ -46,7 +48,8 @@ the tables, too; `--json FILE` writes everything for programs. Colours appear on
 BETWEEN = """
 ## A real robot
 
-A Universal Robots UR10, measured by a laser tracker at 632 poses; see [What a real robot was missing](real-robot.md).
+A Universal Robots UR10, measured by a laser tracker at 632 poses. See
+[What a real robot was missing](../explanation/real-robot.md).
 
 """
 NOT_RUN = "<!-- not run: the campaign is not in the repository -->\n"

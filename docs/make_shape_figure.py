@@ -1,4 +1,4 @@
-"""Draws the shape that a verdict `unknown` comes with, from the JSON of `clampid diagnose`: docs/unknown-effect.md.
+"""Draws the shape of a verdict `unknown`, from the JSON of `clampid diagnose`: images/unknown_shape.png.
 
 python docs/make_shape_figure.py diagnosis.json arm.hidden.json
 """

@@ -100,15 +100,15 @@ class Campaign:
 
 
 def read_campaign(folder: str | Path, *, held: float = inf) -> Campaign:
-    """Read a campaign folder and hold it against the contract.
+    """Read a campaign folder and check it against the format.
 
     Parameters
     ----------
     folder
         The folder with ``campaign.toml``.
     held
-        How many rows of a torque log may be held. Of a Parquet file with more of them, every row is held against the
-        contract all the same, but ``tables`` has an extract only, and ``long`` the file.
+        How many rows of a torque log may be held. Of a Parquet file with more of them, every row is checked all the
+        same, but ``tables`` has an extract only, and ``long`` the file.
 
     Returns
     -------

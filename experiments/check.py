@@ -31,7 +31,7 @@ _ORDER = {"error": 0, "warning": 1, "note": 2}
 
 
 def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
-    """Look at a campaign as an experienced person would before fitting anything to it.
+    """Find what is wrong with a campaign, and what cannot be identified from it, before anything is fitted.
 
     Parameters
     ----------

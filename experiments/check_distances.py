@@ -66,8 +66,8 @@ def distance_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Itera
     if "poses" not in campaign.tables:
         yield Finding(
             "note", TABLE, "anchor", None,
-            "distances alone do not tell where the robot's base stands: anchors are located in the described robot's "
-            "own base frame, and its base is taken to stand there",
+            "distances alone do not determine where the robot's base stands: anchors are located in the described "
+            "robot's own base frame, and its base is taken to stand there",
         )  # fmt: skip
 
 
@@ -172,14 +172,14 @@ def _unlocated(name: str, points: FloatArray, found: Located) -> Iterator[Findin
     if found.spread[0] < FLAT:
         across = "line" if found.spread[1] < FLAT else "plane"
         message = (
-            f"anchor {name} and all points measured to it lie on one {across}: where it is across that these poses "
-            "hardly tell; measure points off it"
+            f"anchor {name} and all points measured to it lie on one {across}: its place across that is "
+            "hardly identifiable; measure points off it"
         )
         yield Finding("warning", TABLE, "anchor", None, message)
     elif extent[2] < FLAT * extent[0] or found.mirrored is not None:
         message = (
-            f"the points measured to anchor {name} lie in a plane: it may be on either side of that, which nothing in "
-            "these distances tells; measure points off it"
+            f"the points measured to anchor {name} lie in a plane: it may be on either side of "
+            "it; measure points off it"
         )
         yield Finding("warning", TABLE, "anchor", None, message)
 

@@ -31,13 +31,13 @@ LEAST_NOISE_M = 1e-5  # of instruments for robots, where none is stated
 ON_STEP = 0.01  # of a step, by which numbers may be off it
 
 _FROM_NEIGHBOURS = (
-    "its zero offset, compliance and clearance cannot be told from its neighbours' and the frames' parameters"
+    "its zero offset, compliance and clearance are not separable from its neighbours' and the frames' parameters"
 )
 _LOST = {
     "poses": _FROM_NEIGHBOURS,
     "distances": _FROM_NEIGHBOURS,
     "free_air": "its friction cannot be identified, and gravity about it only as a constant",
-    "wrist": "friction that reaches several motors through it cannot be told apart",
+    "wrist": "friction that reaches several motors through it is not separable",
 }
 
 

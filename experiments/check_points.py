@@ -144,7 +144,7 @@ def _flat(measured: FloatArray) -> Iterator[Finding]:
         return
     line = extent[1] < FLAT * extent[0]
     wide, thick = extent[0], extent[1 if line else 2]
-    missing = "how the base is turned about it is hardly told, and " if line else ""
+    missing = "the turn of the base about it is hardly identifiable, and " if line else ""
     yield Finding(
         "warning", "poses", "x_m", None,
         f"the points lie {'on a line' if line else 'in a plane'}: within {1e3 * thick:.3g} mm (rms) of it, where they "

@@ -59,14 +59,14 @@ def speed_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
         if min(there, back) < STILL_RAD <= max(there, back):
             message = (
                 f"joint {i + 1} never reverses ({there:.3g} rad forwards, {back:.2g} rad back): its dry friction and "
-                "its torque's offset cannot be told apart"
+                "its torque's offset are not separable"
             )
             yield Finding("warning", table, f"q{i + 1}_rad", None, message)
         middle, scatter = _usual(np.concatenate(sizes[i]))
         if scatter < SCATTER * middle:
             message = (
                 f"joint {i + 1} moves at one speed only ({middle:.3g} rad/s, scatter {scatter / middle:.1%}): its "
-                "Coulomb and viscous friction cannot be told apart"
+                "Coulomb and viscous friction are not separable"
             )
             yield Finding("warning", table, f"q{i + 1}_rad", None, message)
 

@@ -80,14 +80,14 @@ def _judge(number: int, joint: int, slope: _Slope, expected: float | None, ratio
     far = slope.travel * ratio
     if expected is not None and far > 2 * WIDEST_GAP_RAD and slope.value + SEEN * slope.std < SOFT * expected:
         return "free", (
-            f"in sweep {number}, joint {joint + 1} moves freely: it turns by {far:.2g} rad, and beside friction its "
-            f"motor's torque changes by {max(slope.value, 0.0):.2g} Nm/rad, where a clamped arm's would by "
+            f"in sweep {number}, joint {joint + 1} moves freely: it turns by {far:.2g} rad, and apart from friction "
+            f"its motor's torque changes by {max(slope.value, 0.0):.2g} Nm/rad, where a clamped arm's would by "
             f"{expected:.3g} Nm/rad: the clamp was open; leave the sweep out, or measure it again"
         )
     if slope.value <= SEEN * slope.std:
         return "idle", (
-            f"sweep {number} never loads joint {joint + 1}: beside friction its motor's torque changes by "
-            f"{abs(wound):.2g} Nm over the sweep, its noise is {slope.noise:.2g} Nm; nothing is learnt of its spring"
+            f"sweep {number} never loads joint {joint + 1}: apart from friction its motor's torque changes by "
+            f"{abs(wound):.2g} Nm over the sweep, its noise is {slope.noise:.2g} Nm; its spring cannot be identified"
         )
     return None
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from kinematics.checks import validate
-from kinematics.dh import DHRow, DHTable
+from kinematics.dh import DHRow, DHTable, row_transform
 from kinematics.reading import fraction_of, read_bytes, toml_of
 from kinematics.robot import DescriptionError, Joint, Link, RobotDescription
 from kinematics.screws import transform
@@ -119,17 +119,19 @@ def _robot(table: Table) -> RobotDescription:
     gears = table.get("transmission", {})
     _known_keys("transmission", gears, "T", "motor_spring_Nm_rad")
     springs = gears.get("motor_spring_Nm_rad")
+    dh = _dh(table["dh"]) if "dh" in table else None
+    joints, home = _axes_of_dh(table["joint"], dh)
     return RobotDescription(
         name=table["name"],
         title=table["title"],
-        joints=tuple(_joint(f"joint {i}", joint) for i, joint in enumerate(table["joint"], 1)),
-        flange=_flange(table["flange"]),
+        joints=tuple(_joint(f"joint {i}", joint) for i, joint in enumerate(joints, 1)),
+        flange=_flange(table["flange"]) if "flange" in table or home is None else home,
         links=tuple(_link(f"link {i}", link) for i, link in enumerate(table.get("link", ()), 1)),
         transmission=_matrix(gears.get("T", ())),
         transmission_known="T" in gears,
         motor_spring=None if springs is None else np.asarray(springs, dtype=np.float64),
         linkage=_matrix(table.get("linkage", ())),
-        dh=_dh(table["dh"]) if "dh" in table else None,
+        dh=dh,
         notes=tuple(table.get("notes", ())),
         unverified=tuple(table.get("unverified", ())),
         source=table["source"],
@@ -172,6 +174,19 @@ def _joint(where: str, table: Table) -> Joint:
         max_speed=None if speed is None else float(speed),
         rated_torque=table.get("rated_torque_Nm" if turns else "rated_force_N"),
     )
+
+
+def _axes_of_dh(joints: list[Table], dh: DHTable | None) -> tuple[list[Table], Array | None]:
+    """Give joints without an axis that of their row of the DH table, and the flange's pose by the table."""
+    if dh is None or len(dh.rows) != len(joints):
+        return list(joints), None
+    frame = dh.base
+    out: list[Table] = []
+    for joint, row in zip(joints, dh.rows, strict=True):
+        kind = {"kind": "prismatic"} if row.prismatic else {}
+        out.append({**kind, "axis": row.sign * frame[:3, 2], "point_m": frame[:3, 3], **joint})
+        frame = frame @ row_transform(row, 0.0)
+    return out, np.asarray(frame @ dh.tool)
 
 
 def _link(where: str, table: Table) -> Link:

@@ -84,7 +84,7 @@ def approach_through(
     Parameters
     ----------
     near
-        The posture at hand; the solution's own without.
+        The present posture; without it the solution's own.
     direction
         ``(n,)``: from which side each joint is to come, ±1; where 0 and without, the side on which gravity presses.
     back

@@ -232,7 +232,7 @@ class _Problem:
 def _problem(convention: Convention, reflections: Sequence[Reflection], common: Array | None) -> _Problem:
     count = len(reflections)
     if count < 3:
-        raise TargetError(f"expected at least three reflections, found {count}: each tells one direction")
+        raise TargetError(f"expected at least three reflections, found {count}: each determines one direction")
     points = np.array([r.point for r in reflections], dtype=float)
     wanted = np.array([r.two_theta for r in reflections], dtype=float)
     sigma = np.array([r.std_angle for r in reflections], dtype=float)
@@ -254,7 +254,7 @@ def _told(size: Array) -> npt.NDArray[np.bool_]:
     told = size > 1.0 / UNTOLD
     if told.sum() < 2:
         raise TargetError(
-            f"the reflections do not tell the sample's place to within {1e3 * UNTOLD:g} mm in more than "
+            f"the reflections do not determine the sample's place to within {1e3 * UNTOLD:g} mm in more than "
             f"{'one direction' if told.any() else 'no direction at all'}: they are too much alike; add rings of "
             "another angle, or detector positions on another side"
         )

@@ -46,7 +46,7 @@ def _peaks(given: Mapping[str, str], n: int) -> tuple[Peak, ...]:
     if by_joints:
         beside = [key for key in ("gamma", "delta", "r", "roll", "near") if key in given]
         if beside:
-            raise RequestError(f"sample: expected q= or detector positions, found q= beside {beside[0]}=")
+            raise RequestError(f"sample: expected q= or detector positions, found q= with {beside[0]}=")
         places = _list(given, "q", count * n).reshape(count, n)
     else:
         places = np.column_stack([_list(given, key, count) for key in ("gamma", "delta", "r")])
@@ -75,7 +75,7 @@ def _angles(given: Mapping[str, str]) -> list[float]:
         raise RequestError("sample: expected two_theta=t1,t2,… or spacing=d1,d2,… with wavelength=")
     if spacings is None:
         if "wavelength" in given:
-            raise RequestError("sample: expected no wavelength= beside two_theta=")
+            raise RequestError("sample: expected no wavelength= with two_theta=")
         return [] if angles is None else [float(v) for v in angles]
     wavelength = number(given, "wavelength")
     out = []

@@ -81,7 +81,7 @@ def read_peaks(path: str | Path, joints: int, pixel: float, wavelength: float | 
     if by_spacing and wavelength is None:
         raise TargetError(f"{path}: spacings need the energy or the wavelength: expected one, found none")
     if not by_spacing and wavelength is not None:
-        raise TargetError(f"{path}: expected no energy or wavelength beside two_theta_rad: the angles are there")
+        raise TargetError(f"{path}: expected no energy or wavelength with two_theta_rad: the angles are there")
     angles = [_angle(row, frame, source, wavelength) for row in range(len(frame))]
     at = joint_columns("q{}_rad", joints) if by_joints else ("gamma_rad", "delta_rad", "r_m")
     places = frame[list(at)].to_numpy(dtype=float)

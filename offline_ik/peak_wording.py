@@ -41,14 +41,17 @@ def agreement(position: SamplePosition, names: Sequence[str]) -> tuple[str, ...]
         return (*said, f"{suspects[0]} does not fit ({off}); without it the others agree")
     if suspects:
         which = ", ".join(suspects)
-        return (*said, f"one of these does not fit, and which one cannot be told: {which}; without it the others agree")
+        return (
+            *said,
+            f"one of these does not fit the others, but not which one: {which}; without any of them the rest agree",
+        )
     return (*said, "no single reflection is the reason: see to stated errors, convention, beam and mount")
 
 
 def not_told(directions: npt.NDArray[np.float64]) -> tuple[str, ...]:
     """Of directions ``(k, 3)`` in the laboratory's axes."""
     return tuple(
-        f"not told by these reflections: the place {_words(direction)}; there the cell's sample is kept"
+        f"not determined by these reflections: the place {_words(direction)}; there the cell's sample is kept"
         for direction in directions.tolist()
     )
 

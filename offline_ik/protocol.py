@@ -1,7 +1,7 @@
 """The language of the server: one request a line, one answer a line, without any socket.
 
 A request is a word and ``key=value`` pairs, separated by blanks; an answer is a JSON object. What is malformed gets an
-answer with ``"ok": false`` and changes nothing. docs/server.md has the list.
+answer with ``"ok": false`` and changes nothing. docs/reference/server.md has the list.
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ class Speaker:
         if to is not None:
             beside = [key for key in given if key not in ("to", "from", *EVERY)]
             if beside:
-                raise RequestError(f"path: expected to= or a detector position, found to= beside {beside[0]}=")
+                raise RequestError(f"path: expected to= or a detector position, found to= with {beside[0]}=")
             way = [start, self.detector.check_posture(to, "to")]
             return Later(
                 lambda detector: check_path(detector, way),
@@ -347,7 +347,7 @@ class Speaker:
             safe = bool(ways.chosen) and ways.chosen[0].path.safe
             if safe:
                 if session.closed:
-                    raise RequestError("move: the connection was closed before the way was checked; nothing moves")
+                    raise RequestError("move: the connection was closed before the move was checked; nothing moves")
                 if self._stops != stops:
                     raise RequestError("move: the robot was stopped while its way was checked")
                 if self._moves != moves or not np.abs(link.posture() - here).max() <= SETTLED:

@@ -127,7 +127,7 @@ def base_from_touches(
     Raises
     ------
     CampaignError
-        The touches do not tell where the base is: what they leave open is named.
+        The touches do not determine the base; the message names the motions that they leave open.
     ModelError
         Nothing is known of springs or weights, or the model is of another robot.
     """

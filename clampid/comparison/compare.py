@@ -78,7 +78,7 @@ def compare(
     user_effects: Path | None = None,
     sample: Sequence[float] | None = None,
 ) -> Comparison:
-    """Hold a model against a campaign.
+    """Compare a model with a campaign: errors of fitted and held-out rows, and the noise floor.
 
     Parameters
     ----------

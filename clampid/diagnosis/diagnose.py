@@ -68,10 +68,9 @@ def diagnose(
 ) -> Diagnosis:
     """Find out where a model fails on a campaign, or on several at once, and which effect is missing.
 
-    The model's active effects are fitted to the campaigns first, from the model's values, so that what they could still
-    absorb is not taken for evidence. A stage is diagnosed with the loads, frictions and springs that those before it
-    have with what was found missing there: it would show in it, too, under another name. What their rows could not tell
-    apart is open in it: the loads come with the errors that they have with one of these fitted along.
+    The model's active effects are fitted to the campaigns first, so that what they can absorb is no evidence. A stage
+    takes loads, frictions and springs from the stages before it, with the effects that were found missing there.
+    Where effects of an earlier stage are not separable, the loads come with the larger errors that follow.
 
     Parameters
     ----------
@@ -82,8 +81,8 @@ def diagnose(
     stages
         Those to diagnose; by default all that the campaigns have tables for.
     plan_for
-        Effects, ``effect`` or ``effect@joint3``, that the next measurements are to test, where the campaigns leave no
-        candidates that cannot be told apart; empty: all that the rows test too weakly. None: nothing is planned for
+        Effects, ``effect`` or ``effect@joint3``, that the next measurements are to test, where no two candidates
+        have to be separated; empty: all that the rows test too weakly. None: nothing is planned for
         them.
 
     Raises

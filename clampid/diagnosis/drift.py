@@ -1,4 +1,4 @@
-"""Whether what is left of poses goes on from visit to visit: then visits are no independent rows, and time is suspect.
+"""Whether residuals of consecutive visits are correlated: then visits are not independent, and time is suspect.
 
 Residuals' means over each visit, in the order of time, are tested for correlation over a few visits. Where there is
 some, the null flips blocks of consecutive visits as long as it lasts, and what depends on time, or on what goes with
@@ -25,7 +25,7 @@ FEWEST = 20  # blocks: of fewer, flips of signs say little
 
 @dataclass(frozen=True)
 class Drift:
-    """What is left goes on from visit to visit.
+    """Residuals of consecutive visits are correlated.
 
     Attributes
     ----------
@@ -45,9 +45,8 @@ class Drift:
     def sentence(self) -> str:
         """For people."""
         return (
-            f"What is left goes on from visit to visit (correlation {self.correlation:.2f}): robot or instrument have "
-            "drifted. What depends on time or temperature cannot be told from that without a second run in another "
-            "order."
+            f"Residuals of consecutive visits are correlated ({self.correlation:.2f}): robot or instrument have "
+            "drifted. Without a second run in another order, effects of time or temperature are not separable from it."
         )
 
 

@@ -154,7 +154,7 @@ def plan_of(campaign: Campaign, proposed: NextPoses, wished: Mapping[str, float 
         duration=moving,
         visits=tuple(visits),
         measure_time=MEASURE_TIME,
-        assumed=(*assumed, f"the robot is {TEMPERATURES[proposed.state]}", "only the floor is in the way"),
+        assumed=(*assumed, f"the robot is {TEMPERATURES[proposed.state]}", "the floor is the only obstacle"),
         wished=known if wished is None else dict(wished),
     )
     validate_plan(made, "next poses")

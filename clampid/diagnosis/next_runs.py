@@ -84,7 +84,7 @@ def runs_to_choose(
         rows = _imagined_rows(campaign, estimate, cell, few, rate / noise.together, state, fastest)
         told += told_by(sparse, candidates, rows, rows.constants["run"])
     nuisance, columns = joined(told, candidates, len(estimate.slots))
-    assumed = (*assumed, f"the robot is {TEMPERATURES[state]}", "only the floor is in the way")
+    assumed = (*assumed, f"the robot is {TEMPERATURES[state]}", "the floor is the only obstacle")
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
         mine = sorted(chosen, key=lambda k: kinds[k].share)

@@ -83,7 +83,7 @@ def sweeps_to_choose(
                 *assumed,
                 *usual,
                 f"the robot is {TEMPERATURES[state]}",
-                "only the floor is in the way",
+                "the floor is the only obstacle",
                 f"drives may be {MARGIN:g} times as stiff as found; the clamp bears {limits.force:g} N, "
                 f"{limits.moment:g} Nm",
             ),

@@ -16,7 +16,7 @@ __all__ = ["separating_measurement", "something_else"]
 _SEPARATORS: dict[frozenset[str], str] = {
     frozenset(pair): text
     for pair, text in (
-        (("base_tilt", "bearing_tilt"), "no pose tells a tilt of joint 1's bearing from a tilt of the base: put an "
+        (("base_tilt", "bearing_tilt"), "no pose separates a tilt of joint 1's bearing from a tilt of the base: put an "
          "inclinometer or a target on the base plate"),
         (("thermal_expansion", "base_tilt"), "restart cold and measure the same poses in another order"),
         (("gear_eccentricity", "coupling_ratio_error"), "poses over the full range of the joint"),

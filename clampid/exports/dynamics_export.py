@@ -31,7 +31,7 @@ def dynamics(
     robot: RobotDescription | None = None,
     user_effects: Path | None = None,
 ) -> dict[str, Any]:
-    """What torques told of masses and inertias, ready for JSON.
+    """Base parameters, masses and inertias identified from torques, ready for JSON.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def gradient_covariance(estimate: Estimate, point: StagePoint) -> Array:
         Where the gradient is taken, with the same rows and noise.
     """
     if estimate.scatter is None:
-        raise ValueError("expected a fit of poses that tells measurement and repeatability apart, found none")
+        raise ValueError("expected a fit of poses that separates measurement from repeatability, found none")
     white = point.white
     by_joint, visit = _by_joint(estimate, white, point.theta)
     return shared_moments(white, by_joint, visit, estimate.scatter)

@@ -233,7 +233,7 @@ def _refuse_no_freedom(estimate: Estimate) -> None:
     if told >= numbers:
         raise FitError(
             f"{estimate.experiment.stage}: expected more measured numbers than parameters that they determine, found "
-            f"{numbers} and {told}: no degree of freedom is left to tell an error from noise; measure more, or fit "
+            f"{numbers} and {told}: no degree of freedom is left; measure more, or fit "
             "fewer effects (--effects)"
         )
 

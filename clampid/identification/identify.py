@@ -1,4 +1,4 @@
-"""Identification: from campaigns to a model, stage by stage: free air, clamped, filtered poses."""
+"""Identification: from campaigns to a model, stage by stage: free air, clamped, poses."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def identify(
     holdout
         Share of whole poses, runs and sweeps that no fit sees.
     bootstrap
-        How many times poses are drawn anew for standard errors that do not take residuals for noise; 0: not at all.
+        Number of bootstrap draws of whole poses, for standard errors that do not assume normal noise; 0: none.
     cost
         Of the stage ``poses``: ``least-squares``, or ``mean-norm``, the universal model's (`fitting.mean_norm`).
     joint

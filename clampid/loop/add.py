@@ -84,7 +84,7 @@ def add(
     Parameters
     ----------
     terms
-        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can tell anything about it. Without a
+        ``[STAGE=]EFFECT[@PLACE]`` each. Without a place: wherever these rows can identify it. Without a
         stage: in every stage where the effect acts.
 
     Raises
@@ -102,7 +102,7 @@ def add(
     for stage, asked in wanted.items():
         if stage not in found:
             names = ", ".join(t.label for t in asked)
-            raise EffectError(f"{stage}: nothing can be told about {names} from these rows, or it is active already")
+            raise EffectError(f"{stage}: {names}: not identifiable from these rows, or active already")
     result = _model_with(opened, mended, user_effects)
     if "poses" in found:
         without = result.with_stage(mended["poses"].unmended.model)

@@ -75,7 +75,7 @@ def mend(
             progress(f"{stage}: added {step.label}; here it is the same model as with {others} instead")
     mended, left_out = add_steps(model, campaigns, steps, seed=seed, user_effects=user_effects)
     for stage, step in left_out:
-        progress(f"{stage}: {step.label} is left out: with what was added before, no row tells anything of it")
+        progress(f"{stage}: {step.label} is left out: beside the effects added before it is not identifiable")
     return mended, found
 
 

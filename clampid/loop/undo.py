@@ -25,8 +25,8 @@ def undo(
 ) -> tuple[Model, Round]:
     """Take back the last round that added something: the model as it was before, and the round that is gone.
 
-    A model file keeps one state, so that the stage is fitted again, from the values that its parameters have now; so
-    are the poses, where the round was of another stage: they take loads, flanks and springs from those.
+    A model file keeps one state. So the stage is fitted again, from the present values of its parameters. Where the
+    round was of another stage, the poses are fitted again, too: they take loads, flanks and springs from it.
 
     Parameters
     ----------

@@ -36,8 +36,8 @@ class Correlation:
 def correlations(stage: StageModel, least: float = STRONG) -> tuple[Correlation, ...]:
     """All correlations of a stage's identified parameters beyond ``least`` in size, the strongest first.
 
-    Parameters that are not identified, or whose error is zero, have none: what the first are correlated with, the
-    stage's ``null_directions`` say.
+    Parameters that are not identified, or whose error is zero, have none. For the former see the stage's
+    ``null_directions``.
     """
     std = stage.std
     own = np.array([k for k, ok in enumerate(stage.identified) if ok and np.isfinite(std[k]) and std[k] > 0], dtype=int)

@@ -138,7 +138,7 @@ def plan_wrist(
         known = "couples no joint with another" if robot.transmission_known else "is not known, and taken as uncoupled"
         raise PlanError(
             f"{robot.name}: its transmission {known}: no motor can turn with its joint still, nor a joint with "
-            "its motor still, so there is no wrist program; free air tells what can be told (clampid plan free-air)"
+            "its motor still, so there is no wrist program; use a log in free air (clampid plan free-air)"
         )
     around = scene or Scene.floor_only(cell)
     asked = tuple(effects) if effects else _standard(robot)
@@ -167,8 +167,8 @@ def _impossible(robot: RobotDescription) -> tuple[str, ...]:
     rest = [str(j + 1) for j in range(robot.n) if j not in wrist]
     if rest:
         out.append(
-            f"joints {', '.join(rest)}: motor and joint only turn together, so that friction on the arm's side cannot "
-            "be told from the motor's"
+            f"joints {', '.join(rest)}: motor and joint only turn together, so that arm-side friction is not "
+            "separable from the motor's"
         )
     for j in wrist:
         others = np.arange(robot.n) != j

@@ -57,7 +57,7 @@ def _table(d: Drives) -> Table:
     )  # fmt: skip
     caption = (
         "Springs, clearances and dry friction of the drives, ± one standard error. A clearance below its detection "
-        "limit is not told from none (Currie 1968, both risks 5 %)."
+        "limit does not differ significantly from zero (Currie 1968, both risks 5 %)."
     )
     return as_table(columns, rows, caption)
 

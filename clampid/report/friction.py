@@ -62,7 +62,7 @@ class _Curve:
 def friction_figures(data: StageData) -> list[Figure]:
     """Friction at the motors, and where the transmission tells it from theirs, at the joints."""
     names = [f"motor {k + 1}" for k in range(data.channels)]
-    reach = " Points are the model's friction and what the model leaves beside it; their means have 95 % intervals."
+    reach = " Points are the model's friction plus the residual; their means have 95 % intervals."
     arm = {
         int(slot.place.removeprefix("joint")) - 1: bool(known) and abs(value) > TOLD * std
         for slot, known, value, std in zip(
@@ -70,18 +70,20 @@ def friction_figures(data: StageData) -> list[Figure]:
         )
         if slot.effect in ARM_SIDE
     }
-    caption = f"Friction that a motor feels when it turns alone, against its speed.{reach} A mean beside the line is "
-    caption += "friction that the model has not got."
+    caption = f"Friction that a motor feels when it turns alone, against its speed.{reach} A mean off the line is "
+    caption += "friction that the model lacks."
     if arm:
         caption += " In the wrist this is the sum of the motor's side and the arm's."
     plot = _drawn(data, (*MOTOR_SIDE, *ARM_SIDE), range(data.channels), names, "motor")
     told, untold = sorted(j for j, known in arm.items() if known), sorted(j for j, known in arm.items() if not known)
     if untold:
         listed = ", ".join(str(j + 1) for j in untold)
-        caption += f" How it is shared between the two is not told by these data at joint {listed}."
+        caption += f" These data do not separate the two at joint {listed}."
     found = [Figure("friction", plot, caption, 520)]
     if told:
-        caption = f"Of it, the friction on the arm's side of coupled joints, at the joint, where told from zero.{reach}"
+        caption = (
+            f"Of it, the friction on the arm's side of coupled joints, at the joint, where it differs from zero.{reach}"
+        )
         plot = _drawn(data, ARM_SIDE, told, [f"joint {j + 1}" for j in told], "joint")
         found.append(Figure("friction-arm", plot, caption, 520 if len(told) > 3 else 340))
     return found

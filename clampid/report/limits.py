@@ -36,7 +36,7 @@ def exported(shifts: Sequence[Json]) -> list[Table]:
     more = f" {len(shifts) - MOST_EXPORTED} more are not shown." if len(shifts) > MOST_EXPORTED else ""
     caption = (
         "What leaving it out had done to the exported DH table (Hayati's rows): the numbers without the effect less "
-        f"those with it, as far as they are told from zero, the clearest first.{more}"
+        f"those with it, as far as they differ from zero, the most significant first.{more}"
     )
     return [as_table(("Row", "Number", "Shift ± standard error#"), rows, caption)] if rows else []
 

@@ -110,7 +110,7 @@ def _mark(
     if np.isfinite(drives.gap[joint]):
         spread = float(drives.gap_std[joint]) / abs(float(piece.rows.robot.transmission[joint][joint]))
         text += f"<br>clearance {with_std(gap, spread, DEGREES)}"
-        text += "" if drives.told[joint] else "<br>(not told from none)"
+        text += "" if drives.told[joint] else "<br>(not significant)"
     where = {"xref": "x domain", "yref": "y domain", "x": 0.02, "y": 0.98, "xanchor": "left", "yanchor": "top"}
     looks = {"showarrow": False, "align": "left", "font": {"size": 11}, "bgcolor": "rgba(255,255,255,0.7)"}
     plot.add_annotation(text=text, row=place[0], col=place[1], **looks, **where)

@@ -47,8 +47,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect], robot: Robot
         notes += [f"{stage_title(stage)}: {text}" for text in stage_model.null_directions]
         blocks += _correlated(stage_model)
     text = (
-        "Value ± one standard error. Grey: within two standard errors of zero, so that these data do not tell it from "
-        "none or, of masses and geometry, from what the description says."
+        "Value ± one standard error. Grey: within two standard errors of zero or, for masses and geometry, "
+        "of what the description says."
     )
     if open_ones:
         text += (
@@ -68,7 +68,12 @@ def parameters_section(model: Model, effects: Mapping[str, Effect], robot: Robot
             "value past it; take the error for how badly these data know it."
         )
     return Section(
-        "model", "The model with standard errors", (text,), tuple(blocks), tuple(notes), "What these data cannot tell"
+        "model",
+        "The model with standard errors",
+        (text,),
+        tuple(blocks),
+        tuple(notes),
+        "What is not identifiable from these data",
     )
 
 
@@ -79,8 +84,8 @@ def _correlated(stage: StageModel) -> list[Table]:
         return []
     which = f"the strongest {SHOWN} of {len(found)}" if len(found) > SHOWN else "all"
     caption = (
-        f"Correlations of the errors of identified parameters beyond ±{STRONG:g}, {which}: the data tell such two "
-        "better together than each."
+        f"Correlations of the errors of identified parameters beyond ±{STRONG:g}, {which}. Of such a pair "
+        "only a combination is well known."
     )
     rows = [(c.first.label, c.second.label, fixed(c.r, 4)) for c in found[:SHOWN]]
     return [as_table(("Parameter", "With", "r#"), rows, caption)]
@@ -95,7 +100,7 @@ def _base(stage: StageModel) -> Table:
         rows.append((p.name, told, number(p.described, 4), scale.unit))
     caption = (
         "Base parameters of the arm, without the declared tool: the combinations of masses, first moments and inertias "
-        "that these torques tell, and the only ones; the terms of a combination are not told apart. First moments and "
+        "that these torques determine; the terms of one combination are not separable. First moments and "
         "inertias count from a point on the link's own joint, in base axes at the zero pose. Gautier 1991."
     )
     return as_table(("Base parameter", "Identified#", "Described#", "Unit"), rows, caption)

@@ -129,7 +129,7 @@ def spread_sentences(found: Mapping[Stage, Spread]) -> list[str]:
     for stage, s in found.items():
         if s.fall is None or s.fall == (0.0, 0.0, 0.0):
             continue
-        told = "" if s.fall[1] > 0.0 or s.fall[2] < 0.0 else "; that is not told from no change"
+        told = "" if s.fall[1] > 0.0 or s.fall[2] < 0.0 else "; this is not significant"
         out.append(
             f"{stage_title(stage)}: on the {s.folds} held-out {_WHOLE[stage]} the error fell by "
             f"{error_text(s.fall[0], _UNITS[stage])} (95 % interval {_ends(s.fall, stage)}){told}."

@@ -16,7 +16,10 @@ __all__ = ["add"]
 
 def add(
     effects: Annotated[
-        str, typer.Argument(metavar="[STAGE=]EFFECT[@joint3][,…]", help="What to add.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="[STAGE=]EFFECT[@joint3][,…]", help="Effects to add, with their places.", show_default=False
+        ),
     ],
     model: ModelFile,
     campaigns: Campaigns,

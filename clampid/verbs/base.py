@@ -36,10 +36,14 @@ def base(
     model: Annotated[
         Path | None,
         typer.Option(
-            metavar="MODEL.json", help="Whose springs and loads; without it, the description's.", show_default=False
+            metavar="MODEL.json",
+            help="Model whose springs and loads are used; otherwise the description's.",
+            show_default=False,
         ),
     ] = None,
-    rigid: Annotated[bool, typer.Option("--rigid", help="Correct nothing: the frame stays biased.")] = False,
+    rigid: Annotated[
+        bool, typer.Option("--rigid", help="Do not correct for deflection: the frame stays biased.")
+    ] = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -47,7 +51,7 @@ def base(
     """Find the base frame from circles of joints 1 and 2 or from touches, corrected for what the weight bends."""
     out = Output(quiet, json)
     if rigid and model is not None:
-        raise CallError("--rigid corrects nothing: expected no --model beside it")
+        raise CallError("--rigid corrects nothing: expected no --model with it")
 
     from clampid.base_frames.base_frame import base_from_circles
     from clampid.models.model import load_model

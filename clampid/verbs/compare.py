@@ -18,7 +18,9 @@ __all__ = ["compare"]
 def compare(
     model: ModelFile,
     campaign: OneCampaign,
-    refit: Annotated[str, typer.Option(metavar="base,tool", help="Fit only these anew.", show_default=False)] = "",
+    refit: Annotated[
+        str, typer.Option(metavar="base,tool", help="Fit only these again, such as base,tool.", show_default=False)
+    ] = "",
     refit_fraction: Annotated[
         float, typer.Option(metavar="SHARE", help="Share of whole poses that they are fitted on.")
     ] = 0.2,
@@ -35,7 +37,7 @@ def compare(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Hold a model against a campaign, table by table, fit rows and held-out rows apart."""
+    """Compare a model with a campaign, table by table: errors of fitted and of held-out rows, and the noise floor."""
     out = Output(quiet, json, verbose)
     parts = tuple(part.strip() for part in refit.split(",") if part.strip())
     for part in parts:

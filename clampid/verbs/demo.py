@@ -17,7 +17,7 @@ __all__ = ["demo"]
 
 def demo(
     seed: Annotated[int, typer.Option(min=0, help="Draws the hidden effect, the robot and the noise.")] = 1,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where everything goes.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write.")] = Path("demo"),
     json: Json = None,
     verbose: Verbose = False,
     quiet: Quiet = False,

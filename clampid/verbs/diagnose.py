@@ -22,13 +22,15 @@ __all__ = ["diagnose"]
 def diagnose(
     model: ModelFile,
     campaigns: Campaigns,
-    flips: Annotated[int, typer.Option(min=19, help="Sign flips that decide; p is at least 1/(flips + 1).")] = 199,
+    flips: Annotated[
+        int, typer.Option(min=19, help="Number of sign flips of the test; p is at least 1/(flips + 1).")
+    ] = 199,
     seed: Seed = 0,
     plan: Annotated[
         Path | None,
         typer.Option(
             metavar="PLAN.toml",
-            help="Where to write the poses, runs or sweeps to measure next: what parts candidates that explain the "
+            help="Where to write the poses, runs or sweeps to measure next: what separates candidates that explain the "
             "same, or else what tests effects that these data test too weakly.",
             show_default=False,
         ),

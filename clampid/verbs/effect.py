@@ -21,7 +21,7 @@ effect = typer.Typer(help="Make an effect of your own.", no_args_is_help=True)
 
 @effect.command()
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the effect.", show_default=False)],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the effect.", show_default=False)],
     depends_on: Annotated[
         str, typer.Option(metavar="q4,dir4", help="Recorded variables that it depends on.", show_default=False)
     ],
@@ -32,10 +32,14 @@ def new(
     ] = None,
     orders: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Harmonics of angles, powers of the rest.", show_default="3; of several 2"),
+        typer.Option(
+            metavar="N",
+            help="Highest harmonic of angles, and highest power of the rest.",
+            show_default="3; of several 2",
+        ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.py", help="Where to.", show_default="NAME.py")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.py", help="File to write.", show_default="NAME.py")
     ] = None,
     quiet: Quiet = False,
 ) -> None:

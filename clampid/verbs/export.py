@@ -26,26 +26,30 @@ export = typer.Typer(
     help="Write the robot as a DH table, URDF or KUKA machine data, or its dynamics.", no_args_is_help=True
 )
 
-Session = Annotated[int, typer.Option(min=1, help="Whose base and flange, where the model has several sessions.")]
+Session = Annotated[int, typer.Option(min=1, help="Session whose base and flange are written.")]
 Robot = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="The nominal robot's description, where it is not a bundled one."),
 ]
 Temperature = Annotated[
-    float, typer.Option(metavar="DEGC", help="Of all links; another than 20 needs an identified expansion.")
+    float, typer.Option(metavar="DEGC", help="Temperature of all links; another than 20 needs an identified expansion.")
 ]
 Poses = Annotated[
     Path | None,
-    typer.Option("--campaign", metavar="CAMPAIGN", help="Poses on which to say what the file alone leaves."),
+    typer.Option(
+        "--campaign", metavar="CAMPAIGN", help="Also say what the file alone leaves of these measured points."
+    ),
 ]
 
 
 @export.command()
 def dh(
     model: ModelFile,
-    convention: Annotated[Literal["standard", "hayati"], typer.Option(help="Hayati's rows are exact.")] = "hayati",
+    convention: Annotated[
+        Literal["standard", "hayati"], typer.Option(help="Kind of rows; Hayati's are exact.")
+    ] = "hayati",
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="Where to; stdout without it.")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="File to write; stdout without it.")
     ] = None,
     layout: Annotated[
         Literal["csv", "thesis"],
@@ -90,7 +94,7 @@ def dh(
 def angles(
     model: ModelFile,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="Where to; stdout without it.")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.csv", help="File to write; stdout without it.")
     ] = None,
     robot: Robot = None,
     effects_from: EffectsFrom = None,
@@ -112,7 +116,7 @@ def angles(
 @export.command()
 def urdf(
     model: ModelFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.urdf", help="Where to.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.urdf", help="File to write.")],
     campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
@@ -146,7 +150,7 @@ def urdf(
 def kuka(
     model: ModelFile,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.dat", help="Where to; stdout without it.")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.dat", help="File to write; stdout without it.")
     ] = None,
     lever: Annotated[
         float, typer.Option(metavar="M", help="From the flange to the tool's point, which is to err least.")
@@ -197,7 +201,7 @@ def dynamics(
         Path | None, typer.Option(metavar="CAMPAIGN", help="Logs on which to say what consistency costs.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Where to; stdout without it.")
+        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="File to write; stdout without it.")
     ] = None,
     robot: Robot = None,
     effects_from: EffectsFrom = None,

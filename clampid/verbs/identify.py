@@ -23,12 +23,12 @@ def identify(
         float, typer.Option(metavar="SHARE", help="Share of whole poses, runs and sweeps that no fit sees.")
     ] = 0.0,
     bootstrap: Annotated[
-        int, typer.Option(metavar="N", help="Draw whole poses anew N times, for standard errors of poses.")
+        int, typer.Option(metavar="N", help="Bootstrap: draw whole poses N times, for standard errors of poses.")
     ] = 0,
     seed: Seed = 0,
     cost: Annotated[
         Literal["least-squares", "mean-norm"],
-        typer.Option(help="Of poses; mean-norm is the universal model's, by SLSQP."),
+        typer.Option(help="What the fit of poses minimises; mean-norm is the universal model's cost."),
     ] = "least-squares",
     joint: Annotated[
         bool, typer.Option("--joint", help="All tables in one fit, with the parameters that they share.")
@@ -38,7 +38,7 @@ def identify(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fit a model, stage by stage: free air, clamped, filtered poses; or all at once."""
+    """Fit a model, stage by stage: free air, clamped, poses; or all tables at once."""
     out = Output(quiet, json, verbose)
     output_file(output, "json")
     if not 0.0 <= holdout < 1.0:

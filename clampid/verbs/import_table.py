@@ -41,7 +41,7 @@ def import_table(
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make a campaign of tables of columns, by a mapping; repeated samples become medians with their scatter."""
+    """Make a campaign from tables of an instrument or a controller, by a mapping; repeated samples become medians."""
     out = Output(quiet, json)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise CallError(f"{output}: expected a new or empty folder, found something there")

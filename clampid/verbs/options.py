@@ -27,7 +27,7 @@ Campaigns = Annotated[
 ]
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL.json", help="A model file.", show_default=False)]
 Output = Annotated[
-    Path, typer.Option("--output", "-o", metavar="MODEL.json", help="Where the model goes.", show_default=False)
+    Path, typer.Option("--output", "-o", metavar="MODEL.json", help="Model file to write.", show_default=False)
 ]
 Effects = Annotated[
     list[str] | None,
@@ -46,5 +46,5 @@ Json = Annotated[
     typer.Option("--json", metavar="FILE|-", help="The result for programs; - is stdout.", show_default=False),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.", show_default=False)]
-Seed = Annotated[int, typer.Option(help="Of everything random.")]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print the tables, too.", show_default=False)]

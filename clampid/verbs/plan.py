@@ -27,11 +27,11 @@ __all__ = ["plan"]
 plan = typer.Typer(help="Plan measurements that identify what is asked.", no_args_is_help=True)
 
 PlanFile = Annotated[
-    Path, typer.Option("--output", "-o", metavar="PLAN.toml", help="Where the plan goes.", show_default=False)
+    Path, typer.Option("--output", "-o", metavar="PLAN.toml", help="Plan file to write.", show_default=False)
 ]
 Time = Annotated[float, typer.Option(metavar="S", help="Time budget, seconds.")]
 Effects = Annotated[
-    str | None, typer.Option(metavar="A,B,…", help="What is asked; the stage's standard set otherwise.")
+    str | None, typer.Option(metavar="A,B,…", help="Effects to plan for; otherwise the stage's standard set.")
 ]
 Speeds = Annotated[str, typer.Option(metavar="A,B,…", help="Shares of the top speeds, one run each.")]
 
@@ -51,7 +51,7 @@ def free_air(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Configurations visited in free air, which tell gravity and friction."""
+    """Plan a motion in free air that identifies gravity and friction."""
     out = _begin(output, json, quiet, verbose)
     with _refusals():
         from clampid.planning.free_air import plan_free_air
@@ -83,7 +83,7 @@ def wrist(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Swings in which a wrist motor turns with its joint still, and the reverse, which part their frictions."""
+    """Plan swings of a coupled wrist that separate friction of the motors from friction of the arm's side."""
     out = _begin(output, json, quiet, verbose)
     with _refusals():
         from clampid.planning.wrist import SWING_STOPS, plan_wrist
@@ -112,12 +112,14 @@ def clamping(
     joints: Annotated[
         str | None, typer.Option(metavar="1,2,…", help="Which joints to drive; all otherwise.", show_default=False)
     ] = None,
-    max_torque: Annotated[float, typer.Option(metavar="SHARE", help="Limit, of the rated motor torques.")] = 0.8,
+    max_torque: Annotated[
+        float, typer.Option(metavar="SHARE", help="Limit of the motor torques, as a share of the rated ones.")
+    ] = 0.8,
     max_force: Annotated[float, typer.Option(metavar="N", help="Limit of the force on the clamp.")] = 3000.0,
     max_moment: Annotated[float, typer.Option(metavar="NM", help="Limit of the moment on the clamp.")] = 2000.0,
     margin: Annotated[float, typer.Option(help="By how much stiffer drives may be than described.")] = 1.6,
-    dwell: Annotated[float, typer.Option(metavar="S", help="At each step.")] = 1.0,
-    clamping_time: Annotated[float, typer.Option(metavar="S", help="What it takes to clamp the flange.")] = 600.0,
+    dwell: Annotated[float, typer.Option(metavar="S", help="Dwell time at each step, seconds.")] = 1.0,
+    clamping_time: Annotated[float, typer.Option(metavar="S", help="Time to clamp the flange, seconds.")] = 600.0,
     posture: Annotated[
         list[str] | None,
         typer.Option(metavar="Q1,…", help="Where it can be clamped, rad; may be repeated.", show_default=False),
@@ -128,7 +130,7 @@ def clamping(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Sweeps against a clamped flange, which tell springs, clearances and friction; the clamp's load is bounded."""
+    """Plan sweeps against a clamped flange that identify springs, clearances and friction within load limits."""
     out = _begin(output, json, quiet, verbose)
     with _refusals():
         import numpy as np
@@ -193,10 +195,14 @@ def poses(
     facing: Annotated[
         str | None, typer.Option(metavar="X,Y,Z,RAD", help="Cone that targets answer in, flange.", show_default=False)
     ] = None,
-    sight_tolerance: Annotated[float, typer.Option(metavar="RAD", help="Taken off both cones.")] = 0.05,
+    sight_tolerance: Annotated[
+        float, typer.Option(metavar="RAD", help="Angle that is taken off both cones, radians.")
+    ] = 0.05,
     approach: Annotated[float, typer.Option(metavar="RAD", help="Last move of every joint to a pose.")] = 0.05,
-    spread: Annotated[float, typer.Option(metavar="SHARE", help="Share of the poses taken for being far apart.")] = 0.2,
-    measure_time: Annotated[float, typer.Option(metavar="S", help="For each tracked point.")] = 3.0,
+    spread: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of the poses chosen to be far from all others.")
+    ] = 0.2,
+    measure_time: Annotated[float, typer.Option(metavar="S", help="Time for each tracked point, seconds.")] = 3.0,
     effects: Effects = None,
     acceleration: Acceleration = None,
     seed: Seed = 0,
@@ -204,7 +210,7 @@ def poses(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Poses to measure: seen, clear, chosen for what they tell, approached from both sides, in a short order."""
+    """Plan poses to measure: visible, clear of obstacles, informative, approached from both sides, in a short order."""
     out = _begin(output, json, quiet, verbose)
     with _refusals():
         from clampid.planning.poses import PoseWishes, balance_of, plan_poses

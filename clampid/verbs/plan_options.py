@@ -20,7 +20,9 @@ __all__ = ["Acceleration", "Surroundings", "TorqueReadings", "names_of"]
 
 Acceleration = Annotated[
     str | None,
-    typer.Option(metavar="RAD/S2[,…]", help="Accelerations; else top speed in half a second.", show_default=False),
+    typer.Option(
+        metavar="RAD/S2[,…]", help="Accelerations; otherwise top speed is reached in half a second.", show_default=False
+    ),
 ]
 
 
@@ -35,9 +37,9 @@ class Surroundings:
             metavar="CAMPAIGN", help="Take tool, targets, instrument, gravity from there.", show_default=False
         ),
     ] = None
-    range_share: Annotated[float, typer.Option(metavar="SHARE", help="How much of each joint's range may be used.")] = (
-        0.95
-    )
+    range_share: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of each joint's range that may be used.")
+    ] = 0.95
     floor: Annotated[
         str | None,
         typer.Option(metavar="M|none", help="Height of the floor over the base; 0 if upright.", show_default=False),
@@ -45,7 +47,9 @@ class Surroundings:
     obstacles: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Boxes, spheres, cylinders to stay clear of.")
     ] = None
-    arm_radius: Annotated[float, typer.Option(metavar="M", help="Of the capsules that stand for the arm.")] = 0.08
+    arm_radius: Annotated[float, typer.Option(metavar="M", help="Radius of the capsules that stand for the arm.")] = (
+        0.08
+    )
 
     def cell(self, acceleration: str | None = None) -> tuple[Cell, Limits, tuple[str, ...]]:
         """Cell and limits, and what had to be assumed; ``acceleration`` as the option of that name."""

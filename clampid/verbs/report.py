@@ -24,7 +24,8 @@ def report(
         ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="Where to.", show_default="MODEL.html")
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE.html", help="File to write.", show_default="MODEL.html"),
     ] = None,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,

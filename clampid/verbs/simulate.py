@@ -29,7 +29,11 @@ def simulate(
     robot: Annotated[str, typer.Option(help="A bundled robot, or the path of a description.")] = "kuka_kr20_r1810",
     hide: Annotated[
         list[str] | None,
-        typer.Option(metavar="EFFECT[@jointN][:MAGNITUDE],…", help="What to hide.", show_default=False),
+        typer.Option(
+            metavar="EFFECT[@jointN][:MAGNITUDE],…",
+            help="Effects to hide, with their places and sizes.",
+            show_default=False,
+        ),
     ] = None,
     seed: Seed = 0,
     session: Annotated[
@@ -41,7 +45,9 @@ def simulate(
         str | None,
         typer.Option(metavar="poses,…", help="Only these; all that the robot allows otherwise.", show_default=False),
     ] = None,
-    file_format: Annotated[FileFormat, typer.Option("--format", help="Of the tables.")] = FileFormat.PARQUET,
+    file_format: Annotated[
+        FileFormat, typer.Option("--format", help="File format of the tables.")
+    ] = FileFormat.PARQUET,
     json: Json = None,
     quiet: Quiet = False,
 ) -> None:

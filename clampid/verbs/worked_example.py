@@ -21,14 +21,14 @@ __all__ = ["worked_example"]
 
 def worked_example(
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Keep the campaign there.", show_default=False)
+        Path | None, typer.Option(metavar="DIR", help="Keep the campaign in this folder.", show_default=False)
     ] = None,
     seed: Seed = 0,
     json: Json = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure a robot with the springs that the thesis prints, and work its example out: 183.12 and 183.15 µm."""
+    """Repeat the worked example of the thesis on a virtual robot with its printed springs: 183.12 and 183.15 µm."""
     output = Output(quiet, json, verbose)
 
     from clampid.loop.worked_example import worked_example as work_out

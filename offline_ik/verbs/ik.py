@@ -33,7 +33,7 @@ def ik(
     cell: CellFile = None,
     robot: Robot = None,
     running: Running = None,
-    roll: Annotated[str, typer.Option(metavar="RAD|free", help="About the detector's normal.")] = "0",
+    roll: Annotated[str, typer.Option(metavar="RAD|free", help="Angle about the detector's normal, or free.")] = "0",
     near: Annotated[
         str | None, typer.Option(metavar="Q1,Q2,…", help="The posture at hand, radians.", show_default=False)
     ] = None,
@@ -41,7 +41,7 @@ def ik(
         str, typer.Option(metavar="WHICH", help="nearest, all, axis5+, axis5-, or KUKA's Status and Turn as S2T35.")
     ] = "nearest",
     approach: Annotated[
-        bool, typer.Option("--approach", help="Through an intermediate point, so that play lies on a known side.")
+        bool, typer.Option("--approach", help="Approach through a point, so that clearances lie on a known side.")
     ] = False,
     direction: Annotated[
         str | None,
@@ -57,7 +57,7 @@ def ik(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
-    """Joint and motor angles that put the detector there, how far off it may be, and whether the way is safe."""
+    """Give joint and motor angles for a detector position, its uncertainty, and whether the move is safe."""
     out = Output(quiet, json, verbose)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
     from offline_ik.assumed import assumptions

@@ -28,9 +28,9 @@ def sample(
     robot: Robot = None,
     running: Running = None,
     energy: Annotated[
-        float | None, typer.Option(metavar="KEV", help="Of the photons, where the table has spacings.")
+        float | None, typer.Option(metavar="KEV", help="Photon energy, if the table has spacings.")
     ] = None,
-    wavelength: Annotated[float | None, typer.Option(metavar="ANGSTROM", help="The same as a wavelength.")] = None,
+    wavelength: Annotated[float | None, typer.Option(metavar="ANGSTROM", help="Or the wavelength.")] = None,
     near: Annotated[
         str | None,
         typer.Option(
@@ -39,7 +39,7 @@ def sample(
         ),
     ] = None,
     repeatability: Annotated[
-        float, typer.Option(metavar="M", help="The robot's own, a standard deviation in each direction.")
+        float, typer.Option(metavar="M", help="The robot's repeatability, a standard deviation in each direction.")
     ] = 0.0,
     effects_from: EffectsFrom = None,
     json: Json = None,

@@ -44,7 +44,7 @@ def serve(
     effects_from: EffectsFrom = None,
     quiet: Quiet = False,
 ) -> None:
-    """Answer where detector positions lie, one request a line, one JSON answer a line, until interrupted."""
+    """Answer detector positions over TCP: one request a line, one JSON answer a line, until interrupted."""
     out = Output(quiet)
     from offline_ik.protocol import Speaker
     from offline_ik.server import is_loopback, parse_address, take

@@ -43,7 +43,7 @@ def test_a_good_table_is_read_and_passed(campaign: Campaign) -> None:
     held = holdings(campaign)["tables"]["distances"]
     assert (held["poses"], held["anchors"], held["targets"]) == (40, ["A1", "A2", "A3"], ["T1", "T2", "T3"])
     (note,) = [f for f in check_campaign(campaign) if f.table == "distances" and f.column == "anchor"]
-    assert "do not tell where the robot's base stands" in note.message
+    assert "do not determine where the robot's base stands" in note.message
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_base_refuses_what_it_cannot_do(clampid: Clampid, circles: Path, poses_o
     for arguments, words in (
         ((circles,), "ur10 has no springs or no masses"),
         ((poses_only, "--rigid"), "expected circles of joints 1 and 2"),
-        ((circles, "--rigid", "--model", model), "expected no --model beside it"),
+        ((circles, "--rigid", "--model", model), "expected no --model with it"),
         ((circles, "--model", circles / "none.json"), "expected a model file, found none"),
     ):
         ran = clampid("base", *arguments, "-q")

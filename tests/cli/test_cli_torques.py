@@ -90,7 +90,7 @@ def test_a_joint_that_never_reverses_is_told(clampid: Clampid, edited: Callable[
     assert done.code == 0
     said = " ".join((done.err + done.out).split())
     assert "joint 2 never reverses" in said
-    assert "its dry friction and its torque's offset cannot be told apart" in said
+    assert "its dry friction and its torque's offset are not separable" in said
 
 
 def test_one_speed_is_told_and_its_frictions_are_not_identified(

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 # An optional remark before a block: "not run: …" leaves it out, "first: …" is run before it, "file: …" writes it there,
 # "printed" says that a text block is what the console block before it prints.
 BLOCK = re.compile(
@@ -97,16 +97,19 @@ def near(shown: str, is_now: str) -> bool:
 LONG = (
     "README.md",
     "screens.md",
-    "exports.md",
-    "calibration-engineer.md",
-    "unknown-effect.md",
+    "export.md",
+    "find-what-is-missing.md",
+    "measure-accuracy.md",
+    "describe-an-unknown-effect.md",
+    "read-a-verdict.md",
+    "the-loop.md",
 )  # of the better part of a minute
 
 
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in LONG else [])
+        pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.name in LONG else [])
         for page in PAGES
         if blocks(page)
     ],

@@ -20,7 +20,7 @@ from clampid.cli import app
 from clampid.screen import HEIGHT, WIDTH
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "screens.md"
+PAGE = ROOT / "docs" / "reference" / "screens.md"
 BLOCK = re.compile(r"^```console\n\$ (?P<command>.*)\n(?P<text>(?:.*\n)*?)```$", re.MULTILINE)
 REAL = ROOT.parent / "shared" / "real" / "ur10_series_d"
 SCREENS = [(match["command"], match["text"]) for match in BLOCK.finditer(PAGE.read_text(encoding="utf-8"))]

@@ -217,7 +217,7 @@ def cell(row: int, column: int, value: str) -> Change:
         (cell(0, 0, "0.1"), HEAD.replace("std_pixels", "std_px"), 20.0, "column std_px: expected columns of"),
         (cell(0, 0, "0.1"), HEAD.replace("spacing_angstrom", "d"), 20.0, "two_theta_rad or spacing_angstrom"),
         (cell(0, 8, "30"), HEAD.replace("spacing_angstrom", "two_theta_rad"), None, "did you mean 30 degrees"),
-        (cell(0, 8, "1"), HEAD.replace("spacing_angstrom", "two_theta_rad"), 20.0, "beside two_theta_rad"),
+        (cell(0, 8, "1"), HEAD.replace("spacing_angstrom", "two_theta_rad"), 20.0, "with two_theta_rad"),
         (cell(0, 0, "0.1"), HEAD, None, "need the energy or the wavelength"),
         (cell(0, 0, "0.1"), HEAD, 20000.0, "did you mean 20000 eV"),
     ],
@@ -283,7 +283,7 @@ def test_a_request_says_what_the_table_says(detector: Detector, table: list[list
     assert np.allclose(found["sample_m"], np.add(detector.cell.convention.sample, SHIFT), atol=2e-8)
     assert found["degrees_of_freedom"] == 3
     for wrong, says in (
-        (line + " gamma=0.1", "found q= beside gamma="),
+        (line + " gamma=0.1", "found q= with gamma="),
         (line + " two_theta=0.1", "expected two_theta=t1,t2"),
         (line.replace("std=5e-5", "std=5e-5,5e-5"), "expected std= with 6 numbers, found 2"),
         (line.replace("std=5e-5 ", ""), "expected std= with 6 numbers"),

@@ -85,7 +85,7 @@ def test_out_of_reach_is_an_answer_and_no_error(speaker: Speaker) -> None:
         (b"where gamma=0.3 delta=0.2 r=0.8 approach=maybe", "expected yes or no"),
         (b"path gamma=0.3 delta=0.2 r=0.8", "expected a posture to start from"),
         (b"path gamma=0.3 delta=0.2 r=0.8 approach=maybe from=0,0,0,0,0,0", "expected yes or no"),
-        (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= beside gamma="),
+        (b"path to=0,0,0,0,0,0 from=0,0,0,0,0,0 gamma=0.3", "found to= with gamma="),
         (b"start", "expected q="),
         (b"at", "expected a posture"),
         (b"at q=1,2", "expected 6 joint angles"),
@@ -293,7 +293,7 @@ def test_help_lists_every_request_and_quit_ends(speaker: Speaker) -> None:
 
 
 def test_the_page_of_the_protocol_names_every_request_and_key() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "server.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "server.md").read_text(encoding="utf-8")
     for word, keys in WORDS.items():
         assert f"`{word}`" in page
         assert all(f"`{key}" in page for key in keys), word
