@@ -226,7 +226,7 @@ class Section:
         """Tables in a list, numbered from 1."""
         value = self.value(key, f"tables [[{key}]]", [] if optional else _NEEDED)
         if not isinstance(value, list) or not (value or optional):
-            raise self.fault(key, f"tables [[{key}]]" if value else f"at least one table [[{key}]]", shown(value))
+            raise self.fault(key, f"at least one table [[{key}]]" if value == [] else f"tables [[{key}]]", shown(value))
         return [type(self)(one, self.file, f"{self.path(key)}[{i}]", self.error) for i, one in enumerate(value, 1)]
 
     def keys(self) -> tuple[str, ...]:
