@@ -3,6 +3,7 @@
 #   make demo [SEED=7]   the main job on a virtual robot with a hidden effect
 #   make test            the suite (SLOW=yes: with the statistical runs of minutes)
 #   make lint            formatting, types, import contracts
+#   make audit           the pinned versions against the databases of known vulnerabilities
 #   make docs            the documentation, into site/
 
 PYTHON ?= python3
@@ -17,10 +18,10 @@ WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-slow test-studies test-all lint format docs figures clean
+.PHONY: help venv demo test test-slow test-studies test-all lint audit format docs figures clean
 
 help:
-	@sed -n '3,6s/^# *//p' Makefile
+	@sed -n '3,7s/^# *//p' Makefile
 
 venv: $(VENV)/.run
 
@@ -68,6 +69,11 @@ lint: $(VENV)/.develop
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# In an environment of its own: what audits is not part of what is audited. Without a network it says so and passes.
+audit: | $(BIN)/python
+	@$(PYTHON) -m venv build/audit 2>/dev/null && build/audit/bin/python -m pip --disable-pip-version-check install -qq pip-audit 2>/dev/null || true
+	@$(BIN)/python .ci/audit.py build/audit/bin/python constraints.txt
 
 format: $(VENV)/.develop
 	$(BIN)/ruff check --fix .

@@ -27,7 +27,10 @@ MAX_BYTES = 1_000_000  # of an effect file, which is text that somebody has read
 
 def trust_file() -> Path:
     """Where the list is: in the user's configuration folder (``$XDG_CONFIG_HOME/clampid`` on Linux)."""
-    return Path(platformdirs.user_config_dir("clampid", appauthor=False)) / "trusted_effects.json"
+    try:
+        return Path(platformdirs.user_config_dir("clampid", appauthor=False)) / "trusted_effects.json"
+    except RuntimeError as error:  # neither HOME nor an entry in the list of users
+        raise EffectError(f"the list of trusted effects has no place: {error}") from error
 
 
 def source_of(path: str | Path) -> bytes:
@@ -123,7 +126,10 @@ def distrust(path: str | Path) -> int:
 
 def _save(known: dict[str, str]) -> None:
     path = trust_file()
-    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise EffectError(f"{path}: the list of trusted effects cannot be written: {error.strerror}") from error
     _check_owner(path.parent)
     entries = [{"sha256": mark, "file": file} for mark, file in known.items()]
     write_text(path, json.dumps({"format": FORMAT, "trusted": entries}, indent=1) + "\n")

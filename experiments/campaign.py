@@ -7,10 +7,8 @@ which names the file, the row and column, what was expected and what was found. 
 
 from __future__ import annotations
 
-import os
 import shutil
 import tomllib
-import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
@@ -27,7 +25,7 @@ from experiments.errors import CampaignError, fault
 from experiments.fingerprint import fingerprint
 from experiments.header import FORMAT, HEADER_FILE, Header, Instrument, Tool, read_header
 from experiments.long_log import LongLog, is_long, read_long
-from experiments.outputs import flush_folder, flush_tree, naming
+from experiments.outputs import new_folder
 from experiments.sensors import placed
 from experiments.stated import Stated
 from experiments.tables import TableFile, read_table
@@ -248,18 +246,11 @@ def write_campaign(
     content = {"format": FORMAT, **{k: v for k, v in header.items() if k not in ("format", "tables")}, "tables": files}
     text = toml_text(content)
     check_folder(path)
-    partial = path.parent / f".{path.name[:64]}.{uuid.uuid4().hex[:8]}.partial"
-    try:
-        with naming(path):
-            partial.mkdir(parents=True)
-            for name, file in files.items():
-                _write_table(tables[name], partial / file)
-            (partial / HEADER_FILE).write_text(text, encoding="utf-8")
-            flush_tree(partial)
-            _put_in_place(partial, path)
-            flush_folder(path.parent)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    with new_folder(path) as partial:
+        for name, file in files.items():
+            _write_table(tables[name], partial / file)
+        (partial / HEADER_FILE).write_text(text, encoding="utf-8")
+        _keep_others(path, partial)
     return Path(folder)
 
 
@@ -282,23 +273,12 @@ def _refuse_overwriting(path: Path, overwrite: bool) -> None:
         raise fault(path, expected="a new or empty folder", found="a campaign (overwrite=True replaces it)")
 
 
-def _put_in_place(partial: Path, path: Path) -> None:
-    """Rename, which is atomic; an older campaign steps aside first and returns if the rename fails."""
-    if not path.exists():
-        partial.rename(path)
-        return
-    for item in path.iterdir():
+def _keep_others(path: Path, partial: Path) -> None:
+    """Take along what an older folder holds beside its campaign."""
+    for item in path.iterdir() if path.exists() else ():
         if item.name not in _campaign_files(path) and not (partial / item.name).exists():
             copy = shutil.copytree if item.is_dir() else shutil.copy2
             copy(item, partial / item.name)
-    old = path.parent / f"{partial.name}.old"
-    path.rename(old)
-    try:
-        os.replace(partial, path)
-    except OSError:
-        old.rename(path)
-        raise
-    shutil.rmtree(old)
 
 
 def _campaign_files(path: Path) -> set[str]:

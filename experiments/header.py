@@ -14,12 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.columns import LOGS, TABLES, lookalike
-from experiments.errors import fault
+from experiments.errors import CampaignError, fault
 from experiments.keys import frozen, missing, number, refuse_unknown, section_of, vector
 from experiments.stated import SECTIONS, UNREAD, Stated, parse_stated
 from kinematics.description import DescriptionError, RobotDescription, load_robot, robot_names
 from kinematics.escaping import has_controls
 from kinematics.reading import read_text, toml_of
+from kinematics.section import migrated
 
 __all__ = ["FORMAT", "Header", "Instrument", "Tool", "parse_header", "read_header"]
 
@@ -211,9 +212,12 @@ def parse_header(raw: Mapping[str, Any], path: Path, also: Sequence[str] = ()) -
     CampaignError
         As `read_header`.
     """
-    if raw.get("format") != FORMAT:
-        found = repr(raw["format"]) if "format" in raw else missing("format", raw)
-        raise fault(path, expected=f'"{FORMAT}"', found=found, column="format")
+    if "format" not in raw:  # the contract wants it
+        raise fault(path, expected=f'"{FORMAT}"', found=missing("format", raw), column="format")
+    try:
+        raw = migrated(raw, FORMAT, {})
+    except ValueError as error:
+        raise CampaignError(f"{path}, {error}") from None
     refuse_unknown(raw, (*KEYS, *UNREAD, *also), path)
     robot, targets = _robot(raw, path), _targets(raw, path)
     tables, at_joints = _tables(raw, path)

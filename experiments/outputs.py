@@ -7,19 +7,27 @@ followed. Devices, pipes and ``/dev/stdout`` are written to directly, because a 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import hashlib
 import os
 import platform
+import shutil
 import stat
 import sys
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
 from experiments.targets import DISK, OutputError, descriptor_of, real_path, refuse_input, status_of
 
-__all__ = ["OutputError", "flush_folder", "flush_tree", "naming", "new_file", "write_bytes", "write_text"]
+__all__ = [
+    "OutputError", "flush_folder", "naming", "new_file", "new_folder", "scratch_folder", "temporary_folder",
+    "write_bytes", "write_text",
+]  # fmt: skip
+
+AT_CWD, RENAME_EXCHANGE = -100, 2  # of linux/fcntl.h and linux/fs.h
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -101,7 +109,69 @@ def flush_folder(folder: Path) -> None:
             os.close(handle)
 
 
-def flush_tree(folder: Path) -> None:
+@contextlib.contextmanager
+def new_folder(path: Path) -> Iterator[Path]:
+    """Give a temporary folder to fill; afterwards it is flushed to the disk and takes the place of ``path``.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written there, or a folder that is not empty has appeared there meanwhile.
+    OSError
+        The disk is full or fails; the error names the folder asked for.
+    """
+    there = path.exists()
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with scratch_folder(path.parent, path.name) as partial:
+            yield partial
+            _flush_tree(partial)
+            if not there:
+                partial.rename(path)
+            elif not _exchange(partial, path):
+                old = path.parent / f"{partial.name}.old"  # stays if the process is killed before the second rename
+                path.rename(old)
+                try:
+                    partial.rename(path)
+                except OSError:
+                    old.rename(path)
+                    raise
+                shutil.rmtree(old)
+            flush_folder(path.parent)
+
+
+@contextlib.contextmanager
+def scratch_folder(parent: Path, name: str) -> Iterator[Path]:
+    """Make a folder that is removed at the end; one of a process that was killed is removed by the next one."""
+    _remove_left_over(parent / name)
+    partial = parent / _partial_name(parent / name)
+    try:
+        partial.mkdir(mode=0o777)
+        yield partial
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Give a folder in the system's place for temporary files; where its disk is full, the error names that place."""
+    place = tempfile.gettempdir()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder)
+    except OSError as error:
+        if error.errno in DISK and str(error.filename or place).startswith(place):
+            raise OSError(error.errno, os.strerror(error.errno), place) from error
+        raise
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Let two folders change places at once, where the system can (Linux: renameat2)."""
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name == "posix" else None
+    return rename is not None and rename(AT_CWD, os.fsencode(one), AT_CWD, os.fsencode(other), RENAME_EXCHANGE) == 0
+
+
+def _flush_tree(folder: Path) -> None:
     """Put a folder with all that is in it on the disk, before it is renamed to its place."""
     for place, _, files in os.walk(folder):
         for name in files:
@@ -181,7 +251,10 @@ def _remove_left_over(target: Path) -> None:
                 continue
             number, _, rest = entry.name.removesuffix(ending).rpartition(".")[2].partition("-")
             if number.isdigit() and rest.partition("-")[0] == _host() and not _runs(int(number)):
-                Path(entry.path).unlink(missing_ok=True)
+                if entry.is_dir(follow_symlinks=False):
+                    shutil.rmtree(entry.path, ignore_errors=True)
+                else:
+                    Path(entry.path).unlink(missing_ok=True)
 
 
 @functools.cache

@@ -19,7 +19,7 @@ __all__ = [
     "real_path", "refuse_input", "status_of",
 ]  # fmt: skip
 
-DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 """Errors of a disk and not of the call: they keep their own kind (exit code 1)."""
 SPECIAL = {stat.S_IFBLK: "a block device", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
 READ_ENDINGS = frozenset({".csv", ".parquet", ".toml"})

@@ -6,8 +6,9 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from experiments.errors import fault
+from experiments.errors import CampaignError, fault
 from kinematics.reading import read_text, toml_of
+from kinematics.section import migrated
 
 __all__ = ["read_toml"]
 
@@ -20,7 +21,7 @@ def read_toml(path: Path, what: str, stated: str) -> dict[str, Any]:
     what
         What kind of file it is, for errors.
     stated
-        What its key ``format`` must say.
+        Its kind and newest version, as its key ``format`` says; without the key it is version 1.
 
     Raises
     ------
@@ -33,6 +34,7 @@ def read_toml(path: Path, what: str, stated: str) -> dict[str, Any]:
         raise fault(path, expected=what, found="no such file") from None
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise fault(path, expected="TOML", found=str(error)) from error
-    if raw.get("format") != stated:
-        raise fault(path, expected=repr(stated), found=repr(raw.get("format")), column="format")
-    return raw
+    try:
+        return migrated(raw, stated, {})
+    except ValueError as error:
+        raise CampaignError(f"{path}, {error}") from None

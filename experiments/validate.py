@@ -19,7 +19,7 @@ __all__ = ["increasing", "typed_columns", "validate_table"]
 QUATERNION_TOLERANCE = 1e-3
 
 LEAST_STEP_S = 1e-5  # of a log: controllers sample at 10 kHz at most
-LARGEST_WHOLE = 2**53  # beyond, neighbouring numbers are one and the same as floats
+LARGEST_WHOLE = 2**53  # from here on, neighbouring numbers are one and the same as floats
 
 
 def validate_table(
@@ -143,7 +143,7 @@ def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray
     if column.upper is not None:
         wrong |= values > column.upper
     if column.kind == "integer":
-        wrong |= (values != np.rint(values)) | (np.abs(values) > LARGEST_WHOLE)
+        wrong |= (values != np.rint(values)) | (np.abs(values) >= LARGEST_WHOLE)
     if wrong.any():
         raise _cell_fault(cells, column, np.flatnonzero(wrong), source)
     return values.astype(np.int64) if column.kind == "integer" else values

@@ -6,7 +6,8 @@ ratios as exact fractions in quotes. A key that is not known is an error. The fo
 appendix_data/robots/README.md.
 """
 
-from collections.abc import Mapping
+import math
+from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
@@ -16,15 +17,19 @@ import numpy as np
 
 from kinematics.checks import validate
 from kinematics.dh import DHRow, DHTable, row_transform
-from kinematics.reading import fraction_of, read_bytes, toml_of
+from kinematics.reading import read_bytes, toml_of
 from kinematics.robot import DescriptionError, Joint, Link, RobotDescription
 from kinematics.screws import transform
+from kinematics.section import Section, migrated
 from kinematics.typing_ import Array
 
 __all__ = ["DescriptionError", "Joint", "Link", "RobotDescription", "load_robot", "robot_names"]
 
 _FORMAT = "clampid-robot/1"
-Table = Mapping[str, Any]
+KINDS = ("revolute", "prismatic", "helical")
+FAR, HEAVY = 100.0, 1e5  # m and kg, of a robot's parts: beyond, millimetres or grams
+MOST_TURNED = 1e4  # rad, or rad/s: a wrist of 255 turns is 1602
+LONGEST_SOURCE = 2000  # characters
 
 
 def robot_names() -> tuple[str, ...]:
@@ -91,134 +96,132 @@ def _read(path: Path) -> bytes:
 
 def _parse(where: str, content: bytes) -> RobotDescription:
     try:
-        table = toml_of(content.decode("utf-8-sig"))
-        return validate(_robot(table))
-    except KeyError as error:
-        raise DescriptionError(f"{where}: the key {error} is missing") from None
-    except (ValueError, TypeError, AttributeError, IndexError, ArithmeticError) as error:
-        # A wrong type or length anywhere in the file shows as one of these; ours are among the ValueErrors.
+        table = migrated(toml_of(content.decode("utf-8-sig")), _FORMAT, {})
+        return validate(_robot(Section(table, "", error=DescriptionError)))
+    except (ValueError, ArithmeticError) as error:  # no TOML, no UTF-8, and ours
         raise DescriptionError(f"{where}: {error}") from None
 
 
-def _known_keys(where: str, table: Table, *keys: str) -> None:
-    for key in table:
-        if key not in keys:
-            near = get_close_matches(key, keys, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise DescriptionError(f"{where}: the key {key!r} is not known{hint}; expected {', '.join(keys)}")
+@dataclass(frozen=True)
+class _Home:
+    """Where a DH table puts a joint: its axis and a point of it, in the base at zero."""
+
+    axis: Array
+    point: Array
+    prismatic: bool
 
 
-def _robot(table: Table) -> RobotDescription:
-    _known_keys(
-        "description", table,
-        "format", "name", "title", "source", "notes", "unverified",
-        "joint", "link", "flange", "transmission", "linkage", "dh",
-    )  # fmt: skip
-    if table["format"] != _FORMAT:
-        raise DescriptionError(f"format: expected {_FORMAT!r}, found {table['format']!r}")
-    gears = table.get("transmission", {})
-    _known_keys("transmission", gears, "T", "motor_spring_Nm_rad")
-    springs = gears.get("motor_spring_Nm_rad")
-    dh = _dh(table["dh"]) if "dh" in table else None
-    joints, home = _axes_of_dh(table["joint"], dh)
-    return RobotDescription(
-        name=table["name"],
-        title=table["title"],
-        joints=tuple(_joint(f"joint {i}", joint) for i, joint in enumerate(joints, 1)),
-        flange=_flange(table["flange"]) if "flange" in table or home is None else home,
-        links=tuple(_link(f"link {i}", link) for i, link in enumerate(table.get("link", ()), 1)),
-        transmission=_matrix(gears.get("T", ())),
-        transmission_known="T" in gears,
-        motor_spring=None if springs is None else np.asarray(springs, dtype=np.float64),
-        linkage=_matrix(table.get("linkage", ())),
+def _robot(at: Section) -> RobotDescription:
+    at.has("format")
+    gears, joints = at.section("transmission", optional=True), at.sections("joint")
+    n = len(joints)
+    dh = _dh(at.section("dh")) if at.has("dh") else None
+    homes, flange = _homes(dh, n)
+    robot = RobotDescription(
+        name=at.text("name"),
+        title=at.text("title"),
+        joints=tuple(_joint(joint, home) for joint, home in zip(joints, homes, strict=True)),
+        flange=_frame(at.section("flange")) if flange is None or at.has("flange") else flange,
+        links=tuple(_link(link) for link in at.sections("link", optional=True)),
+        transmission=gears.rows("T", ()),
+        transmission_known=gears.has("T"),
+        motor_spring=gears.vector("motor_spring_Nm_rad", n, 0.0, default=None, above=True),
+        linkage=at.rows("linkage", ()),
         dh=dh,
-        notes=tuple(table.get("notes", ())),
-        unverified=tuple(table.get("unverified", ())),
-        source=table["source"],
+        notes=at.texts("notes", ()),
+        unverified=at.texts("unverified", ()),
+        source=at.text("source", longest=LONGEST_SOURCE),
     )
+    gears.done()
+    at.done()
+    return robot
 
 
-def _matrix(rows: list[list[float | str]]) -> Array:
-    return np.array([[fraction_of(entry) for entry in row] for row in rows], dtype=np.float64)
-
-
-def _angle(table: Table, key: str, default: float | None = None, per: str = "") -> Any:
-    """Read `key_deg` or `key_rad` (a number or a list) as radians; the default, if there is neither."""
+def _angle(at: Section, key: str, default: Any = None, per: str = "", length: int | None = None) -> Any:
+    """Read `key_deg` or `key_rad` (a number, or so many) as radians; the default, if there is neither."""
     degrees, radians = f"{key}_deg{per}", f"{key}_rad{per}"
-    if degrees in table:
-        return np.deg2rad(np.asarray(table[degrees], dtype=np.float64))
-    return np.asarray(table[radians], dtype=np.float64) if radians in table else default
+    if at.has(degrees) and at.has(radians):
+        raise at.fault(degrees, f"{degrees} or {radians}", "both")
+    name, most, unit = radians, MOST_TURNED, f"rad{per.replace('_', '/')}"
+    if at.has(degrees):
+        name, most, unit = degrees, math.degrees(most), ""
+    if length is None:
+        found = at.number(name, -most, most, unit, default)
+    else:
+        found = at.vector(name, length, -most, most, unit, default, infinite=True)
+    return np.deg2rad(found) if name == degrees else found
 
 
-def _joint(where: str, table: Table) -> Joint:
-    kind = table.get("kind", "revolute")
+def _joint(at: Section, home: _Home | None) -> Joint:
+    """Read a joint; what it does not say of its axis, the DH table does, if there is one."""
+    kind = at.text("kind", KINDS, "prismatic" if home is not None and home.prismatic else "revolute")
     turns = kind != "prismatic"
-    _known_keys(
-        where, table, "name", "kind", "axis", "point_m",
-        *(("pitch_m_rad",) if kind == "helical" else ()),
-        *(("limits_deg", "limits_rad", "max_speed_deg_s", "max_speed_rad_s", "rated_torque_Nm") if turns
-          else ("limits_m", "max_speed_m_s", "rated_force_N")),
-    )  # fmt: skip
-    limits = _angle(table, "limits") if turns else table["limits_m"]
+    limits = _angle(at, "limits", length=2) if turns else at.vector("limits_m", 2, -FAR, FAR, "m", infinite=True)
     if limits is None:
-        raise DescriptionError(f"{where}: expected limits_deg or limits_rad, found neither")
-    speed = _angle(table, "max_speed", per="_s") if turns else table.get("max_speed_m_s")
-    return Joint(
-        name=table["name"],
+        raise at.fault("", "limits_deg or limits_rad", "neither")
+    speed = _angle(at, "max_speed", per="_s") if turns else at.number("max_speed_m_s", default=None)
+    joint = Joint(
+        name=at.text("name"),
         kind=kind,
-        axis=np.asarray(table["axis"], dtype=np.float64),
-        point=np.asarray(table["point_m"], dtype=np.float64),
-        pitch=float(table.get("pitch_m_rad", 0.0)),
+        axis=at.vector("axis") if home is None or at.has("axis") else home.axis,
+        point=at.vector("point_m", 3, -FAR, FAR, "m") if home is None or at.has("point_m") else home.point,
+        pitch=at.number("pitch_m_rad", -FAR, FAR, default=0.0) if kind == "helical" else 0.0,
         lower=float(limits[0]),
         upper=float(limits[1]),
         max_speed=None if speed is None else float(speed),
-        rated_torque=table.get("rated_torque_Nm" if turns else "rated_force_N"),
+        rated_torque=at.number("rated_torque_Nm" if turns else "rated_force_N", default=None),
     )
+    at.done()
+    return joint
 
 
-def _axes_of_dh(joints: list[Table], dh: DHTable | None) -> tuple[list[Table], Array | None]:
-    """Give joints without an axis that of their row of the DH table, and the flange's pose by the table."""
-    if dh is None or len(dh.rows) != len(joints):
-        return list(joints), None
+def _homes(dh: DHTable | None, n: int) -> tuple[list[_Home | None], Array | None]:
+    """Where a DH table puts its joints, and the flange's pose by it; nothing without a table of all joints."""
+    if dh is None or len(dh.rows) != n:
+        return [None] * n, None
     frame = dh.base
-    out: list[Table] = []
-    for joint, row in zip(joints, dh.rows, strict=True):
-        kind = {"kind": "prismatic"} if row.prismatic else {}
-        out.append({**kind, "axis": row.sign * frame[:3, 2], "point_m": frame[:3, 3], **joint})
+    out: list[_Home | None] = []
+    for row in dh.rows:
+        out.append(_Home(row.sign * frame[:3, 2], frame[:3, 3], row.prismatic))
         frame = frame @ row_transform(row, 0.0)
     return out, np.asarray(frame @ dh.tool)
 
 
-def _link(where: str, table: Table) -> Link:
-    _known_keys(where, table, "mass_kg", "com_m", "inertia_kg_m2")
-    inertia = table.get("inertia_kg_m2")
-    return Link(float(table["mass_kg"]), table["com_m"], None if inertia is None else np.asarray(inertia))
+def _link(at: Section) -> Link:
+    inertia = at.rows("inertia_kg_m2", ())
+    link = Link(
+        at.number("mass_kg", 0.0, HEAVY, "kg"),
+        at.vector("com_m", 3, -FAR, FAR, "m"),
+        inertia if at.has("inertia_kg_m2") else None,
+    )
+    at.done()
+    return link
 
 
-def _flange(table: Table) -> Array:
+def _frame(at: Section) -> Array:
     """Build the pose from position, x and z; y follows, so that nothing is said twice."""
-    _known_keys("flange", table, "position_m", "x", "z")
-    x, z = np.asarray(table["x"], dtype=np.float64), np.asarray(table["z"], dtype=np.float64)
-    return transform(np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(table["position_m"], dtype=np.float64))
+    x, z = at.vector("x"), at.vector("z")
+    place = at.vector("position_m", 3, -FAR, FAR, "m")
+    at.done()
+    return transform(np.stack([x, np.cross(z, x), z], axis=-1), place)
 
 
-def _dh(table: Table) -> DHTable:
-    _known_keys("dh", table, "row", "base", "tool")
+def _dh(at: Section) -> DHTable:
     rows = []
-    for i, row in enumerate(table["row"], 1):
-        angles = [f"{name}_{unit}" for name in ("theta_offset", "alpha", "beta") for unit in ("deg", "rad")]
-        _known_keys(f"dh row {i}", row, "sign", "d_m", "a_m", "prismatic", *angles)
+    for row in at.sections("row"):
         rows.append(
             DHRow(
-                sign=int(row.get("sign", 1)),
+                sign=row.integer("sign", -1, 1, 1),
                 theta_offset=float(_angle(row, "theta_offset", 0.0)),
-                d=float(row["d_m"]),
-                a=float(row["a_m"]),
+                d=row.number("d_m", -FAR, FAR, "m"),
+                a=row.number("a_m", -FAR, FAR, "m"),
                 alpha=float(_angle(row, "alpha", 0.0)),
                 beta=float(_angle(row, "beta", 0.0)),
-                prismatic=bool(row.get("prismatic", False)),
+                prismatic=row.flag("prismatic", False),
             )
         )
+        row.done()
     standard = all(row.beta == 0.0 for row in rows)
-    frames = {key: _flange(table[key]) for key in ("base", "tool") if key in table}
+    frames = {key: _frame(at.section(key)) for key in ("base", "tool") if at.has(key)}
+    at.done()
     return DHTable(tuple(rows), convention="standard" if standard else "hayati", **frames)

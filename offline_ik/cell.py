@@ -19,8 +19,9 @@ import numpy.typing as npt
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.reading import read_text, toml_of
 from kinematics.robot import RobotDescription
+from kinematics.section import Section, migrated
 from offline_ik.cell_defaults import assumed_of
-from offline_ik.cell_values import known, number, numbers, positive, sizes, spread, switch, temperatures, text, whole
+from offline_ik.cell_values import COLDEST, HOTTEST, spread
 from offline_ik.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
 
@@ -39,19 +40,9 @@ LARGEST_PIXEL = 0.01  # m
 LARGEST_MARGIN = 0.5  # rad
 HEAVIEST = 2000.0  # kg
 LONGEST = 1e8  # s, three years
+LONGEST_PATH = 4096  # characters
 WEAKEST, STRONGEST = 9.0, 10.6  # m/s², of gravity
 SHAPES: Mapping[Shape, int] = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2, "mesh": 0}
-_KEYS = {
-    "": ("format", "robot", "session", "gravity_m_s2", "convention", "detector", "tool", "temperature", "robot_shape",
-         "safety", "obstacle"),
-    "convention": ("name", "order", "gamma_sign", "delta_sign", "beam", "up", "sample_m", "frame"),
-    "detector": ("position_m", "x", "z", "size_m", "pixel_m", "targets_m"),
-    "tool": ("mass_kg", "com_m"),
-    "temperature": ("link_C", "motor_C", "running_s"),
-    "robot_shape": ("radius_m", "base_radius_m"),
-    "safety": ("clearance_m", "limit_margin_rad", "speed"),
-    "obstacle": ("name", "shape", "size_m", "position_m", "x", "z", "file", "holds_sample"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -186,137 +177,115 @@ def read_cell(path: str | Path, robot: RobotDescription) -> Cell:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise CellError(f"{path}: expected a cell as TOML, found: {error}") from error
     try:
-        return _cell(table, robot, path.parent)
-    except CellError as error:
-        raise CellError(f"{path}: {error}") from None
+        return _cell(Section(migrated(table, FORMAT, {}), "", error=CellError), robot, path.parent)
+    except ValueError as error:
+        raise CellError(f"{path}, {error}") from None
 
 
-def _cell(table: Mapping[str, Any], robot: RobotDescription, folder: Path) -> Cell:
-    known("", table, _KEYS[""])
-    if table.get("format") != FORMAT:
-        raise CellError(f"format: expected {FORMAT!r}, found {table.get('format')!r}")
-    if table.get("robot") != robot.name:
-        raise CellError(f"robot: the model is of {robot.name!r}, the cell of {table.get('robot')!r}")
-    parts = {k: known(k, table.get(k, {}), keys) for k, keys in _KEYS.items() if k not in ("", "obstacle")}
-    detector, tool, heat, safety = (parts[k] for k in ("detector", "tool", "temperature", "safety"))
-    shape, cell, n = parts["robot_shape"], default_cell(robot), robot.n
-    size = sizes("detector.size_m", detector["size_m"], 3, HAND) if "size_m" in detector else None
-    return replace(
-        cell,
-        convention=_convention(parts["convention"], cell.convention),
-        mount=_pose("detector", detector, HAND),
-        gravity=_gravity(table["gravity_m_s2"]) if "gravity_m_s2" in table else cell.gravity,
-        session=whole("session", table.get("session", 1)) - 1,
-        targets=_targets(detector.get("targets_m", {})),
-        size=None if size is None else (float(size[0]), float(size[1]), float(size[2])),
-        pixel=positive("detector.pixel_m", detector.get("pixel_m", PIXEL), LARGEST_PIXEL, "metres"),
-        tool_mass=number("tool.mass_kg", tool["mass_kg"], HEAVIEST, "kilograms") if "mass_kg" in tool else None,
-        tool_com=_tool_com(tool.get("com_m", [0.0, 0.0, 0.0])),
-        link_temperature=temperatures("temperature.link_C", heat["link_C"], n) if "link_C" in heat else None,
-        motor_temperature=temperatures("temperature.motor_C", heat["motor_C"], n) if "motor_C" in heat else None,
-        running=number("temperature.running_s", heat["running_s"], LONGEST, "seconds") if "running_s" in heat else None,
-        radius=sizes("robot_shape.radius_m", shape["radius_m"], n, HAND) if "radius_m" in shape else None,
-        base_radius=_base_radius(shape),
-        clearance=number("safety.clearance_m", safety.get("clearance_m", cell.clearance), WIDEST, "metres"),
-        limit_margin=_limit_margin(safety.get("limit_margin_rad", 0.0), robot),
-        speed=positive("safety.speed", safety.get("speed", cell.speed), 1.0, "a share of the greatest speeds"),
-        obstacles=_obstacles(table.get("obstacle", []), folder),
-        assumed=assumed_of(table, robot),
+def _cell(at: Section, robot: RobotDescription, folder: Path) -> Cell:
+    at.has("format")
+    stated = at.text("robot")
+    if stated != robot.name:
+        raise at.fault("robot", f"{robot.name!r}, which the model is of", repr(stated))
+    detector, tool, heat, safety, shape, convention = (
+        at.section(k, optional=True) for k in ("detector", "tool", "temperature", "safety", "robot_shape", "convention")
     )
-
-
-def _tool_com(value: Any) -> tuple[float, float, float]:
-    x, y, z = numbers("tool.com_m", value, 3, HAND, "metres").tolist()
-    return x, y, z
-
-
-def _gravity(value: Any) -> tuple[float, float, float]:
-    x, y, z = numbers("gravity_m_s2", value, 3).tolist()
-    length = math.hypot(x, y, z)
-    if not WEAKEST < length < STRONGEST:
-        raise CellError(f"gravity_m_s2: expected a vector of about 9.81 m/s2, found {value!r}, that is {length:g}")
-    return x, y, z
-
-
-def _targets(value: Any) -> Mapping[str, Array]:
-    if not isinstance(value, Mapping):
-        raise CellError(f"detector.targets_m: expected a table NAME = [x, y, z], found {value!r}")
-    points = {k: numbers(f"detector.targets_m.{k}", v, 3, HAND, "metres") for k, v in value.items()}
-    return spread("detector.targets_m", points)
-
-
-def _base_radius(shape: Mapping[str, Any]) -> float | None:
-    if "base_radius_m" not in shape:
-        return None
-    return positive("robot_shape.base_radius_m", shape["base_radius_m"], HAND, "metres")
-
-
-def _limit_margin(value: Any, robot: RobotDescription) -> float:
-    margin = number("safety.limit_margin_rad", value, LARGEST_MARGIN, "radians")
-    for joint in robot.joints:
-        if not joint.upper - joint.lower > 2 * margin:
-            raise CellError(f"safety.limit_margin_rad: {margin:g} rad on both sides leave {joint.name} no range")
-    return margin
-
-
-def _obstacles(value: Any, folder: Path) -> tuple[Obstacle, ...]:
-    if not isinstance(value, list):
-        raise CellError(f"obstacle: expected tables [[obstacle]], found {value!r}")
-    out = tuple(_obstacle(k + 1, part, folder) for k, part in enumerate(value))
-    names = [o.name for o in out]
-    for name in names:
-        if names.count(name) > 1:
-            raise CellError(f"obstacle {name}: expected a name of its own, found {names.count(name)} of it")
+    cell, n = default_cell(robot), robot.n
+    out = replace(
+        cell,
+        convention=_convention(convention, cell.convention),
+        mount=_pose(detector, HAND),
+        gravity=_gravity(at, cell.gravity),
+        session=at.integer("session", default=1) - 1,
+        targets=_targets(detector),
+        size=_three(detector.vector("size_m", 3, 0.0, HAND, "m", None, above=True)),
+        pixel=detector.number("pixel_m", 0.0, LARGEST_PIXEL, "m", PIXEL, above=True),
+        tool_mass=tool.number("mass_kg", 0.0, HEAVIEST, "kg", None),
+        tool_com=_three(tool.vector("com_m", 3, -HAND, HAND, "m", np.zeros(3))),
+        link_temperature=heat.vector("link_C", n, COLDEST, HOTTEST, "°C", None),
+        motor_temperature=heat.vector("motor_C", n, COLDEST, HOTTEST, "°C", None),
+        running=heat.number("running_s", 0.0, LONGEST, "s", None),
+        radius=shape.vector("radius_m", n, 0.0, HAND, "m", None, above=True),
+        base_radius=shape.number("base_radius_m", 0.0, HAND, "m", None, above=True),
+        clearance=safety.number("clearance_m", 0.0, WIDEST, "m", cell.clearance),
+        limit_margin=_limit_margin(safety, robot),
+        speed=safety.number("speed", 0.0, 1.0, "", cell.speed, above=True),
+        obstacles=_obstacles(at.sections("obstacle", optional=True), folder),
+        assumed=assumed_of(at.content, robot),
+    )
+    for section in (detector, tool, heat, safety, shape, convention, at):
+        section.done()
     return out
 
 
-def _convention(part: Mapping[str, Any], default: Convention) -> Convention:
-    name = text("convention.name", part.get("name", default.name))
-    if name not in CONVENTIONS:
-        raise CellError(f"convention: no convention is called {name!r}; known: {', '.join(CONVENTIONS)}")
-    named = CONVENTIONS[name]
-    frame = part.get("frame", named.frame)
-    if "sample_m" in part:
-        numbers("convention.sample_m", part["sample_m"], 3, CELL if frame == "base" else HALL, "metres")
+def _three(found: Array | None) -> Any:
+    return None if found is None else tuple(found.tolist())
+
+
+def _gravity(at: Section, default: tuple[float, float, float]) -> Any:
+    found = at.vector("gravity_m_s2", default=np.array(default))
+    length = float(np.linalg.norm(found))
+    if not WEAKEST < length < STRONGEST:
+        raise at.fault("gravity_m_s2", "a vector of about 9.81 m/s2", f"{found.tolist()}, that is {length:g}")
+    return _three(found)
+
+
+def _targets(detector: Section) -> Mapping[str, Array]:
+    at = detector.section("targets_m", optional=True)
+    return spread(at, {name: at.vector(name, 3, -HAND, HAND, "m") for name in at.keys()})  # noqa: SIM118 - no dict
+
+
+def _limit_margin(safety: Section, robot: RobotDescription) -> float:
+    margin = float(safety.number("limit_margin_rad", 0.0, LARGEST_MARGIN, "rad", 0.0))
+    for joint in robot.joints:
+        if not joint.upper - joint.lower > 2 * margin:
+            found = f"{margin:g} rad on both sides, which leave {joint.name} no range"
+            raise safety.fault("limit_margin_rad", "less than half of each joint's range", found)
+    return margin
+
+
+def _convention(at: Section, default: Convention) -> Convention:
+    named = CONVENTIONS[at.text("name", tuple(CONVENTIONS), default.name)]
+    frame = at.text("frame", ("base", "instrument"), named.frame)
+    most = CELL if frame == "base" else HALL
     return replace(
         named,
-        order=part.get("order", named.order),
-        gamma_sign=part.get("gamma_sign", named.gamma_sign),
-        delta_sign=part.get("delta_sign", named.delta_sign),
-        beam=part.get("beam", default.beam),
-        up=part.get("up", named.up),
-        sample=part.get("sample_m", default.sample),
+        order=at.text("order", ("gamma_outer", "delta_outer"), named.order),
+        gamma_sign=at.integer("gamma_sign", -1, 1, named.gamma_sign),
+        delta_sign=at.integer("delta_sign", -1, 1, named.delta_sign),
+        beam=_three(at.vector("beam", default=np.array(default.beam))),
+        up=_three(at.vector("up", default=np.array(named.up))),
+        sample=_three(at.vector("sample_m", 3, -most, most, "m", np.array(default.sample))),
         frame=frame,
     )
 
 
-def _obstacle(count: int, part: Any, folder: Path) -> Obstacle:
-    known("obstacle", part, _KEYS["obstacle"])
-    name, shape = text("obstacle.name", part.get("name", f"obstacle {count}")), part.get("shape")
-    if not isinstance(shape, str) or shape not in SHAPES:
-        raise CellError(f"obstacle {name}: expected a shape of {', '.join(SHAPES)}, found {shape!r}")
-    file = None
-    if shape == "mesh":
-        if not isinstance(part.get("file"), str):
-            raise CellError(f"obstacle {name}: expected the file of its mesh, found {part.get('file')!r}")
-        file = folder / part["file"]
-        if not file.is_file():
-            raise CellError(f"obstacle {name}: expected a mesh at {file}, found none")
-    kind = cast(Shape, shape)
-    size = sizes(f"obstacle {name}: size_m", part.get("size_m", []), SHAPES[kind], HALL)
-    holds = switch(f"obstacle {name}: holds_sample", part.get("holds_sample", False))
-    return Obstacle(name, kind, tuple(size.tolist()), _pose(f"obstacle {name}", part, HALL), file, holds)
+def _obstacles(parts: list[Section], folder: Path) -> tuple[Obstacle, ...]:
+    out: list[Obstacle] = []
+    for count, at in enumerate(parts, 1):
+        name, shape = at.text("name", default=f"obstacle {count}"), at.text("shape", tuple(SHAPES))
+        if name in [o.name for o in out]:
+            raise at.fault("name", "a name of its own", f"{name!r} twice")
+        size, file = (), None
+        if shape == "mesh":
+            file = folder / at.text("file", longest=LONGEST_PATH)
+            if not file.is_file():
+                raise at.fault("file", f"a mesh at {file}", "none")
+        else:
+            size = _three(at.vector("size_m", SHAPES[shape], 0.0, HALL, "m", above=True))
+        out.append(Obstacle(name, shape, size, _pose(at, HALL), file, at.flag("holds_sample", False)))
+        at.done()
+    return tuple(out)
 
 
-def _pose(where: str, part: Mapping[str, Any], most: float) -> Array:
+def _pose(at: Section, most: float) -> Array:
     """From ``position_m``, at most ``most`` off, ``x`` and ``z``; y follows."""
-    z = numbers(f"{where}.z", part.get("z", [0.0, 0.0, 1.0]), 3)
-    x = numbers(f"{where}.x", part.get("x", [1.0, 0.0, 0.0]), 3)
+    z, x = at.vector("z", default=np.array([0.0, 0.0, 1.0])), at.vector("x", default=np.array([1.0, 0.0, 0.0]))
     lengths = np.linalg.norm(x), np.linalg.norm(z)
     if min(lengths) < 1e-9 or abs(float(x @ z)) > 1e-6 * float(lengths[0] * lengths[1]):
-        raise CellError(f"{where}: expected x and z perpendicular directions, found {x.tolist()} and {z.tolist()}")
+        raise at.fault("", "x and z perpendicular directions", f"{x.tolist()} and {z.tolist()}")
     x, z = x / lengths[0], z / lengths[1]
     out = np.eye(4)
     out[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    out[:3, 3] = numbers(f"{where}.position_m", part.get("position_m", [0.0, 0.0, 0.0]), 3, most, "metres")
+    out[:3, 3] = at.vector("position_m", 3, -most, most, "m", np.zeros(3))
     return out

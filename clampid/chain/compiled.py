@@ -15,9 +15,7 @@ import platform
 import shlex
 import shutil
 import subprocess
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +25,7 @@ import numpy.typing as npt
 
 from clampid.chain.lanes import Lanes, lanes_source
 from clampid.chain.library_folder import digest_of, is_whole, own_folder
-from experiments.outputs import flush_folder
+from experiments.outputs import flush_folder, scratch_folder
 
 __all__ = ["Blocks", "compile_function", "compile_rows", "compiler"]
 
@@ -162,7 +160,7 @@ def _processor() -> str:
 
 def _build(command: list[str], source: str, place: Path, name: str) -> Path:
     """Compile beside the library's place and move it there whole, under a name that has its own hash in it."""
-    with _scratch(place) as folder:
+    with scratch_folder(place, name) as folder:
         (folder / "function.c").write_text(source, encoding="utf-8")
         made = folder / "function.so"
         subprocess.run(
@@ -178,9 +176,3 @@ def _build(command: list[str], source: str, place: Path, name: str) -> Path:
         made.replace(library)
     flush_folder(place)
     return library
-
-
-@contextmanager
-def _scratch(parent: Path) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(dir=parent) as name:
-        yield Path(name)

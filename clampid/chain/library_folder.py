@@ -29,9 +29,13 @@ def own_folder() -> Path:
     OSError
         It cannot be made.
     """
-    top = Path(platformdirs.user_cache_dir("clampid", appauthor=False))
-    folder = top / "compiled"
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    try:
+        top = Path(platformdirs.user_cache_dir("clampid", appauthor=False))
+        folder = top / "compiled"
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except (OSError, RuntimeError) as error:  # a home that cannot be written, or none at all
+        _log.warning("what is compiled is not kept: %s", error)
+        return _private()
     for part in (top, folder):
         found = os.lstat(part)
         if not stat.S_ISDIR(found.st_mode) or not _is_mine(found):

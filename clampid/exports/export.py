@@ -25,7 +25,7 @@ from clampid.models.model import Model, ModelError
 from clampid.models.own_effects import effects_of
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
-from experiments.outputs import write_text
+from experiments.outputs import temporary_folder, write_text
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
@@ -406,13 +406,11 @@ def urdf_export(
     DescriptionError
         A joint is neither revolute nor prismatic.
     """
-    import tempfile
-
     nominal = robot_of(model, robot)
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "robot.urdf"
+    with temporary_folder() as folder:
+        path = folder / "robot.urdf"
         write_text(path, text)
         back = read_urdf(path, "flange")
 

@@ -13,19 +13,21 @@ from typing import Any, cast
 
 import numpy as np
 
-from clampid.effect import STAGES, Stage
+from clampid.effect import Stage
 from clampid.fitting.base_names import BaseParameter, base_json, read_base
 from clampid.fitting.bootstrap import Bootstrap
 from clampid.models.checked import check_model
+from clampid.models.migrations import MIGRATIONS
 from clampid.models.ranges import Ranges, read_ranges
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
 from experiments.outputs import write_text
 from kinematics.reading import json_of, read_text
+from kinematics.section import migrated, shown
 
 __all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model"]
 
-FORMAT = "clampid-model/1"
+FORMAT = "clampid-model/2"
 
 
 class ModelError(ValueError):
@@ -185,10 +187,10 @@ def load_model(path: str | Path) -> Model:
         raise ModelError(f"{path}: expected a model as JSON, found: {error}") from error
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        found = data.get("format") if isinstance(data, dict) else type(data).__name__
-        raise ModelError(f"{path}: expected format = {FORMAT!r}, found {found!r}")
+    if not isinstance(data, dict):
+        raise ModelError(f"{path}: expected a model, found {shown(data)}")
     try:
+        data = migrated(data, FORMAT, MIGRATIONS)
         check_model(data)
     except ValueError as error:
         raise ModelError(f"{path}: {error}") from None
@@ -311,8 +313,6 @@ def _from_json(data: Mapping[str, Any]) -> Model:
     layout = data["layout"]
     stages: dict[Stage, StageModel] = {}
     for name, part in data["stages"].items():
-        if name not in STAGES:
-            raise ModelError(f"stage {name!r} is not known; known: {', '.join(STAGES)}")
         slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in part["parameters"])
         terms = []
         for label in part["effects"]:
@@ -328,13 +328,13 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             held_out=tuple(tuple(int(f) for f in folds) for folds in part["held_out"]),
             outliers=tuple((int(o["session"]), str(o["table"]), int(o["row"])) for o in part["outliers"]),
             null_directions=tuple(part["not_identifiable"]),
-            base=tuple(read_base(p) for p in part.get("base_parameters", ())),
-            observability={name: float(v) for name, v in part.get("observability", {}).items()},
-            bootstrap=_read_bootstrap(part.get("bootstrap")),
-            told=_read_told(part.get("told")),
-            lean=None if part.get("lean_rad") is None else np.array(part["lean_rad"], dtype=float),
-            by_springs=None if part.get("by_springs") is None else np.array(part["by_springs"], dtype=float),
-            ranges=read_ranges(part.get("ranges")),
+            base=tuple(read_base(p) for p in part["base_parameters"]),
+            observability={name: float(v) for name, v in part["observability"].items()},
+            bootstrap=_read_bootstrap(part["bootstrap"]),
+            told=_read_told(part["told"]),
+            lean=None if part["lean_rad"] is None else np.array(part["lean_rad"], dtype=float),
+            by_springs=None if part["by_springs"] is None else np.array(part["by_springs"], dtype=float),
+            ranges=read_ranges(part["ranges"]),
         )
     sessions = tuple(
         Session(
@@ -344,9 +344,9 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             targets=tuple(s["targets"]),
             tool_mass=float(s["tool_mass_kg"]),
             temperature=None if s["temperature_C"] is None else (s["temperature_C"][0], s["temperature_C"][1]),
-            tool_com=_vector(s.get("tool_com_m")),
-            gravity=_vector(s.get("gravity_m_s2")),
-            anchors={anchor: np.array(place, dtype=float) for anchor, place in s.get("anchors_m", {}).items()},
+            tool_com=_vector(s["tool_com_m"]),
+            gravity=_vector(s["gravity_m_s2"]),
+            anchors={anchor: np.array(place, dtype=float) for anchor, place in s["anchors_m"].items()},
         )
         for s in data["sessions"]
     )
@@ -367,7 +367,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
         layout=Layout(
             joints=int(layout["joints"]),
             targets=tuple(layout["targets"]),
-            anchors=tuple(layout.get("anchors", ())),
+            anchors=tuple(layout["anchors"]),
             sessions=tuple(layout["sessions"]),
             wrist=tuple(layout["wrist"]),
         ),
@@ -377,6 +377,6 @@ def _from_json(data: Mapping[str, Any]) -> Model:
         seed=int(data["seed"]),
         holdout=float(data["holdout"]),
         user_effects=data["user_effects"],
-        joint=bool(data.get("joint", False)),
-        robot_file=data.get("robot_file"),
+        joint=bool(data["joint"]),
+        robot_file=data["robot_file"],
     )

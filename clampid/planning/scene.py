@@ -21,9 +21,9 @@ import numpy as np
 from clampid.stages.rows import Array, Bools
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell
-from experiments.plans.section import Section
 from kinematics.poe import joint_transforms
 from kinematics.reading import read_text, toml_of
+from kinematics.section import Section
 
 __all__ = ["Obstacle", "Scene", "read_obstacles"]
 
@@ -33,6 +33,8 @@ ALONG = 0.1  # rad between the configurations of a move that are looked at
 ALWAYS = 0.5  # parts of the arm that touch in more of all postures are neighbours
 BEAM = 0.01  # m, radius of a line of sight
 TINY = 1e-6  # m: shorter parts have no body of their own
+HALL = 100.0  # m: beyond, millimetres
+MOST_TURNED = 4.0 * np.pi  # rad: beyond, degrees
 UPRIGHT = 0.7  # cosine of the tilt up to which a base plane is a floor
 
 
@@ -87,20 +89,21 @@ def read_obstacles(path: Path, cell: Cell) -> tuple[Obstacle, ...]:
     if not path.is_file():
         raise PlanError(f"{path}: expected a file of obstacles, found no such file")
     try:
-        root = Section(toml_of(read_text(path)), str(path), "")
+        root = Section(toml_of(read_text(path)), str(path), error=PlanError)
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise PlanError(f"{path}: expected TOML, found {error}") from error
     found = []
     for kind in ("box", "sphere", "cylinder"):
-        for number, one in enumerate(root.sections(kind) if root.has(kind) else (), 1):
-            size = (
-                one.vector("size_m", 3, 0.0) if kind == "box" else np.array([one.number("radius_m", 0.0, above=True)])
-            )
+        for number, one in enumerate(root.sections(kind, optional=True), 1):
+            if kind == "box":
+                size = one.vector("size_m", 3, 0.0, HALL, "m")
+            else:
+                size = np.array([one.number("radius_m", 0.0, HALL, "m", above=True)])
             if kind == "cylinder":
-                size = np.r_[size, one.number("length_m", 0.0, above=True)]
-            turn = one.vector("turn_rad", 3) if one.has("turn_rad") else np.zeros(3)
-            name = one.text("name") if one.has("name") else f"{kind} {number}"
-            found.append(Obstacle(name, kind, size, one.vector("centre_m", 3), _rotation(turn)))
+                size = np.r_[size, one.number("length_m", 0.0, HALL, "m", above=True)]
+            turn = one.vector("turn_rad", 3, -MOST_TURNED, MOST_TURNED, "rad", np.zeros(3))
+            centre = one.vector("centre_m", 3, -HALL, HALL, "m")
+            found.append(Obstacle(one.text("name", default=f"{kind} {number}"), kind, size, centre, _rotation(turn)))
             one.done()
     root.done()
     return tuple(found)

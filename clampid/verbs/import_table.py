@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -94,10 +93,11 @@ def _header(mapping: Mapping) -> Header:
 def _campaign(header: dict[str, Any], tables: tuple[Imported, ...]) -> Campaign:
     """The campaign as it would be read, from a place of its own: one that cannot be right is never written."""
     from experiments.campaign import read_campaign, write_campaign
+    from experiments.outputs import temporary_folder
 
-    with tempfile.TemporaryDirectory() as folder:
-        write_campaign(Path(folder) / "import", header, {table.table: table.frame for table in tables}, "csv")
-        return read_campaign(Path(folder) / "import")
+    with temporary_folder() as folder:
+        write_campaign(folder / "import", header, {table.table: table.frame for table in tables}, "csv")
+        return read_campaign(folder / "import")
 
 
 def _look_at(campaign: Campaign, mapping: Path, tables: tuple[Imported, ...], out: Output) -> None:

@@ -9,18 +9,20 @@ from typing import Literal, cast
 
 import numpy as np
 
+from experiments.header import FARTHEST_POINT_M, LARGEST_MASS_KG, WORST_POSITION_STD_M
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits
 from experiments.plans.model import KINDS, Cell, Expected, ExpectedParameter, Kind, Plan, Run, Sweep, Visit
 from experiments.plans.motion import Course
-from experiments.plans.section import Section
 from experiments.plans.validate import validate_plan
 from experiments.plans.write import FORMAT
 from kinematics.description import DescriptionError, load_robot
 from kinematics.reading import read_text, toml_of
+from kinematics.section import Section, migrated
 
 __all__ = ["parse_plan", "read_plan"]
 
+LONGEST_PATH, LONGEST_SENTENCE = 4096, 2000  # characters
 STEPS = {"free_air": "run", "wrist": "run", "clamping": "sweep", "poses": "visit"}
 
 
@@ -54,10 +56,12 @@ def parse_plan(text: str, file: Path) -> Plan:
         As `read_plan`.
     """
     try:
-        root = Section(toml_of(text), str(file), "")
+        root = Section(migrated(toml_of(text), FORMAT, {}), str(file), error=PlanError)
     except tomllib.TOMLDecodeError as error:
         raise PlanError(f"{file}: expected TOML, found {error}") from error
-    root.text("format", (FORMAT,))
+    except ValueError as error:
+        raise PlanError(f"{file}, {error}") from None
+    root.has("format")
     kind = cast(Kind, root.text("kind", KINDS))
     cell = _cell(root, file)
     n = cell.robot.n
@@ -85,7 +89,7 @@ def parse_plan(text: str, file: Path) -> Plan:
 
 
 def _cell(root: Section, file: Path) -> Cell:
-    reference = root.text("robot")
+    reference = root.text("robot", longest=LONGEST_PATH)
     try:
         robot = load_robot(reference, relative_to=file.parent)
     except DescriptionError as error:
@@ -99,11 +103,14 @@ def _cell(root: Section, file: Path) -> Cell:
         robot=robot,
         reference=reference,
         gravity=root.vector("gravity_m_s2", 3),
-        tool_mass=tool.number("mass_kg", 0.0),
-        tool_com=tool.vector("com_m", 3),
-        targets={name: targets.vector(name, 3) for name in targets.keys()},  # noqa: SIM118 - not a dict: marks them read
+        tool_mass=tool.number("mass_kg", 0.0, LARGEST_MASS_KG, "kg"),
+        tool_com=tool.vector("com_m", 3, -FARTHEST_POINT_M, FARTHEST_POINT_M, "m"),
+        targets={
+            name: targets.vector(name, 3, -FARTHEST_POINT_M, FARTHEST_POINT_M, "m")
+            for name in targets.keys()  # noqa: SIM118 - not a dict: marks them read
+        },
         instrument=instrument.text("name"),
-        position_std=instrument.number("position_std_m", 0.0, above=True),
+        position_std=instrument.number("position_std_m", 0.0, WORST_POSITION_STD_M, "m", above=True),
     )
     tool.done()
     instrument.done()
@@ -193,7 +200,7 @@ def _expected(section: Section) -> Expected:
         indices={name: indices.number(name) for name in indices.keys()},  # noqa: SIM118 - not a dict
         parameters=tuple(found),
         not_identified=section.texts("not_identified"),
-        noise=section.text("noise"),
+        noise=section.text("noise", longest=LONGEST_SENTENCE),
     )
     section.done()
     return expected

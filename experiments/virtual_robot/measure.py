@@ -37,6 +37,8 @@ USUAL = TORQUE_TABLES + POSE_TABLES
 TABLES = (*USUAL, "distances")  # distances only where they are asked for; last, so that the others' streams stay
 VERIFICATION_POSES = 80
 
+MOST_POSES = 100_000  # a robot visits as many in a year
+
 
 @dataclass(frozen=True)
 class Truth:
@@ -116,6 +118,8 @@ def measure(
     """
     if poses < 1:
         raise ValueError(f"poses: expected at least 1, found {poses}")
+    if poses > MOST_POSES:
+        raise ValueError(f"poses: expected at most {MOST_POSES}, found {poses}")
     if not 0.0 <= outliers < 1.0:
         raise ValueError(f"outliers: expected a share from 0 to below 1, found {outliers}")
     site = Site(robot)

@@ -12,6 +12,7 @@ import pytest
 
 from clampid.identification.identify import identify
 from clampid.models.model import ModelError, load_model, save_model
+from clampid.slots import Slot
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
 
@@ -48,31 +49,42 @@ P0 = "stages.poses.parameters.0"
 WRONG = [
     (put(f"{P0}.at", "link99"), "cannot sit at 'link99'; it can at:"),
     (put(f"{P0}.parameter", "bsae_x"), "has no parameter 'bsae_x'"),
-    (put(f"{P0}.effect", "geometry\n"), "expected printable text"),
-    (lambda d: d["stages"]["poses"]["parameters"].insert(1, first(d)), "comes twice"),
-    (put(f"{P0}.value", True), "expected a number"),
-    (put(f"{P0}.value", "1.0"), "expected a number"),
-    (put(f"{P0}.value", None), "expected a number"),
-    (put(f"{P0}.value", 1e30), "expected a number from -100 to 100"),
-    (put(f"{P0}.std", -1.0), "expected a number"),
+    (put(f"{P0}.effect", "geometry\n"), "key stages.poses.parameters[1].effect: expected printable text"),
+    (lambda d: d["stages"]["poses"]["parameters"].insert(1, first(d)), "expected a parameter of its own"),
+    (put(f"{P0}.value", True), "expected a finite number"),
+    (put(f"{P0}.value", "1.0"), "expected a finite number"),
+    (put(f"{P0}.value", None), "expected a finite number"),
+    (put(f"{P0}.value", 1e30), "expected a finite number from -100 to 100"),
+    (put(f"{P0}.std", -1.0), "expected a finite number"),
     (put(f"{P0}.identified", 1), "expected true or false"),
-    (put(f"{P0}.vlaue", 1.0), "the key 'vlaue' is not known; did you mean 'value'?"),
+    (put(f"{P0}.vlaue", 1.0), "the unknown key 'vlaue'; did you mean 'value'?"),
     (put("stages.poses.efects", []), "did you mean 'effects'?"),
-    (put("stages.pose", {}), "stage 'pose' is not known"),
+    (put("stages.pose", {}), "key stages.pose: expected one of free_air"),
     (put("user_effect", "x.py"), "did you mean 'user_effects'?"),
-    (put("sessions.0.tool_mass_kg", -1e30), "expected a number from 0 to 10000, found -1e+30"),
-    (put("sessions.0.tool_mass_kg", True), "expected a number"),
-    (put("layout.joints", 1000000000), "layout.joints: expected 1 to 50, found 1000000000"),
+    (
+        put("sessions.0.tool_mass_kg", -1e30),
+        "tool_mass_kg: expected a finite number of kg from 0 to 10000, found -1e",
+    ),
+    (put("sessions.0.tool_mass_kg", True), "expected a finite number"),
+    (put("layout.joints", 1000000000), "layout.joints: expected an integer from 1 to 50, found 1000000000"),
     (put("layout.joints", True), "layout.joints"),
     (put("layout.joints", 6.5), "layout.joints"),
-    (put("layout.targets", ["T1", "T1", "T3"]), "comes twice"),
+    (put("layout.targets", ["T1", "T1", "T3"]), "layout.targets: expected names that differ, found 'T1' twice"),
     (put("layout.wrist", [7]), "layout.wrist"),
     (put("robot", "ur10\x1b[2J"), "expected printable text"),
     (put("robot", 3), "expected printable text"),
     (put("stages.poses.covariance.0.0", -1.0), "covariance"),
     (put("stages.poses.covariance.0.0", True), "covariance"),
-    (put("stages", []), "expected an object"),
-    (put("sessions", {}), "expected a list"),
+    (put("stages", []), "key stages: expected a table"),
+    (put("sessions", {}), "key sessions: expected tables"),
+    (put("stages.poses.held_out", [[True]]), "key stages.poses.held_out: expected lists of finite numbers, found True"),
+    (put("stages.poses.observability", {"O1": True}), "observability: expected numbers and names, found True"),
+    (put("sessions.0.base_reference", [["1"]]), "base_reference: expected lists of finite numbers, found '1'"),
+    (put("sessions.0.gravity_m_s2", [0.0, -9.81]), "gravity_m_s2: expected 3 finite numbers"),
+    (put("holdout", 2.0), "key holdout: expected a finite number from 0 to 1, found 2.0"),
+    (put("joint", 1), "key joint: expected true or false, found 1"),
+    (put("format", "clampid-model/3"), "found 'clampid-model/3' (of a newer clampid)"),
+    (lambda d: d.pop("ledger"), "key ledger: expected a list, found no such key"),
 ]
 
 
@@ -103,6 +115,34 @@ def test_text_that_exhausts_a_parser_is_refused(text: str, tmp_path: Path) -> No
     (tmp_path / "m.json").write_text(text)
     with pytest.raises(ModelError, match=r"m\.json: expected"):
         load_model(tmp_path / "m.json")
+
+
+@pytest.mark.parametrize("stated", ["clampid-model/1", "clampid-model", None])
+def test_a_model_of_version_1_is_brought_to_the_newest(
+    stated: str | None, good: dict[str, Any], tmp_path: Path
+) -> None:
+    data = copy.deepcopy(good)
+    data.pop("format")
+    data |= {"format": stated} if stated else {}
+    for key in ("robot_file", "joint"):  # the first versions did not know these
+        data.pop(key)
+    data["layout"].pop("anchors")
+    for key in ("anchors_m", "tool_com_m", "gravity_m_s2"):
+        data["sessions"][0].pop(key)
+    for key in ("base_parameters", "bootstrap", "told", "lean_rad", "by_springs", "ranges"):
+        data["stages"]["poses"].pop(key)
+    (tmp_path / "old.json").write_text(json.dumps(data))
+    model = load_model(tmp_path / "old.json")
+    assert model.stages["poses"].values() == {
+        Slot(p["effect"], p["parameter"], p["at"]): p["value"] for p in good["stages"]["poses"]["parameters"]
+    }
+    assert (model.robot_file, model.joint, model.sessions[0].gravity, model.stages["poses"].ranges) == (
+        None, False, None, None,
+    )  # fmt: skip
+    save_model(model, tmp_path / "new.json")
+    assert json.loads((tmp_path / "new.json").read_text())["format"] == "clampid-model/2"
+    save_model(load_model(tmp_path / "new.json"), tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "new.json").read_bytes()
 
 
 def test_a_device_is_no_model() -> None:

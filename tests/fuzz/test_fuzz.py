@@ -108,6 +108,22 @@ def test_parquet_that_is_no_table_is_refused(what: str, every: tuple[Path, dict]
         read_campaign(tmp_path)
 
 
+def test_poses_in_text_whose_numbers_would_become_one_are_refused(every: tuple[Path, dict], tmp_path: Path) -> None:
+    folder, _ = every
+    table = pd.read_csv(folder / "arm" / "poses.csv")
+    table["pose"] = table["pose"].replace({1: 2**53, 2: 2**53 + 1})
+    table.to_csv(tmp_path / "poses.csv", index=False)
+    (tmp_path / "campaign.toml").write_bytes((folder / "arm" / "campaign.toml").read_bytes())
+    with pytest.raises(CampaignError, match=r"poses\.csv, row .*column pose: expected an integer"):
+        read_campaign(tmp_path)
+
+
+def test_more_poses_than_there_is_time_for_are_refused(tmp_path: Path, capsys) -> None:
+    call = ["simulate", "--robot", "ur10", "-o", str(tmp_path / "arm"), "--poses", "1000000000"]
+    assert run(call) == 2
+    assert "poses: expected at most 100000, found 1000000000" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("harm", [b"\r", b"," + b"x" * 1_000_000], ids=["carriage return", "a million characters"])
 def test_text_that_is_no_table_is_refused(harm: bytes, every: tuple[Path, dict], tmp_path: Path) -> None:
     folder, _ = every

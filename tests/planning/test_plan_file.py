@@ -39,24 +39,26 @@ def test_a_person_can_read_it(free_air_file: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("clampid-plan/1", "clampid-plan/9", "key format: expected one of clampid-plan/1, found 'clampid-plan/9'"),
+        ("clampid-plan/1", "clampid-plan/9", "key format: expected 'clampid-plan/1', found 'clampid-plan/9'"),
         ('kind = "free_air"', 'kind = "free"', "key kind: expected one of free_air, wrist, clamping, poses"),
         ("kuka_kr20_r1810", "kuka_kr20", "key robot: expected a bundled robot or the path of a description"),
         ("rate_Hz = 10.0", "rate_Hz = -1", "key rate_Hz: expected a finite number above 0, found -1"),
         (
             "rate_Hz = 10.0",
             "rate_hz = 10.0",
-            "key rate_Hz: expected a finite number above 0, found no such key; rate_hz is",
+            "key rate_Hz: expected a finite number above 0, found no such key, but 'rate_hz'",
         ),
         ("rate_Hz = 10.0", "rate_Hz = 10.0\nspeeed = 3", "key speeed: expected one of"),
         (
             "mass_kg = 12.0",
             'mass_kg = "12"',
-            r"\[tool\], key mass_kg: expected a finite number not below 0, found '12'",
+            r"key tool\.mass_kg: expected a finite number of kg from 0 to 3000, found '12'",
         ),
-        ("dwell_s = 1.0", "dwell_s = nan", "run 1, key dwell_s: expected a finite number not below 0, found nan"),
-        ("speed_share = 0.15", "", "run 1, key speed_share"),
+        ("dwell_s = 1.0", "dwell_s = nan", r"key run\[1\]\.dwell_s: expected a finite number not below 0, found nan"),
+        ("speed_share = 0.15", "", r"key run\[1\]\.speed_share"),
         ("[[run]]", "[[walk]]", r"expected tables \[\[run\]\], found no such key"),
+        ("mass_kg = 12.0", "mass_kg = 12000", r"tool\.mass_kg: .*found 12000 \(is it in grams\?\)"),
+        ("com_m = [0.0, 0.0, 0.08]", "com_m = [0.0, 0.0, 80.0]", r"tool\.com_m: .*\(is it in millimetres\?\)"),
         ("ramp_s = 0.0", "ramp_s = 9.0", "run 1, move 1: expected a ramp above 0 s and at most half"),
     ],
 )
@@ -67,6 +69,13 @@ def test_what_is_wrong_is_named(free_air_file: Path, old: str, new: str, words: 
     with pytest.raises(PlanError, match=words) as found:
         read_plan(free_air_file)
     assert str(found.value).startswith(str(free_air_file))
+
+
+@pytest.mark.parametrize("stated", ['format = "clampid-plan"\n', ""])
+def test_without_a_version_it_is_version_1(free_air_file: Path, free_air: Plan, stated: str) -> None:
+    text = free_air_file.read_text()
+    free_air_file.write_text(text.replace('format = "clampid-plan/1"\n', stated))
+    assert plan_text(read_plan(free_air_file)) == plan_text(free_air)
 
 
 def test_steps_beyond_the_limits_are_refused(free_air: Plan, tmp_path: Path) -> None:
