@@ -31,7 +31,7 @@ class Held:
     model
         The model with values and covariance given that.
     spread
-        ``(G, k)``: of each such combination one standard deviation as the fit had it, in the parameters of geometry, SI.
+        ``(G, k)``: of each such combination one standard deviation of the fit, in the parameters of geometry, SI.
     combinations
         The parameters of each, in words.
     """
