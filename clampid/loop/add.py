@@ -34,6 +34,8 @@ from experiments.campaign import Campaign
 
 __all__ = ["Addition", "add", "add_steps"]
 
+ROUNDING = 1e-6  # of an error: two fits of the same model differ by less
+
 
 @dataclass(frozen=True)
 class StageAddition:
@@ -44,12 +46,22 @@ class StageAddition:
     after: StageErrors
     shift: tuple[dict[str, Any], ...] = ()
 
+    @property
+    def worse(self) -> bool:
+        """Whether the held-out error has risen, beyond rounding."""
+        return self.after.heldout_rms > self.before.heldout_rms * (1.0 + ROUNDING)
+
 
 @dataclass(frozen=True)
 class Addition:
     """What adding effects did, stage by stage."""
 
     stages: Mapping[Stage, StageAddition]
+
+    @property
+    def worse(self) -> tuple[Stage, ...]:
+        """Stages whose held-out error has risen."""
+        return tuple(name for name, s in self.stages.items() if s.worse)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``add``."""
