@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
+from clampid.diagnosis.look import refuse_few_flips
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.omission import exported_shift, shift_in_words
@@ -78,7 +79,7 @@ def diagnose(
     campaigns
         One, or all that the model was fitted on, as sessions of one robot.
     flips
-        Sign flips that decide: p_familywise is at least 1/(flips + 1).
+        Sign flips that decide: p_familywise is at least 1/(flips + 1), and at most the level of the test.
     stages
         Those to diagnose; by default all that the campaigns have tables for.
     plan_for
@@ -90,7 +91,10 @@ def diagnose(
     ------
     ModelError
         The model does not fit the campaigns.
+    EffectError
+        There are fewer flips than the level of the test needs: nothing could be found to be missing.
     """
+    refuse_few_flips(flips)
     opened = mending = reopen(model, campaigns, user_effects)
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own
     alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]

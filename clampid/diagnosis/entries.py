@@ -12,7 +12,7 @@ from clampid.effect import WEAK, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term, unit_of
+from clampid.slots import Slot, Term, fixed_slots, unit_of
 from clampid.stages.rows import Array, Bools
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
@@ -93,12 +93,12 @@ def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None
     wanted: dict[str, set[str]] = {}
     for slot in (*s.candidate.slots, *s.candidate.shapes):
         wanted.setdefault(slot.effect, set()).add(slot.place)
-    std, identified = estimate.std, estimate.identified
+    std, identified, fixed = estimate.std, estimate.identified, fixed_slots(estimate.slots, estimate.experiment.effects)
     return [
         {
             "name": slot.label,
             "value": float(estimate.theta[k]),
-            "std": float(std[k]),
+            "std": None if fixed[k] else float(std[k]),
             "unit": unit_of(slot, effects, estimate.experiment.rows.robot),
             "identified": bool(identified[k]),
         }

@@ -83,7 +83,7 @@ def diagnose_stage(
         return result
     if drift.block > 1:  # once more, now that it is known how long what is left goes on
         result = looked_through(drift.block)
-    if result.verdict == "unknown" and not result.depends_on:
+    if result.verdict == "unknown" and not result.depends_on and drift.clocked:
         result.depends_on = ["time"]
         result.summary = " ".join([summary_of(result), *result.warnings])
     result.warnings.append(drift.sentence)

@@ -27,7 +27,7 @@ from clampid.identification.identify import (
 )
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model, Round, StageModel
-from clampid.slots import Layout, Term, parse_term, unit_of
+from clampid.slots import Layout, Term, fixed_slots, parse_term, unit_of
 from clampid.stages.rows import Array, Rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
@@ -322,13 +322,14 @@ def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Ef
     out = []
     model = fitted.model
     std = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    fixed = fixed_slots(model.slots, effects)
     for name in dict.fromkeys(t.effect for t in terms):
         places = [t.place for t in terms if t.effect == name and t.place is not None]
         parameters = [
             {
                 "name": slot.label,
                 "value": float(model.theta[k]),
-                "std": float(std[k]),
+                "std": None if fixed[k] else float(std[k]),
                 "unit": unit_of(slot, effects, fitted.rows.robot),
                 "identified": model.identified[k],
             }
