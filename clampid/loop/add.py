@@ -27,6 +27,7 @@ from clampid.identification.identify import (
 )
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model, Round, StageModel
+from clampid.shown import Shown
 from clampid.slots import Layout, Term, fixed_slots, parse_term, unit_of
 from clampid.stages.rows import Array, Rows
 from clampid.threads import single_threaded
@@ -52,11 +53,39 @@ class StageAddition:
         return self.after.heldout_rms > self.before.heldout_rms * (1.0 + ROUNDING)
 
 
-@dataclass(frozen=True)
-class Addition:
+@dataclass(frozen=True, repr=False)
+class Addition(Shown):
     """What adding effects did, stage by stage."""
 
     stages: Mapping[Stage, StageAddition]
+
+    def title(self) -> str:
+        """What it is, in a line."""
+        names = [entry["name"] for s in self.stages.values() for entry in s.added]
+        return f"added {', '.join(dict.fromkeys(names))}"
+
+    def findings(self) -> list[str]:
+        """Where the error has risen."""
+        return [f"{name}: the held-out error has risen." for name in self.worse]
+
+    def records(self) -> list[dict[str, Any]]:
+        """The parameters that were added."""
+        return [
+            {"stage": name, "effect": entry["name"], **parameter}
+            for name, s in self.stages.items()
+            for entry in s.added
+            for parameter in entry["parameters"]
+        ]
+
+    def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
+        """Stage → held-out errors before and after."""
+        return {
+            name: (
+                "m" if name == "poses" else "sigma",
+                {"before": s.before.heldout_rms, "after": s.after.heldout_rms, "noise floor": s.after.noise_floor},
+            )
+            for name, s in self.stages.items()
+        }
 
     @property
     def worse(self) -> tuple[Stage, ...]:
