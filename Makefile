@@ -18,7 +18,7 @@ WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo test test-slow test-studies test-all lint audit format docs figures clean
+.PHONY: help venv demo wheel test test-slow test-studies test-all lint audit format docs figures clean
 
 help:
 	@sed -n '3,7s/^# *//p' Makefile
@@ -51,6 +51,15 @@ $(BIN)/python:
 
 demo: $(VENV)/.run
 	$(BIN)/clampid demo --seed $(SEED) --out $(OUT)
+
+# What a user gets who installs the package: the wheel in an environment of its own, away from this folder.
+wheel: $(VENV)/.run
+	rm -rf build/wheel
+	$(PIP) pip
+	$(BIN)/python -m pip wheel -q --no-deps --wheel-dir build/wheel .
+	$(MAKE) VENV=build/wheel/venv build/wheel/venv/bin/python
+	cd build/wheel && env -u PYTHONPATH venv/bin/python -m pip --disable-pip-version-check install -qq -c ../../constraints.txt *.whl
+	cd build/wheel && env -u PYTHONPATH venv/bin/clampid demo --seed $(SEED) --out demo
 
 test: $(VENV)/.develop
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m $(if $(SLOW),"not study","not slow and not study")

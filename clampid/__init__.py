@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     __version__: str
     from clampid.comparison.compare import compare
     from clampid.diagnosis.diagnose import diagnose
+    from clampid.diagnosis.effect_new import effect_new
     from clampid.exports.export import dh_export, dh_table, urdf_export
     from clampid.identification.identify import identify
     from clampid.loop.add import add
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from clampid.loop.undo import undo
     from clampid.models.calibrated import calibrated_chain
     from clampid.models.model import Model, load_model, save_model
+    from experiments.campaign import read_campaign
+    from experiments.check import check_campaign
+    from experiments.simulate import simulate
 
 __all__ = [
     "Model",
@@ -28,13 +32,17 @@ __all__ = [
     "add",
     "auto",
     "calibrated_chain",
+    "check_campaign",
     "compare",
     "dh_export",
     "dh_table",
     "diagnose",
+    "effect_new",
     "identify",
     "load_model",
+    "read_campaign",
     "save_model",
+    "simulate",
     "undo",
     "urdf_export",
 ]
@@ -44,13 +52,17 @@ _HOME = {
     "add": "clampid.loop.add",
     "auto": "clampid.loop.auto",
     "calibrated_chain": "clampid.models.calibrated",
+    "check_campaign": "experiments.check",
     "compare": "clampid.comparison.compare",
     "dh_export": "clampid.exports.export",
     "dh_table": "clampid.exports.export",
     "diagnose": "clampid.diagnosis.diagnose",
+    "effect_new": "clampid.diagnosis.effect_new",
     "identify": "clampid.identification.identify",
     "load_model": "clampid.models.model",
+    "read_campaign": "experiments.campaign",
     "save_model": "clampid.models.model",
+    "simulate": "experiments.simulate",
     "undo": "clampid.loop.undo",
     "urdf_export": "clampid.exports.export",
 }

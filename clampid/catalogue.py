@@ -15,6 +15,7 @@ from types import MappingProxyType, ModuleType
 
 import clampid.effects
 from clampid.effect import Effect, EffectError
+from clampid.own_effect import check_own_effect
 from clampid.trusted import hash_of, is_trusted, source_of
 
 __all__ = ["catalogue", "effects_for_model", "with_user_effects"]
@@ -38,7 +39,8 @@ def with_user_effects(path: Path | None) -> Mapping[str, Effect]:
     Raises
     ------
     EffectError
-        The file does not exist, does not run, holds no effect, or one with a name of the catalogue.
+        The file does not exist, does not run, holds no effect, one with a name of the catalogue, or one that a fit
+        could not use (:mod:`clampid.own_effect`).
     """
     if path is None:
         return catalogue()
@@ -108,6 +110,10 @@ def _run(source: bytes, path: Path) -> Mapping[str, Effect]:
             raise EffectError(f"{path}: expected values of type Effect in EFFECTS, found {type(effect).__name__}")
         if effect.name in catalogue():
             raise EffectError(f"{path}: the catalogue has an effect {effect.name!r}; expected another name")
+        try:
+            check_own_effect(effect)
+        except EffectError as error:
+            raise EffectError(f"{path}: {error}") from None
     return MappingProxyType({**catalogue(), **{effect.name: effect for effect in own}})
 
 

@@ -49,6 +49,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "Nm s/rad": ((1.0, 1.0, "Nm·s/rad"), (0.0, 1e3, "mNm·s/rad")),
 }
 _EXACT = 12  # significant digits of a number without an uncertainty; nobody reads more
+CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
 _THIN = "\u202f"
 
@@ -99,8 +100,13 @@ def _place(std: float) -> int:
     return min(_EXACT, 1 - int(f"{std:.1e}".split("e")[1]))
 
 
+def _has_error(value: float, std: float) -> bool:
+    """Whether there is a standard error: constants that a fit holds have a millionth of a millionth, or none."""
+    return math.isfinite(std) and std > CONSTANT * abs(value)
+
+
 def _pair(value: float, std: float) -> tuple[str, str]:
-    if not (math.isfinite(std) and std > 0.0):
+    if not _has_error(value, std):
         return number(value, 4), ""
     return fixed(value, _place(std)), fixed(std, _place(std))
 
@@ -118,7 +124,7 @@ def compact(value: float, std: float, scale: Scale) -> str:
     Two digits of an error that begins with 1 or 2, one of others.
     """
     value, std = value * scale.factor, std * scale.factor
-    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+    if not (_has_error(value, std) and math.isfinite(value)):
         return number(value, 4)
     first = f"{std:.1e}"
     decimals = _place(std) - (0 if first[0] in "12" else 1)

@@ -18,6 +18,7 @@ __all__ = [
     "Slot",
     "Term",
     "find_parameter",
+    "fixed_slots",
     "no_such_effect",
     "on_bound",
     "parse_term",
@@ -163,6 +164,17 @@ def unit_of(slot: Slot, catalogue: Mapping[str, Effect], robot: RobotDescription
     if number == slot.place or robot.joints[int(number) - 1].kind != "prismatic":
         return unit
     return AT_A_SLIDE.get(unit, unit)
+
+
+def fixed_slots(slots: Sequence[Slot], catalogue: Mapping[str, Effect]) -> list[bool]:
+    """Which slots a fit keeps where they start: constants, which have no standard error."""
+    seen: set[tuple[str, str]] = set()
+    out = []
+    for slot in slots:
+        held = find_parameter(slot, catalogue).held
+        out.append(held == "everywhere" or (held == "first" and (slot.effect, slot.parameter) not in seen))
+        seen.add((slot.effect, slot.parameter))
+    return out
 
 
 def on_bound(slot: Slot, value: float, catalogue: Mapping[str, Effect]) -> bool:

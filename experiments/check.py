@@ -30,13 +30,15 @@ __all__ = ["Finding", "check_campaign", "holdings"]
 _ORDER = {"error": 0, "warning": 1, "note": 2}
 
 
-def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
+def check_campaign(campaign: Campaign, *, fits: bool = False) -> tuple[Finding, ...]:
     """Find what is wrong with a campaign, and what cannot be identified from it, before anything is fitted.
 
     Parameters
     ----------
     campaign
         The campaign, as read.
+    fits
+        Whether a geometry is to be fitted to this campaign alone: too few poses for its parameters are an error then.
 
     Returns
     -------
@@ -50,8 +52,8 @@ def check_campaign(campaign: Campaign) -> tuple[Finding, ...]:
     weighed = frozenset(finding.table for finding in torques if finding.severity == "error")
     findings = [
         *angles,
-        *point_findings(campaign, wrong),
-        *distance_findings(campaign, wrong),
+        *point_findings(campaign, wrong, fits),
+        *distance_findings(campaign, wrong, fits),
         *torques,
         *signal_findings(campaign, wrong, weighed),
         *friction_findings(campaign, {table: log for table, log in logs.items() if table not in weighed}),

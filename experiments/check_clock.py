@@ -23,7 +23,7 @@ IRREGULAR = 0.05
 
 
 def clock_findings(campaign: Campaign) -> Iterator[Finding]:
-    """Look at the clocks of free air and wrist.
+    """Look at the clocks of free air and wrist, and whether poses have one.
 
     A step counts as a gap or a jump when it is half a usual step off and beyond six times the jitter (normal jitter
     does that once in 5e8 steps); stamps that are only rounded count as even.
@@ -36,9 +36,16 @@ def clock_findings(campaign: Campaign) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        Warnings for missing and repeated samples and jumps, a note on irregular steps; each with count, first row and
-        size.
+        A note where times of poses only count rows. Warnings for missing and repeated samples and jumps, a note on
+        irregular steps; each with count, first row and size.
     """
+    for table in ("poses", "verification"):
+        if table in campaign.tables and counts_rows(_numbers(campaign.tables[table], "time_s")):
+            message = (
+                "counts rows (0, 1, 2, …) and is no clock: what drifts or warms up can be told by the order of the "
+                "rows at most"
+            )
+            yield Finding("note", table, "time_s", None, message)
     for table in ("free_air", "wrist"):
         if table in campaign.tables:
             frame, n = campaign.tables[table], campaign.robot.n
@@ -51,6 +58,11 @@ def clock_findings(campaign: Campaign) -> Iterator[Finding]:
                     "the stamps as they are"
                 )
                 yield Finding("note", table, "time_s", None, message)
+
+
+def counts_rows(time: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:
+    """Whether times ``(N,)`` are the numbers of their rows."""
+    return len(time) > 2 and bool(np.all(np.diff(time) == 1.0))
 
 
 def _numbers(frame: pd.DataFrame, *names: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

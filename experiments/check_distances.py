@@ -26,7 +26,7 @@ TABLE = "distances"
 CLEARLY = 0.2  # of an error: what explains it leaves less
 
 
-def distance_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
+def distance_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool = False) -> Iterator[Finding]:
     """Look at measured distances.
 
     Parameters
@@ -62,7 +62,7 @@ def distance_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Itera
         for name in dict.fromkeys(names):
             mine = np.flatnonzero(names == name)
             yield from _anchor(name, frame["pose"].to_numpy()[mine], points[mine], distances[mine], mine)
-    yield from _enough(campaign)
+    yield from _enough(campaign, fits)
     if "poses" not in campaign.tables:
         yield Finding(
             "note", TABLE, "anchor", None,
@@ -184,7 +184,7 @@ def _unlocated(name: str, points: FloatArray, found: Located) -> Iterator[Findin
         yield Finding("warning", TABLE, "anchor", None, message)
 
 
-def _enough(campaign: Campaign) -> Iterator[Finding]:
+def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
     """Whether there are enough distances for the geometry, where nothing else is measured."""
     if "poses" in campaign.tables:
         return
@@ -195,8 +195,9 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
     numbers = len(frame.drop_duplicates(["pose", "target", "anchor"]))
     if numbers < 2 * unknown:
         few = "fewer than" if numbers < unknown else "hardly more than"
+        known = bool(campaign.stated.targets_std)  # then fewer may do
         yield Finding(
-            "warning", TABLE, "pose", None,
+            "error" if fits and not known and numbers < unknown else "warning", TABLE, "pose", None,
             f"{numbers} distances are {few} the {unknown} numbers that the geometry of {robot.n} joints, "
             f"{targets} target{'s' if targets > 1 else ''} and {anchors} anchor{'s' if anchors > 1 else ''} have: what "
             f"is fitted to them says little of other poses; {2 * unknown} and more tell their own errors",

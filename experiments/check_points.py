@@ -66,7 +66,7 @@ TURNS = 12
 FLAT = 0.05
 
 
-def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator[Finding]:
+def point_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool = False) -> Iterator[Finding]:
     """Look at measured points.
 
     Parameters
@@ -85,7 +85,7 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
         if table not in campaign.tables:
             continue
         if table == "poses":
-            yield from _enough(campaign)
+            yield from _enough(campaign, fits)
         measured = campaign.tables[table][list(POSITION)].to_numpy(dtype=np.float64)  # (rows, 3)
         poses = _nominal_poses(campaign, table)
         points = target_points(campaign, table)
@@ -101,7 +101,7 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str]) -> Iterator
             yield from _rigid_fit(campaign, table, poses, measured)
 
 
-def _enough(campaign: Campaign) -> Iterator[Finding]:
+def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
     """Whether there are enough poses for the geometry, and whether the last joint moves any target."""
     frame, robot = campaign.tables["poses"], campaign.robot
     names = sorted(set(frame["target"].astype(str)))
@@ -115,8 +115,9 @@ def _enough(campaign: Campaign) -> Iterator[Finding]:
     if poses < (least if oriented else 2 * least):  # where stops show all six numbers, few more do
         few = "fewer than" if poses < least else "hardly more than"
         what = "the flange" if oriented else f"{count} target{'s' if count > 1 else ''}"
+        known = bool(campaign.stated.targets_std) or campaign.stated.base is not None  # then fewer poses may do
         yield Finding(
-            "warning", "poses", "pose", None,
+            "error" if fits and not known else "warning", "poses", "pose", None,
             f"{poses} pose{'s are' if poses > 1 else ' is'} {few} the {least} that the geometry of {robot.n} joints "
             f"and {what} needs ({unknown} parameters): a model fitted to them does not predict other poses; measure "
             f"{2 * least} or more",

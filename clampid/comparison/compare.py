@@ -22,6 +22,7 @@ from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.ranges import beyond_rows
+from clampid.shown import Shown
 from clampid.slots import Prior, Slot, unit_of
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Rows
@@ -31,8 +32,8 @@ from experiments.campaign import Campaign
 __all__ = ["Comparison", "compare"]
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """Errors of a model on a campaign.
 
     Attributes
@@ -55,6 +56,29 @@ class Comparison:
     drives_p: float | None = None
     compensation: Compensation | None = None
     units: Mapping[Slot, str] = field(default_factory=dict)
+
+    def title(self) -> str:
+        """What it is, in a line."""
+        return f"{self.model} against {self.campaign}: {', '.join(self.tables)}"
+
+    def records(self) -> list[dict[str, Any]]:
+        """The errors of each table, on all its rows and on those held out."""
+        keys = ("rows", "rms", "mean", "max", "p95")
+        out = []
+        for name, table in self.tables.items():
+            for which, part in (("all", table), ("held out", table.get("heldout") or {})):
+                numbers = {key: part.get(key) for key in keys}
+                out.append({"table": name, "rows_of": which, "unit": table["unit"], **numbers,
+                            "noise_floor": table.get("noise_floor")})  # fmt: skip
+        return out
+
+    def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
+        """Table → its errors."""
+        return {
+            name: (t["unit"], {"all rows": t.get("rms"), "held out": (t.get("heldout") or {}).get("rms"),
+                               "noise floor": t.get("noise_floor")})
+            for name, t in self.tables.items()
+        }  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""

@@ -150,7 +150,7 @@ _NUMBERED = ("joint", "motor", "link")
 _MOVED = 1e-4  # m and rad
 
 
-def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None) -> Dependence:
+def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None, joints: int | None = None) -> Dependence:
     """Look up variables and a place by name.
 
     Parameters
@@ -161,6 +161,8 @@ def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None) -
         ``joint4``, ``motor4``, ``link4``, ``flange``, ``tool``, ``base``, ``fixture``, ``instrument``.
     stage
         Where it acts; by default the first of poses, free_air and clamped that has them all.
+    joints
+        How many axes the robot has; None: not known.
 
     Raises
     ------
@@ -174,6 +176,10 @@ def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None) -
     for name in depends_on:
         if depends_on.count(name) > 1:
             raise EffectError(f"variable {name!r} is named twice; expected each once")
+    for name in (*depends_on, at) if joints is not None else ():
+        number = _split(name)[1]
+        if number > (joints or 0) and signal(name) is None:
+            raise EffectError(f"{name!r}: the robot has {joints} axes; expected a number from 1 to {joints}")
     chosen = stage or _first(depends_on, at)
     place = _place(at, chosen)
     variables = tuple(_variable(name, chosen) for name in depends_on)

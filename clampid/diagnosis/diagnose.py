@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
+from clampid.diagnosis.headline import headline, notes
+from clampid.diagnosis.look import refuse_few_flips
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.omission import exported_shift, shift_in_words
@@ -21,6 +23,7 @@ from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import TABLES_OF, session_of
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model
+from clampid.shown import Shown
 from clampid.slots import Slot, Term
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
@@ -29,8 +32,8 @@ from experiments.plans.errors import PlanError
 __all__ = ["Diagnosis", "diagnose"]
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Shown):
     """What was found, stage by stage.
 
     Attributes
@@ -44,6 +47,22 @@ class Diagnosis:
     stages: Mapping[Stage, StageDiagnosis]
     compensation: Compensation | None = None
     simpler: Mapping[Stage, Sequence[Mapping[str, Any]]] = field(default_factory=dict)
+
+    def title(self) -> str:
+        """The verdict on all stages in a sentence."""
+        return headline(self.to_json()["stages"])
+
+    def findings(self) -> list[str]:
+        """What a person must know beside the verdict."""
+        return [note for name, part in self.to_json()["stages"].items() for note in notes(name, part)]
+
+    def records(self) -> list[dict[str, Any]]:
+        """The candidates, stage by stage."""
+        return [record for stage in self.stages.values() for record in stage.records()]
+
+    def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
+        """Stage → held-out errors without and with what was missing."""
+        return {name: error for stage in self.stages.values() for name, error in stage.errors().items()}
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``diagnose``."""
@@ -77,7 +96,7 @@ def diagnose(
     campaigns
         One, or all that the model was fitted on, as sessions of one robot.
     flips
-        Sign flips that decide: p_familywise is at least 1/(flips + 1).
+        Sign flips that decide: p_familywise is at least 1/(flips + 1), and at most the level of the test.
     stages
         Those to diagnose; by default all that the campaigns have tables for.
     plan_for
@@ -89,7 +108,10 @@ def diagnose(
     ------
     ModelError
         The model does not fit the campaigns.
+    EffectError
+        There are fewer flips than the level of the test needs: nothing could be found to be missing.
     """
+    refuse_few_flips(flips)
     opened = mending = reopen(model, campaigns, user_effects)
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own
     alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]

@@ -1,9 +1,9 @@
 """Whether residuals of consecutive visits are correlated: then visits are not independent, and time is suspect.
 
-Residuals' means over each visit, in the order of time, are tested for correlation over a few visits. Where there is
-some, the null flips blocks of consecutive visits as long as it lasts, and what depends on time, or on what goes with
-it, cannot be told from drift. Source: Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65,
-1978.
+Residuals' means over each visit, in the order of time, are tested for correlation at ten lags, and the clearest is
+judged by ten times its p-value (Bonferroni). Where there is some, the null flips blocks of consecutive visits as long
+as it lasts, and what depends on time, or on what goes with it, cannot be told from drift. The variance at each lag is
+that of Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
 """
 
 from __future__ import annotations
@@ -30,23 +30,35 @@ class Drift:
     Attributes
     ----------
     p
-        Chance of that in independent visits.
-    correlation
-        Of a visit with the next.
+        Chance of such a correlation at any of the lags in independent visits.
+    correlation, lag
+        The clearest correlation, and between visits how far apart.
     block
         Visits after which it is mostly forgotten.
+    clocked
+        Whether ``time_s`` is a clock; it is none where it only counts rows.
     """
 
     p: float
     correlation: float
     block: int
+    lag: int = 1
+    clocked: bool = True
 
     @property
     def sentence(self) -> str:
         """For people."""
+        apart = "consecutive visits" if self.lag == 1 else f"visits {self.lag} apart"
+        found = f"Residuals of {apart} are correlated ({self.correlation:.2f}, p = {self.p:.2g} over {LAGS} lags)"
+        if not self.clocked:
+            return (
+                f"{found} in the order of the rows; time_s only counts them and is no clock. If this is the order of "
+                "measurement, robot or instrument have drifted; to be sure, record times and measure a second run in "
+                "another order."
+            )
         return (
-            f"Residuals of consecutive visits are correlated ({self.correlation:.2f}): robot or instrument have "
-            "drifted. Without a second run in another order, effects of time or temperature are not separable from it."
+            f"{found}: robot or instrument have drifted. Without a second run in another order, effects of time or "
+            "temperature are not separable from it."
         )
 
 
@@ -57,24 +69,34 @@ def drift_of(estimate: Estimate) -> Drift | None:
     parts = [p for p in parts if len(p) > 4 * LAGS]
     if not parts:
         return None
-    statistic, freedom, products, squares = 0.0, 0, 0.0, 0.0
+    products, variance, count = np.zeros(LAGS), np.zeros(LAGS), 0
+    lag = np.arange(1, LAGS + 1)
     for means in parts:
         n = len(means)
         total = np.sum(means**2, axis=0)
         told = total > 0.0
         lagged = np.array([np.sum(means[k:] * means[:-k], axis=0) for k in range(1, LAGS + 1)])[:, told]
         rho = lagged / total[told]
-        statistic += float(n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, LAGS + 1))[:, None]))
-        freedom += rho.size
-        products += float(np.sum(lagged[0] / total[told]) * n)
-        squares += float(n * told.sum())
-    p = float(stats.chi2.sf(statistic, freedom))
-    correlation = products / max(squares, 1.0)
-    if p > RATE or correlation <= 0.0:
+        products += n * np.sum(rho, axis=1)
+        variance += rho.shape[1] * n * (n - lag) / (n + 2)  # of independent visits rho has (n - k) / n (n + 2)
+        count += n * int(told.sum())
+    if not count:
         return None
-    visits = sum(map(len, parts))
-    lasts = int(np.ceil((1.0 + correlation) / (1.0 - min(correlation, 0.99))))
-    return Drift(p, correlation, max(1, min(lasts, visits // FEWEST)))
+    correlation, z = products / count, products / np.sqrt(variance)
+    best = int(np.argmax(z))
+    p = min(1.0, LAGS * float(stats.norm.sf(z[best])))  # the clearest of so many lags: Bonferroni
+    if p > RATE:
+        return None
+    visits, first = sum(map(len, parts)), float(np.clip(correlation[0], 0.0, 0.99))
+    lasts = max(int(np.ceil((1.0 + first) / (1.0 - first))), best + 1)
+    clocked = not all(_counts(rows, s) for s in np.unique(rows.session))
+    return Drift(p, float(correlation[best]), max(1, min(lasts, visits // FEWEST)), best + 1, clocked)
+
+
+def _counts(rows: Rows, session: int) -> bool:
+    """Whether the times of a session's rows are their numbers."""
+    time = np.sort(rows.constants["time"][rows.session == session])
+    return len(time) > 1 and bool(np.all(np.diff(time) == 1.0))
 
 
 def blocks_of_visits(rows: Rows, length: int) -> Integers:

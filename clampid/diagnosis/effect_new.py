@@ -20,6 +20,7 @@ from experiments.outputs import write_text
 __all__ = ["MOST_ORDERS", "effect_module", "effect_new", "effect_text"]
 
 MOST_ORDERS = 12
+JOINTS = 6  # axes of a robot, where nobody says otherwise
 ALONE, TOGETHER = 3, 2  # orders of one variable's series, and of each of several
 
 _FILE = '''\
@@ -73,6 +74,7 @@ def effect_new(
     *,
     stage: Stage | None = None,
     orders: int | None = None,
+    joints: int | None = JOINTS,
     path: str | Path | None = None,
 ) -> Path:
     """Write the file of an effect with a given dependence, to be completed and handed to any verb.
@@ -89,6 +91,8 @@ def effect_new(
         ``free_air``, ``clamped`` or ``poses``; by default the first of poses, free_air and clamped that has them all.
     orders
         How fine the shape is: harmonics of an angle, powers of anything else; 3, or 2 of each of several variables.
+    joints
+        How many axes the robot has; None: not known.
     path
         Where the file goes; by default ``NAME.py`` in the working folder.
 
@@ -103,7 +107,7 @@ def effect_new(
         The name is none or is taken, a variable or the place does not exist, or the file does.
     """
     target = Path(f"{name}.py" if path is None else path)
-    text = effect_text(name, depends_on, at, stage=stage, orders=orders)
+    text = effect_text(name, depends_on, at, stage=stage, orders=orders, joints=joints)
     if target.exists():
         raise EffectError(f"{target}: expected a file that does not exist yet, found one")
     write_text(target, text)
@@ -111,7 +115,13 @@ def effect_new(
 
 
 def effect_text(
-    name: str, depends_on: Sequence[str], at: str, *, stage: Stage | None = None, orders: int | None = None
+    name: str,
+    depends_on: Sequence[str],
+    at: str,
+    *,
+    stage: Stage | None = None,
+    orders: int | None = None,
+    joints: int | None = None,
 ) -> str:
     """The text of the file that :func:`effect_new` writes."""
     if not name.isidentifier() or keyword.iskeyword(name):
@@ -120,7 +130,7 @@ def effect_text(
         raise EffectError(f"{name!r}: the catalogue has an effect of that name; expected another")
     if orders is not None and not 1 <= orders <= MOST_ORDERS:
         raise EffectError(f"orders: expected 1 to {MOST_ORDERS}, found {orders}")
-    found = dependence(depends_on, at, stage)
+    found = dependence(depends_on, at, stage, joints)
     return _written(name, found, orders or (ALONE if len(depends_on) == 1 else TOGETHER))
 
 

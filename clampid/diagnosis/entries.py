@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.look import ALIASED, CONFUSABLE, RATE, Look
-from clampid.effect import Effect
+from clampid.effect import WEAK, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
-from clampid.slots import Slot, Term, unit_of
+from clampid.slots import Slot, Term, fixed_slots, unit_of
+from clampid.stages.rows import Array, Bools
 
 __all__ = ["confusable_with", "considered_of", "entry_of", "merged", "variables_of", "with_stand_ins"]
 
@@ -28,6 +29,7 @@ def entry_of(
     estimate: Estimate | None = None,
     kept: Sequence[Term] | None = None,
     rivals: Sequence[Scored] = (),
+    scale: float = 1.0,
 ) -> dict[str, Any]:
     """A candidate as the contract lists it.
 
@@ -41,6 +43,8 @@ def entry_of(
         The terms that paid for themselves; None: all of the candidate's.
     rivals
         What these rows cannot tell it from.
+    scale
+        Of the whitened residual that was scored.
     """
     places = [t.place for t in kept if t.place] if kept is not None else list(s.candidate.places)
     effect = effects.get(s.candidate.name)  # a probe is none
@@ -54,7 +58,7 @@ def entry_of(
         "p_familywise": null.p_familywise(s.log_p),
         "heldout_rms_before": before,
         "heldout_rms_after": after,
-        "parameters": _parameters(s, effects, estimate),
+        "parameters": _parameters(s, effects, estimate, scale),
         "confusable_with": confusable_with(rivals, s) if rivals else [],
         "explained": s.explained,
         "retained": s.retained,
@@ -77,28 +81,48 @@ def _when(estimate: Estimate, effect: Effect) -> dict[str, Any]:
     return {"when": {"table": str(rows.table[first]), "row": int(rows.row[first])}}
 
 
-def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None) -> list[dict[str, Any]]:
-    if estimate is None:  # the score's own estimate: one step from zero
-        value, spread = s.value, s.spread
+def _parameters(s: Scored, effects: dict[str, Effect], estimate: Estimate | None, scale: float) -> list[dict[str, Any]]:
+    if estimate is None:
+        value, std, identified = _one_step(s, scale)
         return [
-            {"name": slot.label, "value": float(v), "std": float(sd), "unit": unit}
-            for slot, unit, v, sd in zip(s.candidate.slots, s.candidate.units, value, spread, strict=False)
+            {"name": slot.label, "value": float(v), "std": float(sd), "unit": unit, "identified": bool(known)}
+            for slot, unit, v, sd, known in zip(
+                s.candidate.slots, s.candidate.units, value, std, identified, strict=False
+            )
         ]
     wanted: dict[str, set[str]] = {}
     for slot in (*s.candidate.slots, *s.candidate.shapes):
         wanted.setdefault(slot.effect, set()).add(slot.place)
-    std, identified = estimate.std, estimate.identified
+    std, identified, fixed = estimate.std, estimate.identified, fixed_slots(estimate.slots, estimate.experiment.effects)
     return [
         {
             "name": slot.label,
             "value": float(estimate.theta[k]),
-            "std": float(std[k]),
+            "std": None if fixed[k] else float(std[k]),
             "unit": unit_of(slot, effects, estimate.experiment.rows.robot),
             "identified": bool(identified[k]),
         }
         for k, slot in enumerate(estimate.slots)
         if slot.place in wanted.get(slot.effect, set())
     ]
+
+
+def _one_step(s: Scored, scale: float) -> tuple[Array, Array, Bools]:
+    """The score's own estimate one step from zero: values, standard errors, and which parameters the rows determine.
+
+    Directions of a candidate that the rows hardly determine would come out at any value. So each parameter has the weak
+    prior that a fit gives it: what the rows leave open stays at zero, and its standard error is of the prior's size.
+    """
+    c = s.candidate
+    if c.reasonable is None or not s.freedom:  # with a prior of its own, or of no known size
+        return s.value, s.spread, np.ones(len(s.value), dtype=bool)
+    prior = WEAK * c.reasonable
+    # In units of the prior, the amplitudes are B z with z ~ N(0, 1), where B holds the directions that rows determine.
+    B = np.linalg.pinv(s.weights / prior[:, None])
+    precision = B.T @ B / scale**2 + np.eye(len(prior))
+    value = prior * np.linalg.solve(precision, B.T @ s.amplitude) / scale**2
+    std = prior * np.sqrt(np.diag(np.linalg.inv(precision)))
+    return value, std, std < c.reasonable
 
 
 def confusable_with(scored: Sequence[Scored], s: Scored) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,7 @@ from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
-from clampid.effect import Effect
+from clampid.effect import Effect, EffectError
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
 from clampid.evidence.scan import scan
@@ -26,11 +27,13 @@ __all__ = [
     "ABLE",
     "ALIASED",
     "CONFUSABLE",
+    "FEWEST_FLIPS",
     "IMPOSSIBLE",
     "RATE",
     "Look",
     "look_at",
     "of_other_families",
+    "refuse_few_flips",
     "rivals_of",
     "simplest_of",
     "variants_of",
@@ -46,6 +49,25 @@ VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further numb
 BY_CHANCE = 0.01
 WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")
+
+
+FEWEST_FLIPS = math.ceil(1.0 / RATE) - 1
+"""With fewer, the least p that they can give is above the level, and nothing is ever found to be missing."""
+
+
+def refuse_few_flips(flips: int) -> None:
+    """Refuse fewer sign flips than the level of the test needs.
+
+    Raises
+    ------
+    EffectError
+        With the number that would do.
+    """
+    if flips < FEWEST_FLIPS:
+        raise EffectError(
+            f"flips: expected at least {FEWEST_FLIPS}, found {flips}: p is at least 1/{flips + 1} then, above the "
+            f"level {RATE:g} of the test, so that nothing could be found to be missing"
+        )
 
 
 @dataclass(frozen=True)

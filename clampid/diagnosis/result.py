@@ -42,7 +42,7 @@ class Step:
         return ", ".join(term.label for term in self.terms)
 
 
-@dataclass
+@dataclass(repr=False)
 class StageDiagnosis:
     """What was found in one stage; :meth:`to_json` gives the contract's form.
 
@@ -86,6 +86,27 @@ class StageDiagnosis:
     alike: list[Step] = field(default_factory=list)
     in_order: list[Step] = field(default_factory=list)
     folds: Folds | None = None
+
+    def title(self) -> str:
+        """The verdict in a word, and the candidates."""
+        names = dict.fromkeys(str(c.get("name", c["effect"])) for c in self.candidates)
+        return f"{self.stage}: {self.verdict}" + (f": {', '.join(names)}" if names else "")
+
+    def __repr__(self) -> str:
+        return f"<StageDiagnosis: {self.title()}>"
+
+    def records(self) -> list[dict[str, Any]]:
+        """The candidates."""
+        keys = ("effect", "alternative", "p_value", "p_familywise", "heldout_rms_before", "heldout_rms_after")
+        return [
+            {"stage": self.stage, "where": ", ".join(c["where"]), **{key: c.get(key) for key in keys}}
+            for c in self.candidates
+        ]
+
+    def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
+        """Held-out errors without and with what was missing."""
+        errors: dict[str, float | None] = {"before": self.before, "after": self.after, "noise floor": self.noise_floor}
+        return {self.stage: (self.unit, errors)}
 
     @property
     def added(self) -> list[Term]:

@@ -83,7 +83,7 @@ def diagnose_stage(
         return result
     if drift.block > 1:  # once more, now that it is known how long what is left goes on
         result = looked_through(drift.block)
-    if result.verdict == "unknown" and not result.depends_on:
+    if result.verdict == "unknown" and not result.depends_on and drift.clocked:
         result.depends_on = ["time"]
         result.summary = " ".join([summary_of(result), *result.warnings])
     result.warnings.append(drift.sentence)
@@ -207,7 +207,8 @@ def _undecided(
                 before, after = here.before.rms, here.held.rms if s is group.members[0] else bench.alone(here.base, s)
             elif number == 1:  # those beside them were found in another fit
                 after = bench.alone(fitted, s)
-            entry = entry_of(s, group.look.named_null, effects, before, after, rivals=group.members)
+            look = group.look
+            entry = entry_of(s, look.named_null, effects, before, after, rivals=group.members, scale=look.space.scale)
             entries.append({**entry, "alternative": True, "group": number})
         result.candidates += entries
         if here is not None:

@@ -170,7 +170,8 @@ class Tried:
 
     def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
-        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms)
+        scale = self.look.space.scale
+        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms, scale=scale)
         told = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
         return {**entry, **told}
 

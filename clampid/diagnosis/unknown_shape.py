@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from clampid.diagnosis.dependence import Dependence, Variable, dependence
-from clampid.diagnosis.effect_new import effect_module, effect_text
+from clampid.diagnosis.effect_new import JOINTS, effect_module, effect_text
 from clampid.effect import EffectError
 from clampid.evidence.candidates import Candidate, named_candidates
 from clampid.evidence.columns import Columns
@@ -76,6 +76,8 @@ def shape_of(
     names = [v.name for v in found.variables]
     name = fitted.module.EFFECT.name
     command = f"clampid effect new {name} --depends-on {','.join(names)} --at {found.place.name}"
+    joints = estimate.experiment.rows.robot.n
+    command += f" --joints {joints}" if joints > JOINTS else ""
     return {
         "name": name,
         "at": found.place.name,

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from clampid.exports.best_table import BestTable, best_table
+from clampid.exports.determined import hold_undetermined
 from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
 from clampid.models.curves import angle_errors
@@ -62,13 +64,26 @@ __all__ = [
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 SAID = ("temperature_C", "difference_m")
+HELD = "held_at_nominal"
 LEFT = (*(f"left_by_table_{k}_{unit}" for unit in ("m", "rad") for k in ("rms", "max")), "not_in_table")
-COLUMNS = ("row", "sign", *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")), *SAID, *LEFT)
+COLUMNS = (
+    "row",
+    "sign",
+    *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")),
+    *SAID,
+    *LEFT,
+    HELD,
+)
 """Columns of the table; a column that does not belong to a row is empty there."""
 
 ANGLES = np.deg2rad(5.0)  # between rows of a table of angle errors
 EXACT = 1e-9  # m and rad: what an export may differ from the model, read back
+NOUGHT = 1e-12  # m and rad: rounding of derivatives
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
+
+
+TableFit = Literal["best", "static"]
+"""Which geometry a table has: the one that serves a controller best which knows nothing else, or the model's own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +102,8 @@ class Exported:
         What it leaves of the whole model over the workspace.
     measured
         What it alone leaves of measured points; None without a campaign.
+    held
+        Combinations of parameters that the data do not determine; the file has them at their nominal value.
     """
 
     text: str
@@ -94,37 +111,70 @@ class Exported:
     difference: float
     left: LeftOut
     measured: Measured | None
+    held: tuple[str, ...] = ()
 
     @property
     def said(self) -> tuple[str, ...]:
         """What it leaves, in sentences."""
         lines = [str(self.left), f"not in it: {self.left.worth}"]
-        return tuple(lines if self.measured is None else [*lines, f"this alone leaves {self.measured}"])
+        lines += [] if self.measured is None else [f"this alone leaves {self.measured}"]
+        said = "not determined by the data, held at its nominal value: a combination of "
+        return (*lines, *(f"{said}{words}" for words in self.held))
 
     def to_json(self) -> dict[str, Any]:
         """For programs; SI but for the temperatures."""
         out = {"temperature_C": self.temperature, "difference_m": self.difference, **self.left.to_json()}
+        out["held_at_nominal"] = list(self.held)
         out["measured"] = None if self.measured is None else self.measured.to_json()
         return out
 
 
+def _no_table() -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame(columns=list(COLUMNS))
+
+
 @dataclass(frozen=True, eq=False)
 class ExportedTable(Exported):
-    """A Denavit–Hartenberg table as a file, CSV, and as a frame with the columns :data:`COLUMNS`."""
+    """A Denavit–Hartenberg table as a file, CSV, and as a frame with the columns :data:`COLUMNS`.
 
-    convention: Convention
-    table: pd.DataFrame
+    Attributes
+    ----------
+    fit
+        How its geometry was fitted to the whole model; None where it is the model's own.
+    """
+
+    convention: Convention = "hayati"
+    table: pd.DataFrame = field(default_factory=_no_table)
+    fit: BestTable | None = None
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """What it leaves, in sentences."""
+        said = super().said if self.fit is None else (str(self.fit), *super().said)
+        if not self.held:
+            return said
+        found = [
+            f"{' '.join(row[HELD].split()).replace(' ', ', ')} of {'row ' if row['row'].isdigit() else ''}{row['row']}"
+            for _, row in self.table.iterrows()
+            if row[HELD]
+        ]
+        return (*said, f"so these numbers have no standard error: {'; '.join(found)}")
 
     def to_json(self) -> dict[str, Any]:
         """As of any export, and the table row by row."""
         rows = (row.dropna() for _, row in self.table.drop(columns=[*SAID, *LEFT]).iterrows())
-        return {"convention": self.convention, **super().to_json(), "rows": [row.to_dict() for row in rows]}
+        fit = None if self.fit is None else {"static_rms_m": self.fit.static.position_rms,
+                                             "rms_m": self.fit.best.position_rms, "at": self.fit.where}  # fmt: skip
+        return {"convention": self.convention, "fit": fit, **super().to_json(), "rows": [row.to_dict() for row in rows]}
 
 
 def dh_export(
     model: Model,
     convention: Convention,
     *,
+    fit: TableFit = "best",
     session: int = 0,
     robot: RobotDescription | None = None,
     temperature: float = REFERENCE_TEMPERATURE,
@@ -136,13 +186,18 @@ def dh_export(
     Rows ``1`` … ``n`` have A_i = Rz(sign q_i + theta_offset) Tz(d) Tx(a) Rx(alpha) Ry(beta); rows ``base`` and ``tool``
     a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame. Where a linkage
     couples joints, q are the joint values of the chain and not the controller's. Column ``difference_m`` says by how
-    much the table, read back, differs at most from the static chain over the joints' ranges; ``left_by_table_…`` how
-    far the flange of the whole model is from it there, and ``not_in_table`` by which effects.
+    much the table, read back, differs at most from its chain over the joints' ranges; ``left_by_table_…`` how far the
+    flange of the whole model is from it there, and ``not_in_table`` by which effects. What the data do not determine is
+    at its nominal value; the numbers that this concerns are named in ``held_at_nominal`` and have no standard error.
 
     Parameters
     ----------
     convention
         ``hayati`` is exact; ``standard`` loses digits between nearly parallel axes.
+    fit
+        ``best``: the geometry with which the table alone comes nearest to the whole model, for a controller that knows
+        nothing else (`clampid.exports.best_table`). ``static``: the model's geometry, where something else corrects
+        its other effects.
     session
         Whose base and flange, from 0.
     robot
@@ -164,16 +219,28 @@ def dh_export(
         Standard rows would lose more than a micrometre, or a joint is helical.
     """
     nominal = robot_of(model, robot)
-    frame = static_table(model, convention, session=session, robot=nominal, temperature=temperature)
+    calibrated_chain(model, session=session, robot=nominal, temperature=temperature)  # refuses what has no table
+    held = hold_undetermined(model)
+    best = None
+    if fit == "best":
+        best = best_table(
+            held.model, nominal, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
+        )
+    source = held.model if best is None else best.model
+    frame = static_table(
+        source, convention, session=session, robot=nominal, temperature=temperature, spread=held.spread
+    )
     table = read_dh(table_text(frame))
     left, measured = _checked(
-        lambda q: dh_forward(table, q), model, nominal, session, temperature, campaign, user_effects
+        lambda q: dh_forward(table, q), held.model, nominal, session, temperature, campaign, user_effects
     )
     e = left.error
     frame[list(LEFT[:-1])] = e.position_rms, e.position_max, e.orientation_rms, e.orientation_max
     frame[LEFT[-1]] = " ".join(left.effects)
+    frame[HELD] = frame.pop(HELD)  # the last column
     difference = float(frame["difference_m"].iloc[0])
-    return ExportedTable(table_text(frame), temperature, difference, left, measured, convention, frame)
+    text = table_text(frame)
+    return ExportedTable(text, temperature, difference, left, measured, held.combinations, convention, frame, best)
 
 
 def _checked(
@@ -205,6 +272,7 @@ def static_table(
     session: int = 0,
     robot: RobotDescription | None = None,
     temperature: float = REFERENCE_TEMPERATURE,
+    spread: Array | None = None,
 ) -> pd.DataFrame:
     """The compensated table as :func:`dh_export` has it, without what it leaves of the whole model.
 
@@ -218,6 +286,9 @@ def static_table(
         The nominal robot, if the model's name for it is not that of a bundled one.
     temperature
         Of all links, °C; see `calibrated_chain`.
+    spread
+        ``(G, k)``: what of the geometry is held because the data do not determine it, see
+        :class:`clampid.exports.determined.Held`; None: it is found here, and held.
 
     Raises
     ------
@@ -227,6 +298,9 @@ def static_table(
         Standard rows would lose more than a micrometre, or a joint is helical.
     """
     nominal = robot_of(model, robot)
+    if spread is None:
+        held = hold_undetermined(model)
+        model, spread = held.model, held.spread
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     numbers, signs = _numbers(chain, convention)
 
@@ -238,6 +312,9 @@ def static_table(
 
     J, covariance = sensitivity(model, moved, session=session, robot=nominal, temperature=temperature, difference=apart)
     std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, covariance, J), 0.0))
+    # Of a number that goes with what is held the rest of its error says little.
+    free = J[:, : len(spread)] @ spread if spread.size else np.zeros((len(std), 1))
+    std[np.sqrt(np.sum(free**2, axis=1)) > std + NOUGHT] = np.nan
     frame = _frame(numbers, std, signs)
     difference = _verify(frame, chain, STANDARD if convention == "standard" else EXACT)
     frame["temperature_C"], frame["difference_m"] = temperature, difference
@@ -316,8 +393,15 @@ def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
     for k, end in enumerate(("base", "tool")):
         part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
         records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
-    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT)])
+    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT, HELD)])
+    frame[HELD] = [_held_columns(row) for row in records]
     return frame.astype({"sign": "Int64"})
+
+
+def _held_columns(row: Mapping[str, object]) -> str:
+    """The columns of a row whose numbers have no standard error, because something in them is held."""
+    own = FRAME_COLUMNS if row["row"] in ("base", "tool") else ROW_COLUMNS
+    return " ".join(column for column in own if row[f"std_{column}"] != row[f"std_{column}"])  # nan
 
 
 def _named(columns: tuple[str, ...], numbers: Array, std: Array) -> dict[str, object]:
@@ -407,6 +491,8 @@ def urdf_export(
         A joint is neither revolute nor prismatic.
     """
     nominal = robot_of(model, robot)
+    held = hold_undetermined(model)
+    model = held.model
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
     with temporary_folder() as folder:
@@ -423,7 +509,7 @@ def urdf_export(
         raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
     left, measured = _checked(form, model, nominal, session, temperature, campaign, user_effects)
     head, _, rest = text.partition("\n")
-    found = Exported("", temperature, difference, left, measured)
+    found = Exported("", temperature, difference, left, measured, held.combinations)
     said = (
         f"clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
         f"from the model's static geometry, over {POSTURES} postures in the joints' ranges",

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.effect import Effect
-from clampid.models.model import Model, ModelError
+from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.own_effects import effects_of
 from clampid.slots import Slot, find_parameter
 from clampid.stages import poses
@@ -30,7 +30,18 @@ from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import log_so3
 
-__all__ = ["CHECKED", "FormError", "LeftOut", "Measured", "form_error", "left_out", "measured_error", "postures"]
+__all__ = [
+    "CHECKED",
+    "FormError",
+    "LeftOut",
+    "Measured",
+    "WholeModel",
+    "form_error",
+    "left_out",
+    "measured_error",
+    "postures",
+    "whole_model",
+]
 
 POSTURES = 200
 CHECKED = 2000  # postures, drawn apart from those that a form was fitted to or read back at
@@ -180,6 +191,73 @@ def left_out(
     ModelError
         The model has no stage poses, or an effect that is not known here.
     """
+    whole = whole_model(
+        model, robot, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
+    )
+    theta = whole.stage.theta
+    here = form(whole.q @ np.asarray(robot.linkage).T)
+    there = whole.flange(theta)
+    left: dict[str, float] = {}
+    for name in whole.effects:
+        off = np.array([s.effect == name and not find_parameter(s, whole.known).shape for s in whole.stage.slots])
+        left[name] = form_error(there, whole.flange(np.where(off, 0.0, theta))).position_rms
+    return LeftOut(form_error(there, here), left, whole.temperature, whole.tool)
+
+
+@dataclass(frozen=True, eq=False)
+class WholeModel:
+    """A model with all its effects at some postures.
+
+    Attributes
+    ----------
+    effects
+        Those of the robot that no form holds; the instrument's do not count.
+    known
+        All effects by name.
+    temperature
+        Lowest and highest of the links, degC.
+    tool
+        The load, kg.
+    """
+
+    trial: Experiment
+    stage: StageModel
+    effects: tuple[str, ...]
+    known: Mapping[str, Effect]
+    temperature: tuple[float, float]
+    tool: float
+
+    @property
+    def q(self) -> Array:
+        """Joint angles ``(N, n)`` as the controller reports them, rad or m."""
+        return self.trial.rows.signals["q"]
+
+    def flange(self, theta: Array) -> Array:
+        """Poses ``(N, 4, 4)`` of the flange in the instrument's frame, with other values of the parameters."""
+        return _flange(self.trial, theta)
+
+    def at(self, rows: Array) -> WholeModel:
+        """The same at some of the postures."""
+        return replace(self, trial=self.trial.with_rows(self.trial.rows.take(rows)))
+
+
+def whole_model(
+    model: Model,
+    robot: RobotDescription,
+    *,
+    session: int = 0,
+    temperature: float = REFERENCE_TEMPERATURE,
+    campaign: Campaign | None = None,
+    user_effects: Path | None = None,
+    q: Array | None = None,
+) -> WholeModel:
+    """The model at postures ``q`` ``(N, n)``, by default drawn over the joints' ranges; see `left_out`.
+
+    Raises
+    ------
+    ModelError
+        The model has no stage poses, or an effect that is not known here.
+    """
     stage = model.stages.get("poses")
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none")
@@ -188,18 +266,11 @@ def left_out(
     warm = any(name.endswith("_temperature") for effect in active for name in effect.needs)
     own = model.sessions[session].temperature
     span = own if warm and own is not None and np.isfinite(own).all() else (temperature, temperature)
-    loaded = _load(model, session, robot) if campaign is None else replace(campaign, tables={})
-    trial = _drawn(model, replace(loaded, robot=robot), effects, session, span)
-    here = form(trial.rows.signals["q"] @ np.asarray(robot.linkage).T)
-    there = _flange(trial, stage.theta)
-    left: dict[str, float] = {}
-    for effect in active:
-        if effect.family in STATIC or set(effect.acts) == {INSTRUMENT}:
-            continue
-        off = np.array([s.effect == effect.name and not find_parameter(s, effects).shape for s in stage.slots])
-        without = _flange(trial, np.where(off, 0.0, stage.theta))
-        left[effect.name] = form_error(there, without).position_rms
-    return LeftOut(form_error(there, here), left, span, float(loaded.tool.mass))
+    loaded = replace(_load(model, session, robot) if campaign is None else replace(campaign, tables={}), robot=robot)
+    q = postures(robot, CHECKED, seed=1) if q is None else q
+    trial = _drawn(model, loaded, effects, session, span, q)
+    left = tuple(e.name for e in active if e.family not in STATIC and set(e.acts) != {INSTRUMENT})
+    return WholeModel(trial, stage, left, effects, span, float(loaded.tool.mass))
 
 
 def measured_error(form: Flange, model: Model, session: int, campaign: Campaign) -> Measured:
@@ -243,10 +314,10 @@ def _load(model: Model, session: int, robot: RobotDescription) -> Campaign:
 
 
 def _drawn(
-    model: Model, load: Campaign, effects: Mapping[str, Effect], session: int, warmth: tuple[float, float]
+    model: Model, load: Campaign, effects: Mapping[str, Effect], session: int, warmth: tuple[float, float], q: Array
 ) -> Experiment:
-    """The model's poses as an experiment at drawn postures: all links at one temperature, between ``warmth``, degC."""
-    q, n, rng = postures(load.robot, CHECKED, seed=1), load.robot.n, np.random.default_rng(2)
+    """The model's poses as an experiment at postures ``q``: all links at one temperature, between ``warmth``, degC."""
+    n, rng = load.robot.n, np.random.default_rng(2)
     warm = rng.uniform(*warmth, len(q))
     data: dict[str, Any] = {"pose": np.arange(len(q)) + 1, "visit": 1, "target": "flange"}
     data["time_s"] = np.linspace(0.0, SHIFT, len(q))

@@ -27,12 +27,15 @@ from clampid.identification.identify import (
 )
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model, Round, StageModel
-from clampid.slots import Layout, Term, parse_term, unit_of
+from clampid.shown import Shown
+from clampid.slots import Layout, Term, fixed_slots, parse_term, unit_of
 from clampid.stages.rows import Array, Rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
 __all__ = ["Addition", "add", "add_steps"]
+
+ROUNDING = 1e-6  # of an error: two fits of the same model differ by less
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,50 @@ class StageAddition:
     after: StageErrors
     shift: tuple[dict[str, Any], ...] = ()
 
+    @property
+    def worse(self) -> bool:
+        """Whether the held-out error has risen, beyond rounding."""
+        return self.after.heldout_rms > self.before.heldout_rms * (1.0 + ROUNDING)
 
-@dataclass(frozen=True)
-class Addition:
+
+@dataclass(frozen=True, repr=False)
+class Addition(Shown):
     """What adding effects did, stage by stage."""
 
     stages: Mapping[Stage, StageAddition]
+
+    def title(self) -> str:
+        """What it is, in a line."""
+        names = [entry["name"] for s in self.stages.values() for entry in s.added]
+        return f"added {', '.join(dict.fromkeys(names))}"
+
+    def findings(self) -> list[str]:
+        """Where the error has risen."""
+        return [f"{name}: the held-out error has risen." for name in self.worse]
+
+    def records(self) -> list[dict[str, Any]]:
+        """The parameters that were added."""
+        return [
+            {"stage": name, "effect": entry["name"], **parameter}
+            for name, s in self.stages.items()
+            for entry in s.added
+            for parameter in entry["parameters"]
+        ]
+
+    def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
+        """Stage → held-out errors before and after."""
+        return {
+            name: (
+                "m" if name == "poses" else "sigma",
+                {"before": s.before.heldout_rms, "after": s.after.heldout_rms, "noise floor": s.after.noise_floor},
+            )
+            for name, s in self.stages.items()
+        }
+
+    @property
+    def worse(self) -> tuple[Stage, ...]:
+        """Stages whose held-out error has risen."""
+        return tuple(name for name, s in self.stages.items() if s.worse)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``add``."""
@@ -315,13 +356,14 @@ def _listed(fitted: FittedStage, terms: Sequence[Term], effects: Mapping[str, Ef
     out = []
     model = fitted.model
     std = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    fixed = fixed_slots(model.slots, effects)
     for name in dict.fromkeys(t.effect for t in terms):
         places = [t.place for t in terms if t.effect == name and t.place is not None]
         parameters = [
             {
                 "name": slot.label,
                 "value": float(model.theta[k]),
-                "std": float(std[k]),
+                "std": None if fixed[k] else float(std[k]),
                 "unit": unit_of(slot, effects, fitted.rows.robot),
                 "identified": model.identified[k],
             }

@@ -19,6 +19,7 @@ from clampid.fitting.bootstrap import Bootstrap
 from clampid.models.checked import check_model
 from clampid.models.migrations import MIGRATIONS
 from clampid.models.ranges import Ranges, read_ranges
+from clampid.shown import Shown
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
 from experiments.outputs import write_text
@@ -61,7 +62,7 @@ class Session:
     anchors: Mapping[str, Array] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StageModel:
     """The active effects of one stage with their values.
 
@@ -112,6 +113,10 @@ class StageModel:
     by_springs: Array | None = None
     ranges: Ranges | None = None
 
+    def __repr__(self) -> str:
+        names = ", ".join(dict.fromkeys(term.effect for term in self.terms))
+        return f"<StageModel: {self.stage}: {names}; {sum(self.identified)} of {len(self.slots)} parameters identified>"
+
     @property
     def std(self) -> Array:
         """Standard errors ``(P,)``."""
@@ -138,8 +143,8 @@ class Round:
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, repr=False)
+class Model(Shown):
     """What is known of one particular robot.
 
     Attributes
@@ -160,6 +165,29 @@ class Model:
     user_effects: str | None = None
     joint: bool = False
     robot_file: str | None = None
+
+    def title(self) -> str:
+        """The robot, and the effects of each stage."""
+        parts = [f"{name}: {', '.join(dict.fromkeys(t.effect for t in s.terms))}" for name, s in self.stages.items()]
+        return f"{self.robot}; {'; '.join(parts)}"
+
+    def records(self) -> list[dict[str, Any]]:
+        """The parameters of all stages; what is not identified has no value that counts."""
+        return [
+            {"stage": name, "effect": slot.effect, "parameter": slot.parameter, "at": slot.place, "value": value,
+             "std": std, "identified": known}
+            for name, s in self.stages.items()
+            for slot, value, std, known in zip(s.slots, s.theta.tolist(), s.std.tolist(), s.identified, strict=True)
+        ]  # fmt: skip
+
+    def errors(self) -> dict[str, tuple[str, dict[str, float | None]]]:
+        """Stage → the errors of its last round in the ledger."""
+        last = {r.stage: r for r in self.ledger}
+        return {
+            name: ("m" if name == "poses" else "sigma", {"fitted": r.rms, "held out": r.heldout_rms,
+                                                         "noise floor": r.noise_floor})
+            for name, r in last.items()
+        }  # fmt: skip
 
     def with_stage(self, stage: StageModel) -> Model:
         """The same model with one stage replaced."""

@@ -11,7 +11,7 @@ from clampid.models.correlations import SHOWN, STRONG, correlations
 from clampid.models.model import Model, StageModel
 from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
-from clampid.slots import find_parameter, on_bound, unit_of
+from clampid.slots import find_parameter, fixed_slots, on_bound, unit_of
 from kinematics.robot import RobotDescription
 
 __all__ = ["OPEN", "parameters_section"]
@@ -170,7 +170,7 @@ def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale
         return ""
     if not stage.identified[k]:
         return OPEN
-    value, std = float(stage.theta[k]), float(stage.std[k])
+    value, std = float(stage.theta[k]), 0.0 if fixed_slots(stage.slots, effects)[k] else float(stage.std[k])
     told = with_std(value, std, scale, unit=False)
     if _rests(stage, effects, k):
         return f"{told} ({_ON_BOUND})"

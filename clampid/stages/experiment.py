@@ -11,7 +11,7 @@ from scipy import linalg
 
 from clampid.chain.chain import Chain, build_chain
 from clampid.effect import WEAK, Effect, Parameter, Stage
-from clampid.slots import Slot, find_parameter, unit_of
+from clampid.slots import Slot, find_parameter, fixed_slots, unit_of
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
 from clampid.stages.statements import stated_equations
@@ -205,13 +205,7 @@ class Experiment:
 
     def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` a fit keeps where they start."""
-        out = np.zeros(len(self.slots) + self.offsets, dtype=bool)
-        seen: set[tuple[str, str]] = set()
-        for k, (slot, parameter) in enumerate(zip(self.slots, self.parameters, strict=True)):
-            first = (slot.effect, slot.parameter) not in seen
-            out[k] = parameter.held == "everywhere" or (parameter.held == "first" and first)
-            seen.add((slot.effect, slot.parameter))
-        return out
+        return np.array([*fixed_slots(self.slots, self.effects), *([False] * self.offsets)], dtype=bool)
 
     def own(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` belong to single runs or sweeps: their offsets, and what happened in one."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
 
 import typer
 
+from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked, split_terms
 from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
@@ -24,6 +26,9 @@ def add(
     model: ModelFile,
     campaigns: Campaigns,
     output: OutputFile,
+    accept_worse: Annotated[
+        bool, typer.Option("--accept-worse", help="Write the model even if the held-out error has risen.")
+    ] = False,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
     json: Json = None,
@@ -47,8 +52,23 @@ def add(
     with out.working("fitting again"):
         mended, addition = add_effects(loaded, read, terms, seed=seed, user_effects=effects_from)
     data = addition.to_json()
+    if addition.worse and not accept_worse:
+        raise CallError(_risen(data, addition.worse))
     save_model(mended, output)
     show_addition(data, out)
     again = typed("diagnose", output, *campaigns, effects_from=effects_from)
     out.show(addition_screen(data, f"Fitted {output}.", [Next("Next, diagnose again:", again)]))
     out.result(data)
+
+
+def _risen(data: Mapping[str, Any], stages: Sequence[str]) -> str:
+    """That the error has risen, by stage, and how to go on all the same."""
+    from clampid.display import error_text
+
+    said = []
+    for stage in stages:
+        part = data["stages"][stage]
+        before, after = (error_text(part[f"heldout_rms_{when}"], part["unit"]) for when in ("before", "after"))
+        rise = 100.0 * (part["heldout_rms_after"] / part["heldout_rms_before"] - 1.0)
+        said.append(f"{stage}: the held-out error would rise from {before} to {after} (by {rise:.2g} %)")
+    return f"{'; '.join(said)}; nothing is written. To go on all the same: --accept-worse"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from clampid.verbs.inputs import read_checked, split_effects
+from clampid.verbs.inputs import fits_geometry, read_checked, split_effects
 from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, finite, output_file
@@ -58,7 +58,7 @@ def auto(
     from clampid.verbs.show import model_json, show_model
 
     with out.working("reading"):
-        read = read_checked(campaigns, out)
+        read = read_checked(campaigns, out, fits=fits_geometry(chosen))
     with out.working("identifying the start model"):
         first = identify(read, chosen, seed=seed, user_effects=effects_from)
     with out.working("diagnosing, adding"):

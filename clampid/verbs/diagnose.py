@@ -23,7 +23,7 @@ def diagnose(
     model: ModelFile,
     campaigns: Campaigns,
     flips: Annotated[
-        int, typer.Option(min=19, help="Number of sign flips of the test; p is at least 1/(flips + 1).")
+        int, typer.Option(min=1, help="Number of sign flips of the test; p is at least 1/(flips + 1).")
     ] = 199,
     seed: Seed = 0,
     plan: Annotated[
@@ -53,12 +53,14 @@ def diagnose(
 
     from clampid.diagnosis.diagnose import diagnose as look_for_missing
     from clampid.diagnosis.headline import listed
+    from clampid.diagnosis.look import refuse_few_flips
     from clampid.loop.kept_diagnosis import keep_diagnosis
     from clampid.models.model import load_model
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.next_step import after_diagnosis
     from clampid.verbs.screens import diagnosis_screen
 
+    refuse_few_flips(flips)
     target = None if plan is None else output_file(plan, "text")
     if plan_for is not None and target is None:
         raise CallError("--plan-for: expected --plan PLAN.toml with it, found none")

@@ -38,6 +38,7 @@ def new(
             show_default="3; of several 2",
         ),
     ] = None,
+    joints: Annotated[int, typer.Option(min=1, metavar="N", help="Axes that the robot has.")] = 6,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.py", help="File to write.", show_default="NAME.py")
     ] = None,
@@ -52,7 +53,7 @@ def new(
     from clampid.screen import Next, Screen
 
     variables = [part.strip() for part in depends_on.split(",")]
-    path = effect_new(name, variables, at, stage=cast("Stage | None", stage), orders=orders, path=output)
+    path = effect_new(name, variables, at, stage=cast("Stage | None", stage), orders=orders, joints=joints, path=output)
     look = Next(
         "Next, see how it is understood:", shlex.join(["clampid", "effects", name, "--effects-from", str(path)])
     )

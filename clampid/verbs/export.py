@@ -55,6 +55,13 @@ def dh(
         Literal["csv", "thesis"],
         typer.Option(help="CSV for programs, or for readers, as the thesis prints its table: nominal and compensated."),
     ] = "csv",
+    fit: Annotated[
+        Literal["best", "static"],
+        typer.Option(
+            help="best: the table with which a controller errs least that knows nothing else; static: the model's "
+            "geometry, where its other effects are corrected elsewhere."
+        ),
+    ] = "best",
     campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
@@ -77,6 +84,7 @@ def dh(
     found = dh_export(
         loaded,
         convention,
+        fit=fit,
         session=session - 1,
         robot=nominal,
         temperature=temperature,

@@ -199,7 +199,7 @@ def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
             out += [(p["name"], _value(p)) for p in own]
             continue
         total = sum(p["value"] ** 2 for p in own) ** 0.5
-        spread = sum(_nan(p.get("std")) ** 2 for p in own) ** 0.5
+        spread = sum(p["std"] ** 2 for p in own if p.get("std") is not None) ** 0.5
         name = f"{effect}@{place}, {len(own)} numbers, root sum of squares"
         out.append((name, with_error(total, spread, own[0]["unit"])))
     return out
@@ -208,7 +208,7 @@ def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
 def _value(p: Mapping[str, Any]) -> str:
     """A value with its standard error; of a constant that the fit holds, without one."""
     std = _nan(p.get("std"))
-    if std < FIXED * abs(p["value"]):
+    if p.get("std") is None or std < FIXED * abs(p["value"]):
         return f"{readable(p['value'], p['unit'])} (fixed)"
     return with_error(p["value"], std, p["unit"])
 

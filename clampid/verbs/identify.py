@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from clampid.verbs.errors import CallError
-from clampid.verbs.inputs import read_checked, split_effects
+from clampid.verbs.inputs import fits_geometry, read_checked, split_effects
 from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, output_file
@@ -58,7 +58,7 @@ def identify(
     from experiments.long_log import LONG_ROWS
 
     with out.working("reading"):
-        read = read_checked(campaigns, out, held=LONG_ROWS)
+        read = read_checked(campaigns, out, held=LONG_ROWS, fits=fits_geometry(chosen))
     with out.working("identifying"):
         model = fit_model(
             read,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from experiments.campaign import Campaign
     from experiments.finding import Finding
 
-__all__ = ["finding_text", "numbers_of", "read_checked", "split_effects", "split_terms"]
+__all__ = ["finding_text", "fits_geometry", "numbers_of", "read_checked", "split_effects", "split_terms"]
 
 
-def read_checked(folders: Sequence[Path], out: Output, held: float = inf) -> list[Campaign]:
+def read_checked(folders: Sequence[Path], out: Output, held: float = inf, *, fits: bool = False) -> list[Campaign]:
     """Read campaigns and look at them: warnings are printed, errors refuse the campaign.
 
     ``held``: how many rows of a torque log may be held; `experiments.campaign.read_campaign`.
+    ``fits``: whether a geometry is fitted to them; one campaign alone needs enough poses for that.
 
     Raises
     ------
@@ -35,7 +36,7 @@ def read_checked(folders: Sequence[Path], out: Output, held: float = inf) -> lis
     campaigns = []
     for folder in folders:
         campaign = read_campaign(folder, held=held)
-        findings = check_campaign(campaign)
+        findings = check_campaign(campaign, fits=fits and len(folders) == 1)
         for finding in findings:
             if finding.severity == "warning":
                 out.warn(f"warning: {folder}: {finding_text(finding)}")
@@ -70,6 +71,14 @@ def numbers_of(option: str, text: str | None) -> tuple[float, ...] | None:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise CallError(f"{option}: expected numbers separated by commas, found {text!r}") from None
+
+
+def fits_geometry(chosen: Mapping[Stage, Sequence[str]] | Sequence[str] | None) -> bool:
+    """Whether what :func:`split_effects` gave fits a geometry: the standard set does."""
+    if chosen is None:
+        return True
+    names = chosen.get("poses", ["geometry"]) if isinstance(chosen, Mapping) else chosen
+    return "geometry" in names
 
 
 def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[str] | None:

@@ -192,3 +192,15 @@ def test_joint_angles_beside_the_points_of_the_next_row_are_refused(campaign: Ca
     )[0]
     assert said.severity == "error"
     assert "shifted against each other by one row" in said.message
+
+
+def test_too_few_poses_are_an_error_where_a_geometry_is_fitted_to_them(campaign: Campaign) -> None:
+    """Seven poses gave 164 µm fitted, 7.3 mm held out, and not a word."""
+    few = campaign.tables["poses"].query("pose <= 7")
+    spoiled = replace(campaign, tables={**campaign.tables, "poses": few})
+    (found,) = [f for f in check_campaign(spoiled, fits=True) if "that the geometry of" in f.message]
+    assert found.severity == "error"
+    assert found.message.endswith("measure 10 or more")
+    assert all(f.severity != "error" for f in check_campaign(spoiled))
+    enough = replace(campaign, tables={**campaign.tables, "poses": campaign.tables["poses"].query("pose <= 10")})
+    assert not any("that the geometry of" in f.message for f in check_campaign(enough, fits=True))

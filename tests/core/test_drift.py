@@ -13,6 +13,7 @@ from clampid.diagnosis.drift import blocks_of_visits, drift_of
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from experiments.campaign import Campaign
+from experiments.check import check_campaign
 
 NOISE = 6e-5  # m
 
@@ -64,3 +65,35 @@ def test_blocks_are_consecutive_visits(simulated):
     ends = [(time[block == b].min(), time[block == b].max()) for b in np.unique(block)]
     assert all(a[1] < b[0] for a, b in pairwise(ends))
     assert blocks_of_visits(rows, 1) is rows.unit
+
+
+def test_what_is_printed_is_the_clearest_of_ten_lags(simulated):
+    """Noise that comes again after four visits: the first lag, 0.01, was printed."""
+    base = clean(simulated, 1)
+    table = base.tables["poses"].copy()
+    visit = table.groupby(["pose", "visit"])["time_s"].transform("mean").rank(method="dense").to_numpy().astype(int)
+    rng = np.random.default_rng(3)
+    wander = rng.normal(size=(visit.max() + 1, 3))
+    for k in range(4, len(wander)):
+        wander[k] = 0.8 * wander[k - 4] + 0.6 * wander[k]
+    table[["x_m", "y_m", "z_m"]] += 2 * NOISE * wander[visit]
+    campaign = replace(base, tables={**base.tables, "poses": table})
+    found = drift_of(reopen(identify([campaign]), campaign).refit("poses").estimate)
+    assert found is not None
+    assert found.lag == 4
+    assert found.correlation > 0.3
+    assert f"visits 4 apart are correlated ({found.correlation:.2f}, p = " in found.sentence
+
+
+def test_a_time_that_counts_rows_is_no_clock(simulated):
+    campaign = drifting(clean(simulated, 1), 0.9, 1)
+    table = campaign.tables["poses"].sort_values("time_s").reset_index(drop=True)
+    counted = replace(campaign, tables={**campaign.tables, "poses": table.assign(time_s=np.arange(float(len(table))))})
+    for known, expected in ((campaign, True), (counted, False)):
+        found = drift_of(reopen(identify([known]), known).refit("poses").estimate)
+        assert found is not None
+        assert found.clocked is expected
+        assert ("robot or instrument have drifted. What depends on time" in found.sentence) is expected
+        assert ("time_s only counts them and is no clock" in found.sentence) is not expected
+        notes = [f for f in check_campaign(known) if f.column == "time_s" and "is no clock" in f.message]
+        assert bool(notes) is not expected

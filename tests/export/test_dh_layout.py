@@ -44,7 +44,7 @@ def table_of(text: str, convention: Convention) -> DHTable:
 
 @pytest.mark.parametrize("convention", ["hayati", "standard"])
 def test_the_printed_digits_are_the_table(convention: Convention, make_model: Make) -> None:
-    found = dh_export(make_model(ROBOT), convention)
+    found = dh_export(make_model(ROBOT), convention, fit="static")
     robot = load_robot(ROBOT)
     text = thesis_layout(found, robot)
     q = postures(robot, seed=7)
@@ -58,7 +58,7 @@ def test_the_printed_digits_are_the_table(convention: Convention, make_model: Ma
 
 def test_nominal_rows_are_the_thesis_consistent_ones(make_model: Make) -> None:
     """The appendix's table, its two corrected rows included, in its own order and notation."""
-    found = dh_export(make_model(ROBOT, size=1e-4), "standard")
+    found = dh_export(make_model(ROBOT, size=1e-4), "standard", fit="static")
     printed = cells(thesis_layout(found, load_robot(ROBOT)))
     assert printed[0] == ["link", "", "θ [rad]", "d [m]", "a [m]", "α [rad]"]
     source = resources.files("appendix_data").joinpath("dh_nominal_consistent.csv").read_text(encoding="utf-8")
@@ -70,7 +70,7 @@ def test_nominal_rows_are_the_thesis_consistent_ones(make_model: Make) -> None:
 
 
 def test_standard_errors_stand_beside_what_was_identified(make_model: Make) -> None:
-    found = dh_export(make_model(ROBOT, std=2e-5), "hayati")
+    found = dh_export(make_model(ROBOT, std=2e-5), "hayati", fit="static")
     rows = [c for c in cells(thesis_layout(found, load_robot(ROBOT))) if c[1] == "compensated"]
     std = float(found.table["std_a_m"].iloc[1])
     assert float(rows[1][4].partition(" ± ")[2]) == pytest.approx(std, rel=0.05)
@@ -80,7 +80,7 @@ def test_standard_errors_stand_beside_what_was_identified(make_model: Make) -> N
 
 
 def test_signs_are_typographic_and_zero_has_none(make_model: Make) -> None:
-    text = thesis_layout(dh_export(make_model(ROBOT, size=0.0), "hayati"), load_robot(ROBOT))
+    text = thesis_layout(dh_export(make_model(ROBOT, size=0.0), "hayati", fit="static"), load_robot(ROBOT))
     assert "-0.0" not in text
     assert "−0.0000000 " not in text
     assert all(c[2].startswith("θ") or c[2].startswith("−θ") for c in cells(text) if c[1] == "nominal")

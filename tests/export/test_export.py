@@ -71,7 +71,7 @@ def test_the_chain_is_the_model_that_was_fitted(name: str, make_model: Make) -> 
 def test_hayati_rows_are_exact(name: str, make_model: Make) -> None:
     model = make_model(name)
     q = postures(load_robot(name).n)
-    text = table_text(dh_table(model, "hayati"))
+    text = table_text(dh_table(model, "hayati", fit="static"))
     np.testing.assert_allclose(dh_forward(read_dh(text), q), calibrated_chain(model).flange(q), atol=1e-9)
 
 
@@ -87,7 +87,7 @@ def test_urdf_is_exact_in_the_frame_of_the_instrument(name: str, make_model: Mak
 
 def test_standard_rows_have_no_beta_and_are_good_to_a_micrometre(make_model: Make) -> None:
     model = make_model("kuka_kr20_r1810")
-    frame = dh_table(model, "standard")
+    frame = dh_table(model, "standard", fit="static")
     assert (frame["beta_rad"].dropna() == 0.0).all()
     q = postures(6)
     np.testing.assert_allclose(dh_forward(read_dh(table_text(frame)), q), calibrated_chain(model).flange(q), atol=1e-6)
@@ -96,12 +96,12 @@ def test_standard_rows_have_no_beta_and_are_good_to_a_micrometre(make_model: Mak
 def test_standard_rows_of_nearly_parallel_axes_are_refused_with_the_reason(make_model: Make) -> None:
     model = make_model("kuka_kr20_r1810", size=1e-10)
     with pytest.raises(DHError, match=r"standard table would lose .* axes 2 and 3 are .* from parallel"):
-        dh_table(model, "standard")
-    dh_table(model, "hayati")
+        dh_table(model, "standard", fit="static")
+    dh_table(model, "hayati", fit="static")
 
 
 def test_the_columns_are_those_of_the_contract(make_model: Make) -> None:
-    frame = dh_table(make_model("ur10"), "hayati")
+    frame = dh_table(make_model("ur10"), "hayati", fit="static")
     assert tuple(frame.columns) == COLUMNS
     assert list(frame["row"]) == ["1", "2", "3", "4", "5", "6", "base", "tool"]
     joints, ends = frame.iloc[:6], frame.iloc[6:]
@@ -117,7 +117,7 @@ def test_the_columns_are_those_of_the_contract(make_model: Make) -> None:
 def test_standard_errors_are_those_of_a_drawn_sample(convention: Convention, make_model: Make) -> None:
     model = make_model("kuka_kr20_r1810", std=1e-6)
     stage = model.stages["poses"]
-    frame = dh_table(model, convention)
+    frame = dh_table(model, convention, fit="static")
     names = [c for c in COLUMNS if c.startswith("std_")]
     promised = frame[names].to_numpy(dtype=float).ravel()
     promised = promised[np.isfinite(promised)]
@@ -137,9 +137,9 @@ def test_standard_errors_are_those_of_a_drawn_sample(convention: Convention, mak
 def test_a_model_without_geometry_is_refused(make_model: Make) -> None:
     model = make_model("ur10")
     with pytest.raises(ModelError, match="geometry"):
-        dh_table(replace(model, stages={}), "hayati")
+        dh_table(replace(model, stages={}), "hayati", fit="static")
     with pytest.raises(ModelError, match="session 2: the model has sessions 1 to 1"):
-        dh_table(model, "hayati", session=1)
+        dh_table(model, "hayati", session=1, fit="static")
 
 
 def with_slots(model: Model, slots: dict[Slot, float]) -> Model:
@@ -172,7 +172,7 @@ def test_at_a_temperature_links_have_grown_along_their_length(make_model: Make) 
     inside = np.linalg.inv(cold.base)
     before, after = ((inside @ chain.flange(q))[:, :3, 3] - first for chain in (cold, warm))
     np.testing.assert_allclose(after, scale * before, atol=1e-12)
-    table = dh_table(model, "hayati", temperature=45.0)
+    table = dh_table(model, "hayati", temperature=45.0, fit="static")
     assert (table["temperature_C"] == 45.0).all()
     np.testing.assert_allclose(dh_forward(read_dh(table_text(table)), q), warm.flange(q), atol=1e-9)
     assert "at 45 degC" in urdf_text(model, temperature=45.0)
@@ -206,7 +206,7 @@ def test_links_of_another_temperature_than_their_expansion_was_identified_on_are
 def test_files_say_by_how_much_they_differ_when_read_back(make_model: Make) -> None:
     model = make_model("kuka_kr20_r1810")
     for convention, allowed in (("hayati", 1e-9), ("standard", 1e-6)):
-        table = dh_table(model, convention)  # type: ignore[arg-type]
+        table = dh_table(model, convention, fit="static")  # type: ignore[arg-type]
         stated = float(table["difference_m"].iloc[0])
         q = postures(6)
         off = np.abs(dh_forward(read_dh(table_text(table)), q) - calibrated_chain(model).flange(q)).max()

@@ -185,7 +185,7 @@ def test_a_linkage_stands_between_controller_and_chain(make_model: Make) -> None
 def test_the_table_says_what_it_leaves(make_model: Make) -> None:
     model = make_model(ROBOT)
     for convention in ("hayati", "standard"):
-        found = dh_export(model, convention)  # type: ignore[arg-type]
+        found = dh_export(model, convention, fit="static")  # type: ignore[arg-type]
         records = list(csv.DictReader(io.StringIO(found.text)))
         told = {float(r["left_by_table_rms_m"]) for r in records}
         assert told == {found.left.error.position_rms}
@@ -205,7 +205,7 @@ def test_urdf_says_what_it_leaves_and_stays_xml(make_model: Make) -> None:
     assert ET.fromstring(found.text).tag == "robot"
     assert str(found.left) in found.text
     assert "not in it: backlash (rms " in found.text
-    table = dh_export(make_model(ROBOT), "hayati")
+    table = dh_export(make_model(ROBOT), "hayati", fit="static")
     assert found.left.error.position_rms == pytest.approx(table.left.error.position_rms, rel=1e-6)
 
 
@@ -222,14 +222,14 @@ def test_what_it_alone_leaves_of_measured_points(make_model: Make) -> None:
         "made", None, robot, GRAVITY, Tool(7.0, np.zeros(3)), {"T1": target}, Instrument("none", 1e-5, None), tables,
         model.sessions[0].fingerprint,
     )  # fmt: skip
-    for found in (dh_export(model, "hayati", campaign=campaign), urdf_export(model, campaign=campaign)):
+    for found in (dh_export(model, "hayati", campaign=campaign, fit="static"), urdf_export(model, campaign=campaign)):
         assert found.measured is not None
         assert (found.measured.table, found.measured.rows) == ("verification", 40)
         assert found.measured.mean == pytest.approx(2e-3, abs=1e-8)
         assert found.left.tool == 7.0
     assert "mean 2.0000 mm" in found.text
     with pytest.raises(ModelError, match="made: expected a campaign with a table poses or verification"):
-        dh_export(model, "hayati", campaign=replace(campaign, tables={}))
+        dh_export(model, "hayati", campaign=replace(campaign, tables={}), fit="static")
     with pytest.raises(ModelError, match="expected the campaign that session 1 of the model was fitted on"):
         urdf_export(model, campaign=replace(campaign, fingerprint="other"))
 
@@ -237,7 +237,7 @@ def test_what_it_alone_leaves_of_measured_points(make_model: Make) -> None:
 def test_an_effect_that_is_not_known_is_asked_for(make_model: Make) -> None:
     model = with_slots(make_model(ROBOT), {Slot("my_effect", "a", "joint1"): 1e-4})
     with pytest.raises(ModelError, match=r"'my_effect' that is not known.*--effects-from"):
-        dh_export(model, "hayati")
+        dh_export(model, "hayati", fit="static")
 
 
 def test_errors_are_norms_of_position_and_turn() -> None:

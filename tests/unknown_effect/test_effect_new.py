@@ -170,6 +170,15 @@ def test_orders_and_stages_have_limits():
         effect_text("mine", ("q1",), "joint1", stage="air")
 
 
+@pytest.mark.parametrize(
+    ("variable", "at"), [("q9", "joint1"), ("q1", "joint7"), ("temp_link8", "base"), ("dir7", "link1")]
+)
+def test_an_axis_that_the_robot_does_not_have_is_refused(variable: str, at: str, tmp_path: Path):
+    with pytest.raises(EffectError, match="the robot has 6 axes; expected a number from 1 to 6"):
+        effect_new("mine", (variable,), at, path=tmp_path / "mine.py")
+    assert effect_new("mine", (variable,), at, joints=9, path=tmp_path / "mine.py").exists()
+
+
 def test_a_joint_that_the_robot_does_not_have(few_rows):
     with pytest.raises(EffectError, match="does not fit a robot of 6 joints"):
         trial_of(effect_text("mine", ("q7",), "joint1"), few_rows["poses"])

@@ -1,0 +1,82 @@
+"""Geometry that the data do not determine, held at its nominal value before anything is exported.
+
+In units of what each parameter may reasonably amount to, the covariance C of the geometry has directions W with a
+variance above 1: there the fit knows less than was known before. The exported model is the fit given that these
+combinations are zero, as in the nominal robot: theta - C W (W' C W)^-1 W' theta, with the covariance that goes with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from clampid.catalogue import catalogue
+from clampid.models.model import Model
+from clampid.slots import Slot, find_parameter
+from clampid.stages.rows import Array
+
+__all__ = ["Held", "hold_undetermined", "in_words", "reasonable", "undetermined_directions"]
+
+SHARE = 0.3  # of the largest entry of a direction: parameters that count as part of the combination
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A model whose undetermined geometry is at its nominal value.
+
+    Attributes
+    ----------
+    model
+        The model with values and covariance given that.
+    spread
+        ``(G, k)``: of each such combination one standard deviation of the fit, in the parameters of geometry, SI.
+    combinations
+        The parameters of each, in words.
+    """
+
+    model: Model
+    spread: Array
+    combinations: tuple[str, ...]
+
+
+def hold_undetermined(model: Model) -> Held:
+    """The model as it may be exported; the same one where its geometry is determined."""
+    stage = model.stages.get("poses")
+    geometry = [] if stage is None else [k for k, slot in enumerate(stage.slots) if slot.effect == "geometry"]
+    if stage is None or not geometry:
+        return Held(model, np.zeros((0, 0)), ())
+    slots = [stage.slots[k] for k in geometry]
+    C, size = stage.covariance, reasonable(slots)
+    variance, W = undetermined_directions(C[np.ix_(geometry, geometry)], size)
+    spread = size[:, None] * W * np.sqrt(variance)
+    words = tuple(in_words(slots, column) for column in W.T)
+    if not words:
+        return Held(model, spread, words)
+    across = C[:, geometry] @ (W / size[:, None])  # (P, k)
+    gain = across / variance
+    theta = stage.theta - gain @ (W.T @ (stage.theta[geometry] / size))
+    covariance = C - gain @ across.T
+    # What stays of the directions themselves is rounding; a covariance has no negative variances.
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
+    return Held(model.with_stage(replace(stage, theta=theta, covariance=covariance)), spread, words)
+
+
+def undetermined_directions(covariance: Array, size: Array) -> tuple[Array, Array]:
+    """Variances ``(k,)`` above 1 and their directions ``(P, k)``, both in units of ``size`` ``(P,)``."""
+    values, vectors = linalg.eigh(covariance / np.outer(size, size))
+    weak = values > 1.0
+    return values[weak], vectors[:, weak]
+
+
+def reasonable(slots: list[Slot]) -> Array:
+    """The standard error below which rows determine each parameter of geometry ``(P,)``, SI."""
+    return np.array([find_parameter(slot, catalogue()).clear for slot in slots])
+
+
+def in_words(slots: list[Slot], direction: Array) -> str:
+    """``base_y@session1, flange_y@session1``: the parameters that make up most of a direction ``(P,)``."""
+    size = np.abs(direction)
+    parts = [slots[k] for k in np.flatnonzero(size > SHARE * size.max())]
+    return ", ".join(f"{slot.parameter}@{slot.place}" for slot in parts)

@@ -1,0 +1,74 @@
+"""Numbers that the data do not determine are neither printed as values nor offered as alternatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clampid.catalogue import catalogue
+from clampid.diagnosis.entries import entry_of
+from clampid.diagnosis.headline import equally_good
+from clampid.diagnosis.look import FEWEST_FLIPS, RATE, refuse_few_flips
+from clampid.display import compact, scale_for, with_error
+from clampid.effect import EffectError
+from clampid.evidence.candidates import named_candidates
+from clampid.evidence.score import Flips, Scored, score, space_of
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.loop.add import add
+from clampid.slots import fixed_slots
+
+
+@pytest.fixture(scope="module")
+def gravity(simulated) -> tuple[Scored, float]:
+    """Masses of all links as poses alone score them: most of the combinations bend nothing."""
+    campaign = simulated(seed=3, poses=60, tables=("poses",), robot="ur10")
+    estimate = (
+        reopen(identify([campaign], {"poses": ["geometry", "joint_compliance"]}), campaign).refit("poses").estimate
+    )
+    space = space_of(estimate)
+    scored = score(space, named_candidates(estimate, {"gravity": catalogue()["gravity"]}))
+    best = next(s for s in scored if s.freedom)
+    # A fit with large residuals: every direction that is hardly determined then has a huge value.
+    return replace(best, amplitude=np.full(best.freedom, 50.0 * space.scale)), space.scale
+
+
+def test_a_candidate_that_was_not_fitted_has_no_value_beyond_what_is_reasonable(gravity):
+    best, scale = gravity
+    assert np.abs(best.value).max() > 1e6, "the score's plain estimate of what is not determined is large"
+    entry = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 1.0, None, scale=scale)
+    size = dict(zip([s.label for s in best.candidate.slots], best.candidate.reasonable, strict=True))
+    assert all(p["identified"] == (p["std"] < size[p["name"]]) for p in entry["parameters"])
+    assert not all(p["identified"] for p in entry["parameters"])
+    assert max(abs(p["value"]) / size[p["name"]] for p in entry["parameters"]) < 1e3
+
+
+def test_an_alternative_of_undetermined_parameters_is_not_offered_as_equally_good(gravity):
+    best, scale = gravity
+    vague = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 4e-4, 1.33e-3, scale=scale)
+    clear = {**vague, "effect": "backlash", "heldout_rms_after": 1.08e-4, "parameters": [{"identified": True}]}
+    both = [{**entry, "alternative": True, "group": 1} for entry in (clear, vague)]
+    assert equally_good(both) == both[:1]
+
+
+@pytest.mark.parametrize("flips", [1, 19, 38])
+def test_fewer_flips_than_the_level_needs_are_refused(flips: int):
+    with pytest.raises(EffectError, match=f"expected at least 39, found {flips}: p is at least 1/{flips + 1} then"):
+        refuse_few_flips(flips)
+    refuse_few_flips(39)
+    assert 1 / (FEWEST_FLIPS + 1) <= RATE < 1 / FEWEST_FLIPS
+
+
+def test_constants_that_a_fit_holds_have_no_standard_error(simulated):
+    campaign = simulated(seed=3, poses=60, tables=("poses",), robot="ur10")
+    model, added = add(identify([campaign]), campaign, ["joint_angle_curve@joint2"])
+    effects = catalogue()
+    slots = model.stages["poses"].slots
+    fixed = {slot.label for slot, held in zip(slots, fixed_slots(slots, effects), strict=True) if held}
+    assert fixed == {"joint_angle_curve.rms@robot"}
+    listed = {p["name"]: p["std"] for entry in added.to_json()["stages"]["poses"]["added"] for p in entry["parameters"]}
+    assert all((std is None) == (name in fixed) for name, std in listed.items())
+    assert with_error(3e-4, 3e-13, "rad") == "300.0 ± – µrad"
+    assert compact(3e-4, 3e-13, scale_for("rad", [3e-4])) == "300.0"
