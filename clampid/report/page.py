@@ -140,4 +140,4 @@ def _choices_json(figure: Figure) -> Markup:
     if figure.selector is None:
         return Markup("null")
     s = figure.selector
-    return _embedded(json.dumps({"variables": list(s.variables), "values": list(s.values), "fitted": s.fitted}))
+    return _embedded(json.dumps({"variables": list(s.variables), "values": list(s.values), "ends": list(s.ends)}))

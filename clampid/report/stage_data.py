@@ -36,6 +36,8 @@ class Piece:
         ``(N, m)``: numbers that count: neither at rest nor rejected.
     held
         ``(N,)``: rows that no fit saw.
+    rejected
+        ``(N, m)``: numbers of rows that the fit rejected as outliers.
     """
 
     rows: Rows
@@ -43,6 +45,7 @@ class Piece:
     residual: Array
     good: Bools
     held: Bools
+    rejected: Bools
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,11 @@ class StageData:
     def good(self) -> Bools:
         """Which numbers of all rows count ``(N, channels)``."""
         return np.concatenate([p.good[:, : self.channels] for p in self.pieces])
+
+    @property
+    def rejected(self) -> Bools:
+        """Which numbers of all rows were rejected as outliers ``(N, channels)``."""
+        return np.concatenate([p.rejected[:, : self.channels] for p in self.pieces])
 
     @property
     def held(self) -> Bools:
@@ -151,4 +159,5 @@ def _piece(opened: Reopened, stage: Stage, rows: Rows, verification: bool) -> Pi
     held = rows.in_folds(opened.held(stage))
     if opened.session is None or verification:
         held = np.ones(len(rows), dtype=bool)
-    return Piece(rows, found, predicted(found, model.theta), rows.used & ~bad[:, None], held)
+    wrong = bad[:, None]
+    return Piece(rows, found, predicted(found, model.theta), rows.used & ~wrong, held, rows.used & wrong)

@@ -68,14 +68,14 @@ class Selector:
         For each name what the page's script needs: axis title, packed x per channel, medians and bands.
     values
         For each panel its residuals, packed.
-    fitted
-        How many of the points were fitted (the rest was held out).
+    ends
+        Where the points that were fitted end, and those held out; the rest was rejected.
     """
 
     names: tuple[str, ...]
     variables: tuple[Mapping[str, Any], ...]
     values: tuple[Mapping[str, str], ...]
-    fitted: int
+    ends: tuple[int, int]
 
 
 @dataclass(frozen=True)

@@ -27,13 +27,14 @@ from clampid.report.style import (
     packed,
 )
 from clampid.report.variables import Variable, explained, trend, variables_of
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Integers
 
 __all__ = ["where_section"]
 
 MOST_POINTS = 1200  # of torque logs, per motor
 MOST_ROWS = 3000
 LISTED = 6
+EDGE = 0.97  # of an axis
 
 
 def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | None:
@@ -81,13 +82,13 @@ def _percent(share: float) -> str:
     return f"{number(100 * share, 2)} %"
 
 
-def _chosen(data: StageData) -> Array:
-    """Rows drawn: fitted ones first; thinned evenly where there are too many."""
+def _chosen(data: StageData) -> list[Integers]:
+    """Rows drawn: those fitted, held out and rejected; the first two thinned evenly where there are too many."""
     usable = data.good.any(axis=1)
     limit = MOST_ROWS if data.stage == "poses" else MOST_POINTS
     step = max(1, int(np.ceil(usable.sum() / limit)))
-    parts = [np.flatnonzero(usable & (data.held == held))[::step] for held in (False, True)]
-    return np.concatenate(parts)
+    kept = [np.flatnonzero(usable & (data.held == held))[::step] for held in (False, True)]
+    return [*kept, np.flatnonzero(data.rejected.any(axis=1))]
 
 
 def _panels(data: StageData) -> tuple[list[str], float, str]:
@@ -101,14 +102,21 @@ def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int
     across = 3
     down = int(np.ceil(len(titles) / across))
     plot = make_subplots(rows=down, cols=across, subplot_titles=titles, horizontal_spacing=0.07, vertical_spacing=0.16)
-    drawn = _chosen(data)
-    fitted = int((~data.held[drawn]).sum())
+    kinds = _chosen(data)
+    drawn, ends = np.concatenate(kinds), np.cumsum([len(rows) for rows in kinds])
+    fitted, kept = int(ends[0]), int(ends[1])
     residual, good = data.residual * factor, data.good
+    rejected = data.rejected[drawn]
     first = variables[order[0]]
     values: list[dict[str, str]] = []
     for c in range(len(titles)):
         row, column = c // across + 1, c % across + 1
-        y = np.where(good[drawn, c], residual[drawn, c], np.nan)
+        y = np.where(good[drawn, c] | rejected[:, c], residual[drawn, c], np.nan)
+        level = float(data.floor.sigma[c]) * factor
+        shown = y[:kept]
+        spread = float(np.nanquantile(np.abs(shown), 0.995)) if np.isfinite(shown).any() else level
+        limit = 1.15 * max(spread, 1.5 * level)
+        y[kept:] = np.clip(y[kept:], -EDGE * limit, EDGE * limit)  # far off, they stand at the edge
         values.append({"y": packed(y)})
         line = trend(first.of(c), residual[:, c], good[:, c])
         around = line.band()
@@ -138,16 +146,14 @@ def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int
         x = first.of(c)[drawn]
         points = [
             _points(x[:fitted], y[:fitted], "rows fitted", BLUE, c == 0),
-            _points(x[fitted:], y[fitted:], "rows held out", ORANGE, c == 0 and fitted < len(drawn)),
+            _points(x[fitted:kept], y[fitted:kept], "rows held out", ORANGE, c == 0 and fitted < kept),
+            _points(x[kept:], y[kept:], "rows rejected", INK, c == 0 and kept < len(drawn), "x"),
         ]
         for trace in (*points, band, median):
             plot.add_trace(trace, row, column)
-        level = float(data.floor.sigma[c]) * factor
         for sign in (-1, 1):
             line_style = {"color": GREEN, "width": 1, "dash": "dash"}
             plot.add_hline(y=sign * level, line=line_style, row=row, col=column)
-        spread = float(np.nanquantile(np.abs(y), 0.995)) if np.isfinite(y).any() else level
-        limit = 1.15 * max(spread, 1.5 * level)
         plot.update_yaxes(
             axes(range=[-limit, limit], title=f"residual, {unit}" if column == 1 else None), row=row, col=column
         )
@@ -163,22 +169,30 @@ def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int
         tuple(v.title for v in listed),
         tuple(_choice(v, data, residual, drawn, len(titles)) for v in listed),
         tuple(values),
-        fitted,
+        (fitted, kept),
     )
     thinned = (
-        f" {len(drawn)} of {int(good.any(axis=1).sum())} rows are drawn; medians are over all."
-        if len(drawn) < good.any(axis=1).sum()
+        f" {kept} of {int(good.any(axis=1).sum())} rows are drawn; medians are over all."
+        if kept < good.any(axis=1).sum()
+        else ""
+    )
+    crossed = len(drawn) - kept
+    left_out = (
+        f" Crosses: the {crossed} rows rejected as outliers; those beyond the axis stand at its edge. "
+        "No line counts them."
+        if crossed
         else ""
     )
     caption = (
-        f"Measured less predicted, against the variable chosen above the figure (sorted by what "
-        f"it explains). Dashed: ± 1 σ of what noise alone leaves. Rejected rows are left out.{thinned}"
+        "Measured less predicted, against the variable chosen above the figure (sorted by what "
+        f"it explains). Dashed: ± 1 σ of what noise alone leaves.{left_out}{thinned}"
     )
     return Figure(f"against-{data.stage}", plot, caption, height, selector)
 
 
-def _points(x: Array, y: Array, name: str, color: str, show: bool) -> go.Scatter:
-    marker = {"size": 4, "color": color, "opacity": 0.45}
+def _points(x: Array, y: Array, name: str, color: str, show: bool, symbol: str = "circle") -> go.Scatter:
+    wide = {"size": 7, "opacity": 0.9} if symbol != "circle" else {"size": 4, "opacity": 0.45}
+    marker = {"color": color, "symbol": symbol, **wide}
     return go.Scatter(
         x=np.asarray(x, dtype=np.float32),
         y=np.asarray(y, dtype=np.float32),
@@ -191,7 +205,7 @@ def _points(x: Array, y: Array, name: str, color: str, show: bool) -> go.Scatter
     )
 
 
-def _choice(variable: Variable, data: StageData, residual: Array, drawn: Array, channels: int) -> Mapping[str, Any]:
+def _choice(variable: Variable, data: StageData, residual: Array, drawn: Integers, channels: int) -> Mapping[str, Any]:
     """What the page's script needs to draw one variable."""
     several = variable.values.ndim == 2
     rng = np.random.default_rng(0)

@@ -1,0 +1,55 @@
+"""Rows that a fit has rejected are drawn and counted, at the edge where they are far off; no line counts them."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
+from clampid.report.stage_data import StageData, stage_data
+from clampid.report.style import Figure
+from clampid.report.where import where_section
+from experiments.campaign import Campaign
+from experiments.simulate import measured_campaign
+from experiments.virtual_robot import measure
+from kinematics.description import load_robot
+
+WRONG = (12, 47, 101)
+
+
+def section(rows: tuple[int, ...]) -> tuple[StageData, Figure]:
+    """Poses of which some rows are wrong by 5 mm, as the report tells of them."""
+    robot = load_robot("kuka_kr20_r1810")
+    made = measured_campaign(measure(robot, seed=4, tables=("poses",), poses=60), robot)
+    table = made.tables["poses"].copy()
+    table.loc[list(rows), "x_m"] += 5e-3
+    campaign: Campaign = replace(made, tables={"poses": table})
+    model = identify(campaign)
+    data = stage_data(reopen(model, campaign))["poses"]
+    found = where_section({"poses": data}, 0)
+    assert found is not None
+    return data, next(b for b in found.blocks if isinstance(b, Figure) and b.selector is not None)
+
+
+def test_rejected_rows_are_drawn_and_counted() -> None:
+    data, figure = section(WRONG)
+    assert np.flatnonzero(data.rejected.any(axis=1)).tolist() == list(WRONG)
+    assert not np.any(data.rejected & data.good)
+    assert figure.selector is not None
+    x_of = figure.plot.data[2]
+    assert x_of.name == "rows rejected"
+    limit = figure.plot.layout.yaxis.range[1]
+    assert np.abs(x_of.y).max() < limit  # 5 mm stand at the edge
+    assert np.all(np.abs(x_of.y) > 0.9 * limit)
+    assert len(base64.b64decode(figure.selector.values[0]["y"])) // 4 - figure.selector.ends[1] == len(WRONG)
+    assert "the 3 rows rejected as outliers" in figure.caption
+
+
+def test_without_rejected_rows_none_are_spoken_of() -> None:
+    data, figure = section(())
+    assert not data.rejected.any()
+    assert "rejected" not in figure.caption
+    assert len(figure.plot.data[2].y) == 0
