@@ -15,6 +15,7 @@ from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 from offline_ik.verbs.screen import ik_screen
+from offline_ik.verbs.units import Degrees, Millimetres, Units
 
 if TYPE_CHECKING:
     from offline_ik.answer import Solution
@@ -30,6 +31,8 @@ def ik(
     gamma: Annotated[float, typer.Option(metavar="RAD", help="Scattering angle gamma, radians.", show_default=False)],
     delta: Annotated[float, typer.Option(metavar="RAD", help="Scattering angle delta, radians.", show_default=False)],
     r: Annotated[float, typer.Option("--r", metavar="M", help="Distance from the sample, metres.", show_default=False)],
+    deg: Degrees = False,
+    mm: Millimetres = False,
     cell: CellFile = None,
     robot: Robot = None,
     running: Running = None,
@@ -65,9 +68,13 @@ def ik(
     from offline_ik.coordinates import check_target
     from offline_ik.ways import ways_to
 
-    turned = None if roll == "free" else _roll(roll)
+    units = Units(deg, mm)
+    given_position = {"--gamma": gamma, "--delta": delta, "--r": r}
+    gamma, delta, r = units.radians(gamma), units.radians(delta), units.metres(r)
+    turned = None if roll == "free" else units.radians(_roll(roll))
     check_target(gamma, delta, r, turned or 0.0)
     here, sides = numbers("--near", near), numbers("--direction", direction)
+    here = None if here is None else [units.radians(angle) for angle in here]
     detector = opened(model, cell, robot, effects_from, running)
     asked = None if sides is None else check_directions(detector.arm.n, sides)
     came: Direction = asked if asked is not None else "moved" if here else None
@@ -86,16 +93,19 @@ def ik(
         say_assumed(detector, out)
     elif assumed:
         out.say("\n  ".join(["assumed, because no cell says:", *assumed]))
-    _show(detector, ways, out)
+    _show(detector, ways, units, out)
     if "pyfai" in data:
         at = ", ".join(f"{name} {fixed(value, 9)}" for name, value in data["pyfai"].items())
         out.say(f"pyFAI: {at} (m, rad; poni counted from the detector's middle)")
-    position = f"gamma {gamma:g} rad, delta {delta:g} rad, r {r:g} m"
-    call: list[str | Path] = [model, "--gamma", f"{gamma!r}", "--delta", f"{delta!r}", "--r", f"{r!r}"]
+    angle, distance = units.angle_unit, units.distance_unit
+    g, d, far = given_position.values()
+    position = f"gamma {g:g} {angle}, delta {d:g} {angle}, r {far:g} {distance}"
+    call: list[str | Path] = [model, *(w for name, v in given_position.items() for w in (name, f"{v!r}"))]
     own = () if effects_from is None else ("--effects-from", effects_from)
     given = (("--cell", cell), ("--robot", robot), ("--running", running), ("--near", near))
     call += [f"{option}={value}" for option, value in given if value is not None]
-    out.show(ik_screen(detector, ways, position, [*call, *own], data["notes"], len(assumed), approach))
+    call += [*(["--roll", roll] if roll != "0" else []), *units.options]
+    out.show(ik_screen(detector, ways, position, [*call, *own], data["notes"], len(assumed), approach, units))
     out.result(data)
 
 
@@ -125,7 +135,7 @@ def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
     return data
 
 
-def _show(detector: Detector, ways: Ways, out: Output) -> None:
+def _show(detector: Detector, ways: Ways, units: Units, out: Output) -> None:
     answer, running = ways.answer, detector.cell.running
     convention = answer.convention
     out.say(f"robot: {detector.robot.name}" + ("" if running is None else f", running for {running / 3600:.4g} h"))
@@ -138,17 +148,17 @@ def _show(detector: Detector, ways: Ways, out: Output) -> None:
         if answer.nearest is not None:
             n = answer.nearest
             out.say(
-                f"nearest: gamma {n['gamma_rad']:.6f} rad, delta {n['delta_rad']:.6f} rad, r {n['r_m']:.4f} m, "
-                f"roll {n['roll_rad']:.4f} rad, {length(n['distance_m'])} away"
+                f"nearest: gamma {units.angle(n['gamma_rad'])}, delta {units.angle(n['delta_rad'])}, "
+                f"r {units.distance(n['r_m'])}, roll {units.angle(n['roll_rad'], 4)}, {length(n['distance_m'])} away"
             )
         return
     for way in ways.chosen:
-        _show_solution(way.solution, answer.asked["r_m"] or 0.0, out)
+        _show_solution(way.solution, answer.asked["r_m"] or 0.0, units, out)
         out.say(f"joints come {_coming(way.solution, ways.came)}")
         out.say(f"path: {CHECKED[way.checked]}{_path(way)}")
         if way.approach is not None:
-            through = ", ".join(f"{angle:.6f}" for angle in way.approach.through.tolist())
-            out.say(f"approach through {through} rad, gain {length(way.approach.gain)}")
+            through = ", ".join(map(units.bare_angle, way.approach.through.tolist()))
+            out.say(f"approach through {through} {units.angle_unit}, gain {length(way.approach.gain)}")
 
 
 CAME = {
@@ -187,11 +197,14 @@ def _coming(solution: Solution, came: str) -> str:
     return f"{' '.join(marks[side] for side in solution.direction.tolist())} ({CAME[came]})"
 
 
-def _show_solution(solution: Solution, r: float, out: Output) -> None:
+def _show_solution(solution: Solution, r: float, units: Units, out: Output) -> None:
     u, stated = solution.uncertainty, solution.uncertainty.stated()
-    rows = [(f"joint {i + 1}", f"{a:.6f}", f"{m:.4f}") for i, (a, m) in enumerate(
-        zip(solution.q.tolist(), solution.motor.tolist(), strict=True))]  # fmt: skip
-    out.table(f"KUKA Status and Turn: S{solution.status}T{solution.turn}", ("", "joint / rad", "motor / rad"), rows)
+    rows = [
+        (f"joint {i}", units.bare_angle(a), units.bare_angle(m, 4))
+        for i, (a, m) in enumerate(zip(solution.q.tolist(), solution.motor.tolist(), strict=True), 1)
+    ]
+    columns = ("", f"joint / {units.angle_unit}", f"motor / {units.angle_unit}")
+    out.table(f"KUKA Status and Turn: S{solution.status}T{solution.turn}", columns, rows)
     out.say(
         f"uncertainty (1 σ, by the model's covariance): {length(u.tangential_m)} along the sphere, both directions "
         f"together ({readable(u.tangential_m / r, 'microrad')} as seen from the sample, "

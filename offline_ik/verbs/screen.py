@@ -14,6 +14,7 @@ from clampid.screen import Next, Screen, Tone
 if TYPE_CHECKING:
     from offline_ik.answer import Answer
     from offline_ik.detector import Detector
+    from offline_ik.verbs.units import Units
     from offline_ik.ways import Way, Ways
 
 __all__ = ["ik_screen"]
@@ -27,6 +28,7 @@ def ik_screen(
     notes: Sequence[str],
     assumed: int,
     approach: bool,
+    units: Units,
 ) -> Screen:
     """What ``ik`` found.
 
@@ -42,6 +44,8 @@ def ik_screen(
         How many things no cell says.
     approach
         Whether an intermediate point was asked for.
+    units
+        Of what is printed; joint angles come in both.
     """
     done = f"{detector.robot.name}: {asked}, convention {ways.answer.convention['name']}."
     said = list(notes)
@@ -52,7 +56,7 @@ def ik_screen(
         return Screen(
             done,
             None,
-            _nearest(ways.answer),
+            _nearest(ways.answer, units),
             "The robot cannot put the detector there.",
             "bad",
             (*ways.answer.reasons, *said),
@@ -62,7 +66,7 @@ def ik_screen(
     way = ways.chosen[0]
     u = way.solution.uncertainty
     facts = [
-        (f"joint {k}", f"{q:10.6f} rad = {math.degrees(q):9.4f} deg; motor {motor:.4f} rad")
+        (f"joint {k}", f"{q:10.6f} rad = {math.degrees(q):9.4f} deg; motor {units.angle(motor, 4)}")
         for k, (q, motor) in enumerate(zip(way.solution.q.tolist(), way.solution.motor.tolist(), strict=True), 1)
     ]
     stated = u.stated()
@@ -95,11 +99,12 @@ def ik_screen(
     )
 
 
-def _nearest(answer: Answer) -> tuple[tuple[str, str], ...]:
+def _nearest(answer: Answer, units: Units) -> tuple[tuple[str, str], ...]:
     n = answer.nearest
     if n is None:
         return ()
-    where = f"gamma {n['gamma_rad']:.6f} rad, delta {n['delta_rad']:.6f} rad, r {n['r_m']:.4f} m"
+    angles = f"gamma {units.angle(n['gamma_rad'])}, delta {units.angle(n['delta_rad'])}"
+    where = f"{angles}, r {units.distance(n['r_m'])}"
     return (("nearest", f"{where}, {length(n['distance_m'])} away"),)
 
 

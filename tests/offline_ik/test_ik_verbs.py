@@ -206,3 +206,32 @@ def test_serve_refuses_what_it_cannot_do(model_file: Path, args: tuple[str, ...]
     done = run("serve", model_file, *args)
     assert done.returncode == 2
     assert says in done.stderr
+
+
+def test_degrees_and_millimetres_are_the_same_position(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
+    """Given and printed in them; what programs get stays in radians and metres."""
+    found = []
+    near = np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0])
+    for options, factor, far in ((), 1.0, 0.8), (("--deg", "--mm"), 180.0 / np.pi, 800.0):
+        out = tmp_path / f"{len(found)}.json"
+        place = ("--gamma", 0.3 * factor, "--delta", 0.2 * factor, "--r", far, "--roll", 0.05 * factor)
+        here = ",".join(map(str, (near * factor).tolist()))
+        done = run(
+            "ik", model_file, *place, "--cell", cell_file, f"--near={here}", "--json", out, *options, "--verbose"
+        )
+        assert done.returncode == 0, done.stderr
+        found.append((json.loads(out.read_text(encoding="utf-8")), done.stdout))
+    (radians, _), (degrees, said) = found
+    assert np.allclose(degrees["solutions"][0]["q_rad"], radians["solutions"][0]["q_rad"], atol=1e-9)
+    assert degrees["asked"]["roll_rad"] == pytest.approx(0.05)
+    assert "r 800 mm" in said
+    assert "joint / deg" in said
+    first = np.degrees(radians["solutions"][0]["q_rad"][0])
+    assert f"{first:.4f}" in said
+    again = said[said.index("clampid ik") :]
+    assert "--deg --mm" in " ".join(again.split())
+
+
+def test_out_of_reach_in_degrees_and_millimetres(model_file: Path, cell_file: Path) -> None:
+    done = run("ik", model_file, "--gamma", 17, "--delta", 11, "--r", 9000, "--deg", "--mm", "--cell", cell_file)
+    assert re.search(r"nearest\s+gamma -?[\d.]+ deg, delta -?[\d.]+ deg, r [\d.]+ mm", " ".join(done.stdout.split()))
