@@ -15,9 +15,11 @@ from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.omission import exported_shift, shift_in_words
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.diagnosis.stage import diagnose_stage
+from clampid.diagnosis.trial import Bench
 from clampid.effect import Effect, Stage
 from clampid.evidence.alignment import simpler
 from clampid.evidence.score import Scored
+from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import TABLES_OF, session_of
@@ -168,9 +170,17 @@ def _one(
 
     asked = propose if len(opened.campaigns) == 1 else None
     effects = _effects_for(opened, stage)
-    called = _called_for(opened, stage)
-    elsewhere = [s for s in opened.stages if s != stage and opened.has(TABLES_OF[s])]
-    found = diagnose_stage(fitted, effects, refit, verification, seed, flips, asked, called, elsewhere)
+    bench = Bench(
+        effects=effects,
+        refit=refit,
+        verification=verification,
+        floor=noise_floor(*counted(fitted.estimate, verification)),
+        seed=seed,
+        flips=flips,
+        called_for=_called_for(opened, stage),
+        elsewhere=frozenset(s for s in opened.stages if s != stage and opened.has(TABLES_OF[s])),
+    )
+    found = diagnose_stage(fitted, bench, asked)
     found.warnings += refused
     if stage == "poses" and found.next_plan is not None:
         from clampid.diagnosis.next_poses import poses_of

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from clampid.diagnosis.entries import (
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
-from clampid.diagnosis.pruning import Refit
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.remains import remains_of
 from clampid.diagnosis.result import StageDiagnosis, Step
@@ -31,14 +30,12 @@ from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import Bench, HeldOut
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
-from clampid.effect import Effect, Stage
+from clampid.effect import Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Scored
-from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.fit import agreeing_rows
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
-from clampid.slots import Term
 from clampid.stages.rows import Rows
 
 __all__ = ["diagnose_stage"]
@@ -48,41 +45,24 @@ FAR_OFF = 2.0  # of what may be noise: so much is none, even if the makers of in
 Propose = Callable[[Estimate, Sequence[Scored], float], NextPlan | None]
 
 
-def diagnose_stage(
-    fitted: FittedStage,
-    effects: dict[str, Effect],
-    refit: Refit,
-    verification: Rows | None,
-    seed: int,
-    flips: int,
-    propose: Propose | None = None,
-    called_for: Collection[Term] = (),
-    elsewhere: Collection[Stage] = (),
-) -> StageDiagnosis:
+def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = None) -> StageDiagnosis:
     """Diagnose one fitted stage.
 
     Parameters
     ----------
-    refit
-        Fits the stage with other terms, from an earlier fit's values and given start values.
+    bench
+        What every trial needs: effects, other fits, rows to verify by, seeds.
     propose
-        Looks for measurements that part candidates, given the fit, the candidates and the residual's scale.
-    called_for
-        What other rows of this arm have shown to be there: of look-alikes, these rows say it is that.
-    elsewhere
-        Other stages of which there are rows.
+        Looks for measurements that separate candidates, given the fit, the candidates and the residual's scale.
     """
-    looked_through = partial(
-        _looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for, elsewhere
-    )
-    result = looked_through(1)
+    result = _looked_through(fitted, bench, propose)
     if result.stage != "poses" or result.fitted is None:
         return result
     drift = drift_of(result.fitted.estimate)
     if drift is None:
         return result
     if drift.block > 1:  # once more, now that it is known how long what is left goes on
-        result = looked_through(drift.block)
+        result = _looked_through(fitted, replace(bench, block=drift.block), propose)
     if result.verdict == "unknown" and not result.depends_on and drift.clocked:
         result.depends_on = ["time"]
         result.summary = " ".join([summary_of(result), *result.warnings])
@@ -91,37 +71,19 @@ def diagnose_stage(
     return result
 
 
-def _looked_through(
-    fitted: FittedStage,
-    effects: dict[str, Effect],
-    refit: Refit,
-    verification: Rows | None,
-    seed: int,
-    flips: int,
-    propose: Propose | None,
-    called_for: Collection[Term],
-    elsewhere: Collection[Stage],
-    block: int,
-    folds: Folds | None = None,
-) -> StageDiagnosis:
-    """One diagnosis; ``block``: how many consecutive visits of poses are one to its tests.
+def _looked_through(fitted: FittedStage, bench: Bench, propose: Propose | None) -> StageDiagnosis:
+    """One diagnosis.
 
-    ``folds``: parts of runs to hold out instead of whole folds; where a candidate comes to trial that whole runs would
-    not test, everything is judged by these, from the start.
+    Where a candidate comes to trial that whole runs would not test, everything is judged by parts of runs instead, from
+    the start.
     """
-    again = partial(
-        _looked_through, fitted, effects, refit, verification, seed, flips, propose, called_for, elsewhere, block
-    )
-    stage = fitted.estimate.experiment.stage
-    result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
-    floor = noise_floor(*counted(fitted.estimate, verification))
-    bench = Bench(
-        effects, refit, verification, floor, seed, flips, block, frozenset(called_for), folds, frozenset(elsewhere)
-    )
     outcome = search(bench, fitted)
     if isinstance(outcome, Folds):
-        return again(outcome)
-    result.folds, first, fitted = folds, fitted.estimate, outcome.fitted
+        return _looked_through(fitted, replace(bench, folds=outcome), propose)
+    stage, effects, floor = fitted.estimate.experiment.stage, bench.effects, bench.floor
+    verification, seed = bench.verification, bench.seed
+    result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
+    result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if stage == "poses" else 1.0
     held, look, probe = outcome.held, outcome.look, outcome.first_look.probe
     result.before, result.after = outcome.before.rms, held.rms

@@ -223,7 +223,25 @@ class _Along(NamedTuple):
 
 @dataclass(frozen=True)
 class Bench:
-    """What every trial of a stage needs."""
+    """What every trial of a stage needs.
+
+    Attributes
+    ----------
+    refit
+        Fits the stage with other terms, from an earlier fit's values and given start values.
+    verification
+        Rows of a table that no fit sees, where there is one.
+    floor
+        What noise alone leaves.
+    block
+        How many consecutive visits of poses are one to the tests.
+    called_for
+        What other rows of this arm have shown to be there: of look-alikes, these rows say it is that.
+    folds
+        Parts of runs to hold out instead of whole folds.
+    elsewhere
+        Other stages of which there are rows.
+    """
 
     effects: dict[str, Effect]
     refit: Refit
