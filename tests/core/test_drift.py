@@ -93,7 +93,7 @@ def test_a_time_that_counts_rows_is_no_clock(simulated):
         found = drift_of(reopen(identify([known]), known).refit("poses").estimate)
         assert found is not None
         assert found.clocked is expected
-        assert ("robot or instrument have drifted. What depends on time" in found.sentence) is expected
+        assert ("robot or instrument have drifted. Without a second run" in found.sentence) is expected
         assert ("time_s only counts them and is no clock" in found.sentence) is not expected
         notes = [f for f in check_campaign(known) if f.column == "time_s" and "is no clock" in f.message]
         assert bool(notes) is not expected
