@@ -12,10 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut
 from clampid.diagnosis.pruning import needless
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
-from clampid.diagnosis.trial import HELD_OUT_RATE, Bench, HeldOut, Tried
+from clampid.diagnosis.trial import Bench
+from clampid.diagnosis.tried import Tried
 from clampid.effect import Effect
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage

@@ -8,8 +8,10 @@ from typing import Any
 
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.folds import Folds, folds_of
+from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.look import Look
-from clampid.diagnosis.trial import Bench, HeldOut, Taken, Tried, Undecided
+from clampid.diagnosis.trial import Bench
+from clampid.diagnosis.tried import Taken, Tried, Undecided
 from clampid.evidence.candidates import Candidate
 from clampid.identification.fitted_stage import FittedStage
 

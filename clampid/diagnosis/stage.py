@@ -19,6 +19,7 @@ from clampid.diagnosis.entries import (
     with_stand_ins,
 )
 from clampid.diagnosis.folds import Folds
+from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.rejected import evidence_of
@@ -27,7 +28,7 @@ from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.search import Searched, search
 from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
-from clampid.diagnosis.trial import Bench, HeldOut
+from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.unknown_shape import shape_of
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,16 +13,13 @@ from clampid.diagnosis.confirm import (
     cross_fitted_fall,
     event_p,
     first_without_parts,
-    held_out_p,
     same_effect,
     stability,
     terms_p,
 )
-from clampid.diagnosis.drift import blocks_of_visits
-from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.folds import Folds
+from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out
 from clampid.diagnosis.look import (
-    ALIASED,
     CONFUSABLE,
     Look,
     look_at,
@@ -33,183 +30,26 @@ from clampid.diagnosis.look import (
 )
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
+from clampid.diagnosis.tried import Taken, Tried, Undecided
 from clampid.effect import Effect, Stage
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.score import Scored, canonical, explained_together
-from clampid.fitting.accuracy import Floor, cross_validated, predicted, rms_of, size_of
-from clampid.fitting.fit import without_outlying
-from clampid.fitting.noise import Noise
+from clampid.evidence.score import Scored, canonical
+from clampid.fitting.accuracy import Floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Rows
 
-__all__ = ["HELD_OUT_RATE", "Bench", "HeldOut", "Tried", "Undecided", "either_p", "held_out"]
+__all__ = ["Bench"]
 
-HELD_OUT_RATE = 0.05
 STABLE = 0.6  # the majority of five parts of the rows
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
 RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
 ONLY_BESIDE = "the held-out error falls only together with effects that these rows do not separate"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
-ONE = 1.0  # what chance explains by one number, in units of the residual's variance
 TRIALS = 8  # of one look's candidates, after which no more are tried
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Errors of rows that a fit has not seen.
-
-    Attributes
-    ----------
-    rms
-        In the stage's unit.
-    rows, residual
-        The rows ``(N,)`` and their residuals ``(N, m)``, SI.
-    floor
-        What noise alone leaves.
-    noise
-        Of the estimate's own residuals.
-    block
-        Of poses: how many consecutive visits are one to a test.
-    """
-
-    rms: float
-    rows: Rows
-    residual: Array
-    floor: Floor
-    noise: Noise
-    block: int = 1
-
-    @property
-    def squares(self) -> Array:
-        """Squared errors ``(N,)``, m² or SI over the log's noise, zero of what does not count."""
-        size, counts = size_of(self.rows, self.residual, self.floor)
-        squares = np.where(counts, size**2, 0.0)
-        return np.asarray(squares if squares.ndim == 1 else squares.sum(axis=1))
-
-    def white_squares(self, noise: Noise) -> Array:
-        """Of a log: squared errors ``(N,)`` whitened by that noise, in units of it."""
-        white = noise.whiten(self.rows, self.residual, np.zeros((*self.residual.shape, 0)))
-        return np.asarray(np.bincount(white.entry, white.residual**2, minlength=len(self.rows)), dtype=float)
-
-    def exceed(self, other: HeldOut) -> bool:
-        """Whether these errors are larger than another model's, squares over the rows that count in both."""
-        both = (self.rows.used & other.rows.used).any(axis=1)
-        return bool(np.sum((self.squares - other.squares)[both]) > 0.0)
-
-    def p_above(self, other: HeldOut, noise: Noise, seed: int) -> float:
-        """One-sided p of how far these errors lie above another model's on the same rows.
-
-        Of logs, where noise lasts: half of the rate each for errors as they are, which only what acts slowly or
-        everywhere lowers by more than that noise, and for whitened ones, which see what is brief. The noise is to be
-        that of the larger model: what an effect leaves in a model without it looks like noise that lasts.
-        """
-        both = (self.rows.used & other.rows.used).any(axis=1)  # single wrong rows are each fit's own finding
-        p = held_out_p(both * self.squares, both * other.squares, blocks_of_visits(self.rows, self.block), seed)
-        if self.rows.stage == "poses":
-            return p
-        white = held_out_p(self.white_squares(noise), other.white_squares(noise), self.rows.unit, seed)
-        return min(2.0 * min(p, white), 1.0)
-
-
-def held_out(
-    estimate: Estimate,
-    verification: Rows | None,
-    floor: Floor,
-    seed: int,
-    block: int = 1,
-    folds: Folds | None = None,
-) -> HeldOut:
-    """Errors of an estimate on a verification table, or else by cross-validation in five parts.
-
-    The parts consist of whole folds of the rows, or are ``folds``.
-    """
-    count = len(estimate.slots)
-    if verification is not None:
-        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
-        rows = without_outlying(verification, residual, estimate.experiment.rows, estimate.residual)
-    elif folds is not None:
-        rows, residual = cross_validated(estimate, folds.of(estimate.experiment.rows), seed)
-        rows = folds.judging(rows)
-    else:
-        rows, residual = cross_validated(estimate, estimate.experiment.rows, seed)
-    return HeldOut(rms_of(rows, residual, floor), rows, residual, floor, estimate.noise, block)
-
-
-@dataclass(frozen=True)
-class Tried:
-    """A candidate with its fit, and how it did on rows that the fit has not seen.
-
-    Attributes
-    ----------
-    reason
-        Why it is refused; empty if it is not.
-    """
-
-    best: Scored
-    look: Look
-    fitted: FittedStage
-    kept: list[Term]
-    held: HeldOut
-    p_held_out: float
-    stability: float
-    reason: str
-
-    def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
-        """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
-        null, after = self.look.named_null, self.held.rms
-        return {
-            **entry_of(self.best, null, effects, before, after, estimate, self.kept),
-            "stability": self.stability,
-            "p_held_out": self.p_held_out,
-            "confusable_with": confusable_with(self.look.named, self.best),
-        }
-
-    def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
-        """The same of one that is refused, with its reason or another; its parameters are the score's."""
-        scale = self.look.space.scale
-        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms, scale=scale)
-        told = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
-        return {**entry, **told}
-
-
-@dataclass(frozen=True)
-class Undecided:
-    """Candidates that the rows cannot tell apart, the best first, and the look that found them."""
-
-    members: list[Scored]
-    look: Look
-
-    def alike(self, effects: Mapping[str, Effect], elsewhere: Collection[Stage]) -> bool:
-        """Whether it makes no difference which it is: they explain the same, and no rows of other stages read any."""
-        first, *others = self.members
-        for s in others:
-            both = explained_together(self.look.space, first, s)
-            if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
-                return False
-        return not any(set(elsewhere) & set(effects[s.candidate.name].stages) for s in self.members)
-
-    def taken(self, effects: Mapping[str, Effect]) -> Undecided:
-        """The same, first one that acts in no pose, if there is any: a model of torques is to move no flange."""
-        order = sorted(self.members, key=lambda s: "poses" in effects[s.candidate.name].stages)
-        return replace(self, members=order)
-
-
-class Taken(NamedTuple):
-    """Undecided candidates of which a model has the first, since it makes no difference which of them it is.
-
-    ``base`` and ``before``: the model and its errors on rows not fitted without it; ``after``: how many steps it came.
-    """
-
-    group: Undecided
-    base: FittedStage
-    before: HeldOut
-    fitted: FittedStage
-    held: HeldOut
-    after: int
 
 
 class _Along(NamedTuple):
@@ -533,8 +373,3 @@ def _needless(s: Scored, own: Step | None, best: Scored, step: Step | None) -> b
         for one, near in ((s, own), (best, step))
     )
     return scores_tell and s.freedom > best.freedom and s.bic < best.bic
-
-
-def either_p(verified: float, crossed: float) -> float:
-    """The p of a fall that one of two tests shows: on a verification table, or on parts of the rows of the fit."""
-    return min(2.0 * min(verified, crossed), 1.0)

@@ -11,7 +11,8 @@ from benches import bench_of, refits
 
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.pruning import behind
-from clampid.diagnosis.trial import Bench, Tried
+from clampid.diagnosis.trial import Bench
+from clampid.diagnosis.tried import Tried
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.reopen import Reopened, reopen

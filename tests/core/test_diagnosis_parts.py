@@ -15,7 +15,7 @@ from clampid.catalogue import catalogue
 from clampid.diagnosis.alongside import step_towards
 from clampid.diagnosis.look import rivals_of
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
-from clampid.diagnosis.trial import Tried, Undecided
+from clampid.diagnosis.tried import Tried, Undecided
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import Scored, canonical, score, space_of

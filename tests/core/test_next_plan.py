@@ -12,12 +12,12 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.diagnosis.above import OneSided, above_floor, one_sided, one_sided_words
 from clampid.diagnosis.alongside import alongside
+from clampid.diagnosis.held_out import held_out
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
 from clampid.diagnosis.parting import part, show
 from clampid.diagnosis.propose import Weak
 from clampid.diagnosis.separators import something_else
-from clampid.diagnosis.trial import held_out
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import Scored, Space, explained_together, score, space_of
 from clampid.fitting.accuracy import noise_floor

@@ -8,7 +8,7 @@ import pytest
 
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
 from clampid.diagnosis.look import look_at, simplest_of
-from clampid.diagnosis.trial import Undecided
+from clampid.diagnosis.tried import Undecided
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.loop.auto import mend

@@ -1,0 +1,93 @@
+"""What a trial of candidates ends in: one with its fit, several that rows cannot separate, or one of those taken."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+from clampid.diagnosis.entries import confusable_with, entry_of
+from clampid.diagnosis.held_out import HeldOut
+from clampid.diagnosis.look import ALIASED, Look
+from clampid.effect import Effect, Stage
+from clampid.evidence.score import Scored, canonical, explained_together
+from clampid.fitting.solve import Estimate
+from clampid.identification.fitted_stage import FittedStage
+from clampid.slots import Term
+
+__all__ = ["Taken", "Tried", "Undecided"]
+
+ONE = 1.0  # what chance explains by one number, in units of the residual's variance
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate with its fit, and how it did on rows that the fit has not seen.
+
+    Attributes
+    ----------
+    reason
+        Why it is refused; empty if it is not.
+    """
+
+    best: Scored
+    look: Look
+    fitted: FittedStage
+    kept: list[Term]
+    held: HeldOut
+    p_held_out: float
+    stability: float
+    reason: str
+
+    def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
+        """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
+        null, after = self.look.named_null, self.held.rms
+        return {
+            **entry_of(self.best, null, effects, before, after, estimate, self.kept),
+            "stability": self.stability,
+            "p_held_out": self.p_held_out,
+            "confusable_with": confusable_with(self.look.named, self.best),
+        }
+
+    def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
+        """The same of one that is refused, with its reason or another; its parameters are the score's."""
+        scale = self.look.space.scale
+        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms, scale=scale)
+        told = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
+        return {**entry, **told}
+
+
+@dataclass(frozen=True)
+class Undecided:
+    """Candidates that the rows cannot tell apart, the best first, and the look that found them."""
+
+    members: list[Scored]
+    look: Look
+
+    def alike(self, effects: Mapping[str, Effect], elsewhere: Collection[Stage]) -> bool:
+        """Whether it makes no difference which it is: they explain the same, and no rows of other stages read any."""
+        first, *others = self.members
+        for s in others:
+            both = explained_together(self.look.space, first, s)
+            if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
+                return False
+        return not any(set(elsewhere) & set(effects[s.candidate.name].stages) for s in self.members)
+
+    def taken(self, effects: Mapping[str, Effect]) -> Undecided:
+        """The same, first one that acts in no pose, if there is any: a model of torques is to move no flange."""
+        order = sorted(self.members, key=lambda s: "poses" in effects[s.candidate.name].stages)
+        return replace(self, members=order)
+
+
+class Taken(NamedTuple):
+    """Undecided candidates of which a model has the first, since it makes no difference which of them it is.
+
+    ``base`` and ``before``: the model and its errors on rows not fitted without it; ``after``: how many steps it came.
+    """
+
+    group: Undecided
+    base: FittedStage
+    before: HeldOut
+    fitted: FittedStage
+    held: HeldOut
+    after: int
