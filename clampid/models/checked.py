@@ -161,7 +161,9 @@ def _numbers(at: Section, key: str) -> None:
 
 
 def _no_flags(at: Section, key: str, value: Any) -> None:
-    """Refuse true and false where numbers or names stand."""
+    """Refuse true and false where numbers or names stand; whether a base parameter is identified is neither."""
+    if key == "base_parameters" and isinstance(value, list):
+        value = [{k: v for k, v in one.items() if k != "identified"} if isinstance(one, dict) else one for one in value]
     flag = next((one for one in _leaves(value) if isinstance(one, bool)), None)
     if flag is not None:
         raise at.fault(key, "numbers and names", shown(flag))

@@ -148,3 +148,15 @@ def test_a_model_of_version_1_is_brought_to_the_newest(
 def test_a_device_is_no_model() -> None:
     with pytest.raises(ModelError, match="/dev/zero"):
         load_model("/dev/zero")
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_models_of_every_stage_are_read_as_they_were_written(tmp_path: Path, joint: bool) -> None:
+    simulate(tmp_path / "arm", "kuka_kr20_r1810", seed=3, poses=40, tables=("free_air", "wrist", "clamped", "poses"))
+    model = identify(read_campaign(tmp_path / "arm"), joint=joint)
+    assert model.stages["free_air"].base  # which says of each whether it is identified
+    save_model(model, tmp_path / "model.json")
+    again = load_model(tmp_path / "model.json")
+    assert list(again.stages) == ["free_air", "clamped", "poses"]
+    save_model(again, tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == (tmp_path / "model.json").read_bytes()
