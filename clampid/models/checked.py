@@ -120,6 +120,9 @@ def _session(at: Section) -> None:
     at.done()
 
 
+READ_ELSEWHERE = ("outliers", "base_parameters", "observability", "bootstrap", "told", "ranges")
+
+
 def _stage(at: Section, layout: Layout) -> None:
     at.texts("effects", longest=LONGEST)
     slots: set[Slot] = set()
@@ -139,14 +142,18 @@ def _stage(at: Section, layout: Layout) -> None:
         part.number("std", 0.0)
         part.flag("identified")
         part.done()
+    covariance = at.value("covariance", "lists of finite numbers")
     _numbers(at, "covariance")
-    for k, row in enumerate(at.content["covariance"]):
+    for k, row in enumerate(covariance if isinstance(covariance, list) else ()):
         if isinstance(row, list) and k < len(row) and row[k] < 0:
             raise at.fault(f"covariance[{k + 1}]", "variances that are not negative", shown(row[k]))
     for key in ("held_out", "lean_rad", "by_springs"):
         _numbers(at, key)
     at.texts("not_identifiable")
-    for key in ("outliers", "base_parameters", "observability", "bootstrap", "told", "ranges"):
+    for key in ("held_out", "lean_rad", "by_springs", *READ_ELSEWHERE):
+        if key not in at.content:
+            raise at.fault(key, "this key, if only with null", "no such key")
+    for key in READ_ELSEWHERE:
         at.has(key)  # what reads them says what is wrong
         _no_flags(at, key, at.content.get(key))
     at.done()

@@ -116,6 +116,7 @@ def test_the_file_keeps_them_and_older_ones_are_read(third: Campaign, model: Mod
     assert (kept <= q.max(axis=0)[:, None]).all()
     assert np.ptp(kept[1]) == pytest.approx(np.ptp(q[:, 1]), rel=0.05)
     del data["stages"]["poses"]["ranges"]
+    data["format"] = "clampid-model/1"
     (tmp_path / "old.json").write_text(json.dumps(data))
     old = load_model(tmp_path / "old.json")
     assert old.stages["poses"].ranges is None
