@@ -175,8 +175,8 @@ def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
 def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Array:
     """What each slot ``(P,)`` counts from, about the links' joint points: the description.
 
-    Where that has no masses, those of :func:`kinematics.masses.usual_links`, and no inertia. Links without described
-    inertia count as points, as they do in the model's own torques (:func:`clampid.stages.loads.inertial_signals`).
+    Where that has no masses, those of :func:`kinematics.masses.usual_links`. Links without described inertia count as
+    points, as they do in the model's own torques (:func:`clampid.stages.loads.inertial_bodies`).
     Source: Lynch & Park, theorem 8.2 (Steiner).
     """
     out = np.zeros(len(slots))
@@ -187,7 +187,7 @@ def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Arra
         phi[1:4] -= body.mass * joint.point
         bodies.append(dict(zip(names, phi.tolist(), strict=True)))
     for k, slot in enumerate(slots):
-        if slot.effect == "gravity" or (slot.effect == "link_inertia" and robot.has_masses):
+        if slot.effect in ("gravity", "link_inertia"):
             out[k] = bodies[_number(slot) - 1][slot.parameter]
     return out
 

@@ -23,6 +23,7 @@ __all__ = [
     "gravity_regressors",
     "gravity_signals",
     "inertia_torque",
+    "inertial_bodies",
     "inertial_signals",
     "lean_torque",
     "weight_rate",
@@ -159,18 +160,13 @@ def inertial_signals(campaign: Campaign, q: Array, speed: Array, acceleration: A
 
     ``regressor`` ``(N, n, 4n)`` of the links' (m, m c) with their inertias about their own joints held;
     ``tool_regressor`` ``(N, n, 4)``; ``link_inertia_regressor`` ``(N, n, 6n)``; ``inertia_torque`` ``(N, n)``, Nm, of
-    described masses (points at their centres where no inertia is described) and declared tool.
+    the same bodies as the gravity torque: see :func:`inertial_bodies`.
     """
     robot, n = campaign.robot, campaign.robot.n
     linkage, points = np.asarray(robot.linkage), np.array([joint.point for joint in robot.joints])
     Y = inertial_regressor(robot.screws, points, q @ linkage.T, speed @ linkage.T, acceleration @ linkage.T)
     Y = linkage.T @ Y
-    torque = np.zeros_like(q)
-    if robot.has_masses:
-        bodies = [inertial_parameters(b.mass, b.com, b.inertia, at) for b, at in zip(robot.links, points, strict=True)]
-        tool = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
-        bodies[-1] = bodies[-1] + inertial_parameters(campaign.tool.mass, tool, None, points[-1])
-        torque = Y @ np.concatenate(bodies)
+    torque = Y @ inertial_bodies(campaign)
     by_link = Y.reshape(len(q), n, n, 10)
     masses = by_link[..., :4].reshape(len(q), n, 4 * n)
     return {
@@ -181,8 +177,22 @@ def inertial_signals(campaign: Campaign, q: Array, speed: Array, acceleration: A
     }
 
 
+def inertial_bodies(campaign: Campaign) -> Array:
+    """(m, m c, inertia about the link's joint point) of the links with the declared tool on the last ``(10n,)``.
+
+    Of the links as described, or as usual (:mod:`kinematics.masses`), as :func:`gravity_signals` weighs them: a body
+    that has weight has inertia. Where no inertia is described it is that of a point at the centre of mass.
+    """
+    robot = campaign.robot
+    points = [joint.point for joint in robot.joints]
+    bodies = [inertial_parameters(b.mass, b.com, b.inertia, at) for b, at in zip(links_of(robot), points, strict=True)]
+    tool = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
+    bodies[-1] = bodies[-1] + inertial_parameters(campaign.tool.mass, tool, None, points[-1])
+    return np.concatenate(bodies)
+
+
 def inertia_torque(campaign: Campaign, q: Array, speed: Array, acceleration: Array) -> Array:
-    """Joint torques ``(N, n)``, Nm, that described masses and declared tool need in motion, beyond gravity."""
+    """Joint torques ``(N, n)``, Nm, that the links and the declared tool need in motion, beyond gravity."""
     return inertial_signals(campaign, q, speed, acceleration)["inertia_torque"]
 
 

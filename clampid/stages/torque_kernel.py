@@ -17,10 +17,9 @@ import numpy as np
 from clampid.chain.chain import Chain, recorded
 from clampid.chain.compiled import Blocks, compile_rows
 from clampid.chain.lanes import Lanes
-from clampid.stages.loads import flange_to_base
+from clampid.stages.loads import flange_to_base, inertial_bodies
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
-from kinematics.dynamics import inertial_parameters
 from kinematics.gravity import gravity_parameters
 from kinematics.masses import links_of
 from kinematics.symbolic_dynamics import symbolic_torques
@@ -127,12 +126,7 @@ def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:
     tool = weight[:, 4 * n - 4 :] @ to_base
     gravity = tool @ ca.DM(campaign.tool.mass * np.r_[1.0, campaign.tool.com])
     gravity = gravity + weight @ ca.DM(gravity_parameters(links_of(robot)))
-    inertia = ca.SX(n, 1)
-    if robot.has_masses:
-        bodies = [inertial_parameters(b.mass, b.com, b.inertia, at) for b, at in zip(robot.links, points, strict=True)]
-        at_flange = robot.flange[:3, :3] @ campaign.tool.com + robot.flange[:3, 3]
-        bodies[-1] = bodies[-1] + inertial_parameters(campaign.tool.mass, at_flange, None, points[-1])
-        inertia = motion @ ca.DM(np.concatenate(bodies))
+    inertia = motion @ ca.DM(inertial_bodies(campaign))
     regressor = weight + motion[:, by_mass]
     return {
         "regressor": regressor,

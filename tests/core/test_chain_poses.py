@@ -26,6 +26,7 @@ from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, Instrument, Tool
 from kinematics.description import RobotDescription, load_robot
 from kinematics.gravity import gravity_parameters
+from kinematics.masses import usual_links
 from kinematics.poe import forward, joint_transforms
 from kinematics.screws import exp_so3, log_so3
 
@@ -256,3 +257,17 @@ def test_no_motion_needs_no_torque_beyond_gravity():
     robot = weighed("ur10")
     q = postures(robot, 5)
     np.testing.assert_allclose(inertia_torque(campaign_of(robot), q, 0 * q, 0 * q), 0.0, atol=1e-12)
+
+
+def test_links_of_unknown_mass_have_the_inertia_of_the_weight_that_they_are_given():
+    robot = load_robot("abb_irb1200_5_09")
+    assert not robot.has_masses
+    described = campaign_of(replace(robot, links=usual_links(robot)))
+    rng = np.random.default_rng(7)
+    q, speed, acceleration = (rng.uniform(-2.0, 2.0, (10, robot.n)) for _ in range(3))
+    torques = [
+        inertia_torque(c, q, speed, acceleration) + gravity_signals(c, q)["gravity_torque"]
+        for c in (campaign_of(robot), described)
+    ]
+    np.testing.assert_allclose(*torques, atol=1e-9)
+    assert np.abs(inertia_torque(campaign_of(robot), q, speed, acceleration)).max() > 1.0

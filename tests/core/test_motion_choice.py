@@ -107,9 +107,8 @@ def test_the_floor_has_no_part_of_the_model_in_it(log: Campaign) -> None:
 def test_dynamics_of_a_real_arm(way: str) -> None:
     """Franka Panda: joints as well as by least squares that has offsets of the torque sensors, but for joint 5.
 
-    `auto` is told nothing of these, and finds them. Joint 5 stays behind: 0.0248 of its variance is above 20 Hz, and
-    what is left below follows its angle. Equal weights, by which it is 0.963 instead of 0.939, cost `auto` 0.0007 at
-    joint 1.
+    `auto` is told nothing of these, and finds them. Joint 5 stays behind by 0.005: 0.0248 of its variance is above
+    20 Hz, and least squares with the same columns and motion leave 0.0033 to 0.0045.
     """
     whole = read_campaign(REAL / "panda_log")
     table = whole.tables["free_air"]
@@ -122,9 +121,8 @@ def test_dynamics_of_a_real_arm(way: str) -> None:
     last = replace(last, fingerprint="the last fifth")
     motors = compare(model, last).tables["free_air"]["per_motor"]
     found = np.array([m["r2"] for m in motors])
-    missed = {"auto": {0: 0.001, 4: 0.008}, "identify with offsets": {4: 0.008}}[way]
+    missed = {4: 0.006}
     assert np.all(found > np.array(BAR) - [missed.get(k, 0.0) for k in range(len(BAR))]), found
-    assert model.ledger[-1].evidence["weights"]["equal"]
 
 
 def test_what_one_fold_alone_shows_is_not_rounding_of_the_others() -> None:
