@@ -29,6 +29,7 @@ __all__ = [
 
 FOLDS = 5
 QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
+FEWEST_TRIPLES = 20  # of rows, by which noise is told
 QUIET_ROWS = 6  # the same for sweeps of single steps
 REPEATS = 4e-5
 """Repeatability, rms, over the length of the arm. Data sheets state RP by ISO 9283, the mean distance and three of its
@@ -91,18 +92,26 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     lag = QUIET_ROWS
     if rows.stage == "free_air" and len(time) > 1:
         lag = max(1, round(QUIET_S / max(float(np.median(np.diff(time))), 1e-9)))
-    out = np.zeros(residual.shape[1])
-    for c in range(residual.shape[1]):
-        used = rows.used[:, c]
-        same = (run[2 * lag :] == run[: -2 * lag]) & used[2 * lag :] & used[lag:-lag] & used[: -2 * lag]
-        # Off the middle of its neighbours: a smooth misfit cancels, noise that is forgotten by then has 3/2 its
-        # variance.
-        bent = (residual[lag:-lag, c] - 0.5 * (residual[2 * lag :, c] + residual[: -2 * lag, c]))[same]
-        spread = np.sqrt(np.mean(bent**2) / 1.5) if len(bent) > 20 else np.sqrt(np.mean(residual[used, c] ** 2))
-        out[c] = spread if used.any() else 1.0
+    out = np.array([_spread(run, residual[:, c], rows.used[:, c], lag) for c in range(residual.shape[1])])
     regression = rows.constants.get("regression", np.full(len(out), np.inf))
     lower = np.any((regression < out) & rows.used.any(axis=0))
     return Floor(np.maximum(np.minimum(out, regression), 1e-12), "regression" if lower else "log")
+
+
+def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> float:
+    """Noise of one motor by how far its residual ``(N,)`` is off the middle of its neighbours ``lag`` rows away.
+
+    A smooth misfit cancels there, and noise that is forgotten by then has 3/2 its variance. Stretches shorter than that
+    are judged by nearer neighbours, of which noise that lasts cancels in part: the floor is then low, not high. 1 where
+    no row counts.
+    """
+    while lag > 0:
+        same = (run[2 * lag :] == run[: -2 * lag]) & used[2 * lag :] & used[lag:-lag] & used[: -2 * lag]
+        if np.count_nonzero(same) > FEWEST_TRIPLES:
+            bent = (residual[lag:-lag] - 0.5 * (residual[2 * lag :] + residual[: -2 * lag]))[same]
+            return float(np.sqrt(np.mean(bent**2) / 1.5))
+        lag //= 2
+    return float(np.sqrt(np.mean(residual[used] ** 2))) if used.any() else 1.0
 
 
 def _pose_floor(rows: Rows) -> Floor:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clampid.fitting.accuracy import noise_floor
+from clampid.fitting.accuracy import QUIET_S, _spread, noise_floor
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
@@ -76,3 +76,13 @@ def test_a_wrong_row_is_no_noise(base: Campaign) -> None:
     left_out = noise_floor(rows.without(wrong), residual)
     assert left_out.source == "replicates"
     assert left_out.norm == pytest.approx(noise_floor(clean, residual).norm, rel=0.2)
+
+
+@pytest.mark.parametrize("rows", [500, 20_000])
+def test_a_smooth_misfit_is_no_noise_however_short_the_log(rows: int) -> None:
+    rng, step = np.random.default_rng(2), 1e-3
+    noise, misfit = rng.standard_normal(rows), np.linspace(-5.0, 5.0, rows)
+    run, used = np.zeros(rows, dtype=np.int64), np.ones(rows, dtype=bool)
+    found = _spread(run, noise + misfit, used, round(QUIET_S / step))
+    assert found == pytest.approx(1.0, rel=0.15)
+    assert _spread(run, noise + misfit, ~used, 10) == 1.0
