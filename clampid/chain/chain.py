@@ -19,10 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.chain.compiled import Blocks
+from clampid.chain.steady import Steady, parted
 from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage, signal
 from clampid.slots import Layout, Slot
 
 __all__ = [
+    "FOLLOWING",
     "OUTPUTS",
     "Chain",
     "Deviations",
@@ -44,6 +46,8 @@ OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
 """The stations whose deviations a stage's measurement sees."""
 
 MOMENTS = ("base_moment", "transverse_moment", "link_moment", "link_force")
+FOLLOWING = ("flank", "sag_torque")
+"""Signals of a row of poses that follow the parameters."""
 _INTERNAL: Mapping[str, tuple[str | int, ...]] = {
     "gravity_torque": ("n",),
     "sag_torque": ("n",),
@@ -91,6 +95,8 @@ class Chain:
         What each slot ``(P,)`` counts as at least where it decides on flanks: see :func:`least_deciding`.
     affine
         Whether the derivatives are the same at all parameters: no slot is a shape, no torque another effect's load.
+    steady
+        In ``poses``: what is apart of ``function`` and ``yield_function``, because no search changes it; or None.
     flank_function
         In ``poses``, where an effect reads flanks: what decides on them. Else None.
     yield_function
@@ -112,6 +118,7 @@ class Chain:
     yield_function: Blocks | None = None
     lean: Array | None = None
     affine: bool = False
+    steady: Steady | None = None
 
     @cached_property
     def moves_one(self) -> npt.NDArray[np.int64]:
@@ -170,7 +177,12 @@ class Chain:
         by_torque = None
         if self.stage == "clamped":
             by_torque = out[2].reshape(len(out[0]), -1, out[0].shape[1]).transpose(0, 2, 1)
-        return Deviations(out[0], out[1], self.station, self.parameter, by_torque)
+        values, partials = out[:2]
+        if self.steady is not None:
+            apart = self._apart(theta, signals)
+            self.steady.add(values, apart, theta)
+            partials = self.steady.joined(apart, partials)
+        return Deviations(values, partials, self.station, self.parameter, by_torque)
 
     def pressing(self, theta: Array, signals: Mapping[str, Array]) -> Array | None:
         """Torques ``(N, n)``, Nm, whose signs are the flanks, at ``theta`` ``(P,)``; None where no effect reads any."""
@@ -181,7 +193,18 @@ class Chain:
 
     def yields(self, theta: Array, signals: Mapping[str, Array]) -> Array | None:
         """By how much the joints are off what was commanded ``(N, n)``, rad; None where no effect reads loads."""
-        return None if self.yield_function is None else self.yield_function(theta, *self._columns(signals, None))[0]
+        if self.yield_function is None:
+            return None
+        found = self.yield_function(theta, *self._columns(signals, None))[0]
+        if self.steady is not None:
+            self.steady.add(found, self._apart(theta, signals), theta, self.offsets["joint_angle"].start)
+        return found
+
+    def _apart(self, theta: Array, signals: Mapping[str, Array]) -> Array:
+        """The steady partials of these rows."""
+        if self.steady is None:
+            raise ValueError("expected a chain with steady partials, found one without")
+        return self.steady.partials(theta, lambda name, _: recorded(signals, name))
 
     def _columns(self, signals: Mapping[str, Array], torque: Array | None) -> list[Array]:
         columns = []
@@ -269,11 +292,19 @@ def build_chain(
         offsets[station] = slice(start, start + value.shape[0])
         start += value.shape[0]
     stacked = ca.densify(ca.vertcat(*values))
-    jacobian = ca.jacobian(stacked, theta)
+    # Of poses no derivative is asked for by what a fit holds: it would keep the sines of angle curves from being apart.
+    free = np.array([k for k, slot in enumerate(slots) if stage != "poses" or not _held(slot, effects)], dtype=np.int64)
+    jacobian = ca.jacobian(stacked, theta[free.tolist()] if len(free) < len(slots) else theta)
     station_of, parameter_of = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
     by_station = np.argsort(station_of, kind="stable")
-    station_of, parameter_of = station_of[by_station], parameter_of[by_station]
-    outputs = [stacked, jacobian.nz[by_station.tolist()] if jacobian.nnz() else ca.SX(0, 1)]
+    station_of, parameter_of = station_of[by_station], free[parameter_of[by_station]]
+    partials = jacobian.nz[by_station.tolist()] if jacobian.nnz() else ca.SX(0, 1)
+    affine, steady = not ca.depends_on(partials, theta), None
+    if stage == "poses":
+        apart = parted(theta, free, row.flats, FOLLOWING, stacked, partials, station_of, parameter_of)
+        if apart is not None:
+            stacked, partials, steady = apart
+    outputs = [stacked, partials]
     if stage == "clamped":
         outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
     pressing = None
@@ -297,8 +328,13 @@ def build_chain(
         least,
         None if pressing is None else Blocks(ca.Function("pressing", inputs, [pressing])),
         None if yields is None else Blocks(ca.Function("yields", inputs, [yields])),
-        affine=not ca.depends_on(outputs[1], theta),
+        affine=affine,
+        steady=steady,
     )
+
+
+def _held(slot: Slot, effects: Mapping[str, Effect]) -> bool:
+    return effects[slot.effect].by_name[slot.parameter].held == "everywhere"
 
 
 def least_deciding(slots: Sequence[Slot], effects: Mapping[str, Effect]) -> Array:
