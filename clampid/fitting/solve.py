@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from clampid.chain.chain import FOLLOWING
 from clampid.fitting.descent import Chord, Limits, covariance_of, descend, inverse_of
 from clampid.fitting.flanks import mirrored, settled
 from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
@@ -22,6 +23,7 @@ __all__ = [
     "Estimate",
     "FitError",
     "StagePoint",
+    "chord_of",
     "clamping_offsets",
     "holding",
     "limits_of",
@@ -32,9 +34,6 @@ __all__ = [
     "start_of",
     "whitened_columns",
 ]
-
-FOLLOWING = ("flank", "sag_torque")
-"""Signals of poses that follow the parameters, held while these are searched."""
 
 
 class FitError(ValueError):
@@ -193,7 +192,14 @@ def limits_of(experiment: Experiment) -> Limits:
 
 
 def solve(
-    experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array, *, errors: bool = True
+    experiment: Experiment,
+    theta: Array,
+    noise: Noise,
+    precision: Array,
+    mean: Array,
+    *,
+    errors: bool = True,
+    chord: Chord[AmplitudePoint] | None = None,
 ) -> Estimate:
     """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
 
@@ -203,6 +209,8 @@ def solve(
     ----------
     errors
         Whether the covariance is wanted; else it is empty. Of hundreds of amplitudes it takes as long as the search.
+    chord
+        Of :func:`chord_of`: what several searches of the same rows share. By default this search has its own.
 
     Raises
     ------
@@ -215,7 +223,10 @@ def solve(
         return point_at(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
     known: dict[bytes, Experiment] = {}
-    chord = Chord(AmplitudePoint.gradient) if has_many_amplitudes(experiment, noise) else None
+    if not has_many_amplitudes(experiment, noise):
+        chord = None
+    elif chord is None:
+        chord = chord_of()
 
     def held_at(at: Array) -> Experiment:
         """Flanks and loads where a parameter vector puts them, found once."""
@@ -253,6 +264,11 @@ def solve(
         prior_mean=mean,
         iterations=end.iterations,
     )
+
+
+def chord_of(matrix: Array | None = None) -> Chord[AmplitudePoint]:
+    """A normal matrix ``(P, P)`` to be kept between searches that differ little: in their weights, or in a few rows."""
+    return Chord(AmplitudePoint.gradient, matrix)
 
 
 class _End(NamedTuple):
