@@ -6,6 +6,7 @@ alone. Computed anew at each point they are most of what a fit of poses takes.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 WORTH = 24  # columns: fewer are computed faster than they are kept
-KEPT = 2  # sets of rows: those that are fitted, and those that are held out
+KEPT = 3  # sets of columns, of all chains together: a diagnosis remembers dozens of fits, and a set may have 20 MB
 
 
 class Steady:
@@ -56,7 +57,6 @@ class Steady:
         self.parameter, self.count = parameter, len(columns) + len(others)
         self._stations = [(int(station[run.start]), run) for run, _ in _runs(station, np.zeros_like(station))]
         self._places = _runs(np.zeros_like(columns), columns), _runs(np.zeros_like(others), others)
-        self._kept: list[tuple[bytes, tuple[Array, ...], Array]] = []
 
     def partials(self, theta: Array, columns: Callable[[str, int], Array]) -> Array:
         """The steady columns ``(N, k)``, as they were found before where rows and held parameters are the same.
@@ -69,13 +69,13 @@ class Steady:
             Name and width of a signal → its numbers ``(N, width)``; the same array for the same rows.
         """
         held, read = theta[self.held], tuple(columns(name, width) for name, width in self.signals)
-        for key, arrays, found in self._kept:
-            if key == held.tobytes() and all(a is b for a, b in zip(arrays, read, strict=True)):
+        for owner, key, arrays, found in _KNOWN:
+            if owner is self and key == held.tobytes() and all(a is b for a, b in zip(arrays, read, strict=True)):
                 return found
         found = self.function(
             held, *(np.reshape(a, (len(a), w)) for a, (_, w) in zip(read, self.signals, strict=True))
         )[0]
-        self._kept = [(held.tobytes(), read, found), *self._kept[: KEPT - 1]]
+        _KNOWN.appendleft((self, held.tobytes(), read, found))
         return found
 
     def add(self, values: Array, partials: Array, theta: Array, first: int = 0) -> None:
@@ -91,6 +91,10 @@ class Steady:
             for mine, there in places:
                 out[:, there] = part[:, mine]
         return out
+
+
+_KNOWN: deque[tuple[Steady, bytes, tuple[Array, ...], Array]] = deque(maxlen=KEPT)
+"""The columns found last, with whose they are, the held parameters and the signals that they are of."""
 
 
 class Parted(NamedTuple):
