@@ -90,7 +90,7 @@ class Look:
     @property
     def remembered(self) -> Look:
         """What a verdict says of it later, without what is as large as its rows."""
-        return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0])
+        return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0].copy())
 
     @property
     def fires(self) -> bool:

@@ -101,7 +101,9 @@ class Space:
     @property
     def remembered(self) -> Space:
         """What a verdict needs of it later: not the basis, which is as large as the rows and all that is active."""
-        return replace(self, residual=self.residual[:0], basis=self.basis[:0], unit=self.unit[:0])
+        # Copies: a slice of nothing would keep what it was cut from.
+        nothing = self.residual[:0].copy(), self.basis[:0].copy(), self.unit[:0].copy()
+        return replace(self, residual=nothing[0], basis=nothing[1], unit=nothing[2])
 
     @cached_property
     def by_unit(self) -> Sums:
@@ -186,7 +188,7 @@ class Scored:
     @property
     def remembered(self) -> Scored:
         """The same without its parts, once the null has been drawn."""
-        return replace(self, parts=self.parts[:0])
+        return replace(self, parts=self.parts[:0].copy())
 
     @property
     def freedom(self) -> int:
