@@ -68,11 +68,17 @@ class Lines:
 def program(*arguments: str, lines: int = 1) -> Iterator[dict[str, str]]:
     """A process of this suite, and the addresses that it says it listens on."""
     command = [sys.executable, "-m", "clampid", *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with (
+        tempfile.TemporaryFile("w+") as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
         try:
             assert process.stdout is not None
             said = [process.stdout.readline().split() for _ in range(lines)]
-            yield {words[0]: words[-1] for words in said if words}
+            if not all(said):
+                errors.seek(0)
+                raise RuntimeError(f"{arguments[0]} did not start: {errors.read()}")
+            yield {words[0]: words[-1] for words in said}
         finally:
             process.terminate()
 
