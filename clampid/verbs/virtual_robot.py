@@ -56,7 +56,6 @@ def virtual_robot(
     quiet: Quiet = False,
 ) -> None:
     """Play a robot's controller on sockets, with hidden errors, until interrupted."""
-    out = Output(quiet)
     from experiments.links.eki_config import config_text
     from experiments.links.schema import MOTION, STATE
     from experiments.virtual_controller.errors import ControllerError
@@ -81,6 +80,7 @@ def virtual_robot(
         faults=tuple(faults or ()),
         truth=truth,
     )
+    out = Output(quiet)
     try:
         play(asked, out.say)
     except ControllerError as error:
