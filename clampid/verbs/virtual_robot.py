@@ -9,7 +9,7 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Quiet, Seed
-from clampid.verbs.output import Output, output_file
+from clampid.verbs.output import Output
 
 __all__ = ["virtual_robot"]
 
@@ -60,10 +60,11 @@ def virtual_robot(
     from experiments.links.schema import MOTION, STATE
     from experiments.virtual_controller.errors import ControllerError
     from experiments.virtual_controller.running import Asked, play
+    from experiments.targets import check_output
     from kinematics.description import load_robot
 
     if truth is not None:
-        output_file(truth, "truth")
+        check_output(truth)
     texts = tuple(
         (f"{channel.name}.xml", config_text(channel) if files is None else _text(files / f"{channel.name}.xml"))
         for channel in (MOTION, STATE)
