@@ -72,6 +72,8 @@ class Splitter:
                 rest = rest.lstrip(BETWEEN)
                 if not rest:
                     return
+                if not rest.startswith(b"<"):
+                    raise DocumentError("no XML: a document begins with '<'")
                 self._parser = self._new_parser()
             before = self._bytes
             self._bytes += len(rest)
