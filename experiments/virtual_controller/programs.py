@@ -19,6 +19,7 @@ from experiments.virtual_controller.clock import Clock
 from experiments.virtual_controller.documents import Value
 from experiments.virtual_controller.moves import beyond
 from experiments.virtual_controller.recording import Recording, Sample
+from experiments.virtual_robot.description import Array
 
 __all__ = ["MAX_POINTS", "WATCHDOG_S", "Controller", "Event", "Kind", "Mode", "Reason"]
 
@@ -78,7 +79,7 @@ class Mode(IntEnum):
 class Point:
     """One point of a program: axis angles, rad, (6,), and the share of the top speeds, 0 … 1."""
 
-    target: np.ndarray[Any, np.dtype[np.float64]]
+    target: Array
     share: float
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from experiments.virtual_controller.arm import Arm
 from experiments.virtual_controller.clock import Clock
 from experiments.virtual_controller.errors import ControllerError
+from experiments.virtual_robot.description import Array
 from experiments.virtual_robot.draw import TARGETS
 
 __all__ = ["LOST", "Tracker"]
@@ -69,7 +70,7 @@ class Tracker:
             self.lost -= 1
             return {"error": LOST}
         begin = self._clock.now()
-        times = begin + PERIOD * np.arange(count)
+        times: Array = begin + PERIOD * np.arange(count, dtype=float)
         await asyncio.sleep(max(self._clock.left(float(times[-1])), 0.0))
         points = self._seen(times)[:, names.index(target)]
         points = points + self._arm.plant.instrument.sigma * self._rng.standard_normal(points.shape)
@@ -83,7 +84,7 @@ class Tracker:
             "temperature_C": self._read(air),
         }
 
-    def _seen(self, times: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def _seen(self, times: Array) -> Array:
         """Targets without noise; while the robot stands they are worked out once."""
         still = self._arm.track.stands(float(times[0]), float(times[-1]))
         if still:

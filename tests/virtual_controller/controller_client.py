@@ -155,7 +155,9 @@ class Controller:
         if self._state is None:
             self._state = self.state_link()
         self.sequence += 1
-        self._state.send(f"<Ask><Sequence>{self.sequence}</Sequence><Kind>{kind}</Kind><From>{first}</From></Ask>".encode())
+        self._state.send(
+            f"<Ask><Sequence>{self.sequence}</Sequence><Kind>{kind}</Kind><From>{first}</From></Ask>".encode()
+        )
         answer = self._state.receive()
         assert answer["State.Sequence"] == self.sequence
         return answer
@@ -177,7 +179,9 @@ class Controller:
         answer: dict[str, Any] = json.loads(file.readline())
         return answer
 
-    def run(self, number: int, points: Sequence[Sequence[float]], speed: float = 100.0, timeout: float = 20.0) -> list[int]:
+    def run(
+        self, number: int, points: Sequence[Sequence[float]], speed: float = 100.0, timeout: float = 20.0
+    ) -> list[int]:
         """Run a program to its end; the events."""
         boot = int(self.ask()["State.Boot"])
         with self.motion() as link:
@@ -219,7 +223,9 @@ class Controller:
 class Process(Controller):
     """A ``clampid virtual-robot`` in a process of its own."""
 
-    def __init__(self, *options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")) -> None:
+    def __init__(
+        self, *options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")
+    ) -> None:
         super().__init__()
         self.truth = truth
         besides = [part for name in wants for part in (f"--{name}", "127.0.0.1:0")]
@@ -306,7 +312,9 @@ class Inside(Controller):
 
 
 @contextlib.contextmanager
-def process(*options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")) -> Iterator[Process]:
+def process(
+    *options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")
+) -> Iterator[Process]:
     """A controller in its process, which must end cleanly, with nothing on stderr."""
     one = Process(*options, truth=truth, wants=wants)
     try:
