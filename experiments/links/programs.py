@@ -78,7 +78,10 @@ class Programs:
             It may not be sent.
         """
         with self._changed:
-            _refuse_by(status)
+            running = status.running or 0
+            if running in self._ended and self._ended[running].phase in (Phase.FINISHED, Phase.INTERRUPTED):
+                running = 0  # an event came after the status
+            _refuse_by(status, running)
             if self._current is not None:
                 raise RefusedError(f"program {self._current.fate.id} is on its way; another one is not taken")
             if self._question is not None:
@@ -229,14 +232,14 @@ class Programs:
         self._changed.notify_all()
 
 
-def _refuse_by(status: Status) -> None:
+def _refuse_by(status: Status, running: int) -> None:
     """Refuse what the controller would refuse, by its last status."""
     if status.age > MAX_AGE:
         raise LinkLostError(f"the robot's status is {status.age:.1f} s old, too old to move by")
     refusals = (
         (status.stopped, "the robot was stopped, and not released since"),
         (status.estop, "there is an emergency stop"),
-        (status.running, f"program {status.running} is running"),
+        (running, f"program {running} is running"),
         (status.mode not in (None, "AUT", "EXT"), f"the operating mode is {status.mode}, not AUT or EXT"),
         (status.drives is False, "the drives are off"),
     )
