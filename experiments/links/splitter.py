@@ -83,6 +83,11 @@ class Splitter:
             self._at = 0
         return found
 
+    @property
+    def between(self) -> bool:
+        """Whether nothing is open: all that came were whole documents."""
+        return not self._path and self._at == len(self._buffer)
+
     def _text(self, end: int, whole: bool) -> None:
         """What stands between tags, up to ``end``; not ``whole``: more of it may come."""
         text = bytes(self._buffer[self._at : end])

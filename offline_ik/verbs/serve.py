@@ -57,6 +57,8 @@ def serve(
         for one in taken:
             until_ready.callback(one.close)
         linked = None if link is None else _linked(link)
+        if linked is not None:
+            until_ready.callback(linked.close)
         with out.working("compiling"):
             detector = opened(model, cell, robot, effects_from, running)
             speaker = Speaker(detector, linked, token=token)
@@ -73,7 +75,10 @@ def serve(
             )
             out.warn(f"anyone who reaches {host} can ask{moves}")
         until_ready.pop_all()
-    if not serve_forever(speaker, host, port, out.say, taken):
+    ended = serve_forever(speaker, host, port, out.say, taken)
+    if linked is not None:
+        linked.close()
+    if not ended:
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
         os._exit(0)
