@@ -30,6 +30,7 @@ __all__ = ["EkiLink", "connect"]
 
 FIRST = 3.0  # s within which the first status has to come
 PATIENCE = 10.0  # s within which the fate of a program has to be learned
+PAUSE = 0.02  # s between two attempts
 LONGEST_PATIENCE = 600.0
 TIMER = "controller, $TIMER"
 
@@ -77,6 +78,19 @@ class EkiLink:
 
     def _fresh(self) -> Status:
         return status_of(self._state.exchange(Kind.STATE))
+
+    def wait_connected(self, patience: float) -> None:
+        """Wait for the first status, and for the motion channel, without which the link can still read.
+
+        Raises
+        ------
+        LinkLostError
+            No status came within the patience, s.
+        """
+        end = time.monotonic() + patience
+        self._state.wait_first(patience)
+        while not self._motion.ready and self._motion.attempts < 2 and time.monotonic() < end:
+            time.sleep(PAUSE)
 
     def status(self) -> Status:
         """The last status; see `Link`."""
@@ -145,7 +159,13 @@ class EkiLink:
         rows: list[tuple[float, ...]] = []
         lost: tuple[int, int] | None = None
         while True:
-            values = self._state.exchange(Kind.RECORDING, following)
+            try:
+                values = self._state.exchange(Kind.RECORDING, following)
+            except LinkLostError:  # what the controller has recorded is there after the break, too
+                if time.monotonic() > end:
+                    raise
+                time.sleep(PAUSE)
+                continue
             status = status_of(values)
             if status.boot != boot:
                 raise LinkLostError("recording: the controller's programs were started again; its numbers begin anew")
@@ -193,7 +213,7 @@ def connect(address: LinkAddress) -> EkiLink:
         patience,
     )
     try:
-        link._state.wait_first(FIRST)
+        link.wait_connected(FIRST)
     except LinkLostError:
         link.close()
         raise

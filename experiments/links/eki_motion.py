@@ -63,7 +63,7 @@ class MotionChannel:
         self._closing = False
         self._wake = Wake()
         self.trouble = "not connected yet"
-        self.malformed = 0
+        self.malformed = self.attempts = 0
         self._thread = threading.Thread(target=self._run, name="eki-motion", daemon=True)
         self._thread.start()
 
@@ -109,6 +109,7 @@ class MotionChannel:
         while not self._closing:
             try:
                 if self._connection is None:
+                    self.attempts += 1
                     self._connection = Connection(*self._where)
                     self.trouble = ""
                 self._send()

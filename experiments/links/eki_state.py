@@ -97,15 +97,15 @@ class StateChannel:
         with self._answered:
             number = self._ask(kind, start, awaited=True)
             try:
-                if not self._answered.wait_for(lambda: self._awaited[number] is not None or self._closing, patience):
-                    raise LinkLostError(
-                        f"state channel: no answer within {patience:g} s ({self.trouble or 'connected'})"
-                    )
+                end = time.monotonic() + patience
+                while self._awaited[number] is None and number in self._asked and not self._closing:
+                    if not self._answered.wait(min(end - time.monotonic(), 0.05)) and time.monotonic() > end:
+                        raise LinkLostError(f"state channel: no answer within {patience:g} s")
                 values = self._awaited[number]
             finally:
                 del self._awaited[number]
         if values is None:
-            raise LinkLostError("state channel: closed")
+            raise LinkLostError(f"state channel: {self.trouble or 'the connection broke before the answer'}")
         return values
 
     def wait_first(self, patience: float) -> Status:
@@ -172,12 +172,12 @@ class StateChannel:
                     readable(None, self._wake, backoff.seconds())
                     continue
                 due = 0.0
-            now = time.monotonic()
-            if now >= due:
-                due = now + self._period
-                self._poll(now)
-                self._tick()
             try:
+                now = time.monotonic()
+                if now >= due:
+                    due = now + self._period
+                    self._tick()
+                    self._poll(now)
                 self._listen(max(due - time.monotonic(), 0.0))
                 if self.last is not None and self.last.age < SILENCE:
                     backoff.reset()
@@ -220,20 +220,19 @@ class StateChannel:
             self._take(values_of(STATE.send, texts))
 
     def _take(self, values: Values) -> None:
-        number = int(values["Robot/State/@Sequence"])
-        with self._lock:
-            asked = self._asked.pop(number, None)
-        if asked is None:
-            raise StreamError(f"state channel: an answer to question {number}, which was not asked")
-        status = status_of(values)
-        if asked[0] is Kind.STOP and status.stopped:
-            self._stop_wanted = False
-        self.last = status
-        self._told(status)
+        number, status = int(values["Robot/State/@Sequence"]), status_of(values)
         with self._answered:
+            with self._lock:
+                asked = self._asked.pop(number, None)
+            if asked is None:
+                raise StreamError(f"state channel: an answer to question {number}, which was not asked")
+            if asked[0] is Kind.STOP and status.stopped:
+                self._stop_wanted = False
+            self.last = status
             if number in self._awaited:
                 self._awaited[number] = values
             self._answered.notify_all()
+        self._told(status)
 
 
 def status_of(values: Values) -> Status:

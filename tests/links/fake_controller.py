@@ -16,7 +16,7 @@ from experiments.links.schema import MOTION, RING, STATE, Event, Kind, Mode, Rea
 from experiments.links.splitter import Splitter, values_of
 
 
-class Cut(Exception):
+class CutError(Exception):
     """The connection is to be ended here."""
 
 
@@ -42,6 +42,15 @@ class Channel:
             return
         self.client, self.splitter, self.connections = client, Splitter(), self.connections + 1
 
+    def deaf(self) -> None:
+        """Listen no longer."""
+        self.drop()
+        self.server.close()
+
+    def listen(self) -> None:
+        """Listen again."""
+        self.server = socket.create_server(("127.0.0.1", self.port))
+
     def drop(self) -> None:
         if self.client is not None:
             self.client.close()
@@ -53,9 +62,9 @@ class Channel:
             most = 65536 if self.cut_in is None else max(self.cut_in - self.taken, 0)
             data = self.client.recv(most) if most else b""
         except OSError:
-            raise Cut from None
+            raise CutError from None
         if most and not data:
-            raise Cut
+            raise CutError
         self.taken += len(data)
         found = self.splitter.feed(data)
         if self.cut_in is not None and self.taken >= self.cut_in:
@@ -70,12 +79,12 @@ class Channel:
             data, self.cut_out = data[: self.cut_out - self.given], None
             with contextlib.suppress(OSError):
                 self.client.sendall(data)
-            raise Cut
+            raise CutError
         self.given += len(data)
         try:
             self.client.sendall(data)
         except OSError:
-            raise Cut from None
+            raise CutError from None
 
 
 class FakeController:
@@ -139,26 +148,30 @@ class FakeController:
             with self.lock:
                 sockets = [c.server for c in (self.motion, self.state)]
                 sockets += [c.client for c in (self.motion, self.state) if c.client is not None]
-            ready, _, _ = select.select(sockets, (), (), 0.001 if self.running else 0.01)
+            try:
+                ready, _, _ = select.select(sockets, (), (), 0.001 if self.running else 0.01)
+            except (OSError, ValueError):  # closed meanwhile, by a test
+                continue
             with self.lock:
                 self._turn(ready)
 
     def _turn(self, ready: list) -> None:
         for channel in (self.motion, self.state):
             if channel.server in ready:
-                channel.accept()
+                with contextlib.suppress(OSError):  # closed meanwhile, by a test
+                    channel.accept()
         for channel, take in ((self.motion, self._move), (self.state, self._ask)):
             if channel.client is not None and channel.client in ready:
                 try:
                     for found in channel.read():
                         if found is None:
-                            raise Cut
+                            raise CutError
                         take(found[1])
-                except Cut:
+                except CutError:
                     self._gone(channel)
         try:
             self._advance()
-        except Cut:
+        except CutError:
             self._gone(self.motion)
 
     def _gone(self, channel: Channel) -> None:
@@ -234,7 +247,7 @@ class FakeController:
         if v["Kind"] == Kind.STOP:
             self.stopped = True
             if self.running:
-                with contextlib.suppress(Cut):
+                with contextlib.suppress(CutError):
                     self._abort(Reason.STOPPED)
         if v["Kind"] == Kind.RELEASE and not self.running:
             self.stopped = False

@@ -176,7 +176,7 @@ def test_two_at_once_are_not_taken() -> None:
 
 def test_wait_ends_when_it_ends_and_says_when_it_does_not() -> None:
     programs, number = begun()
-    with pytest.raises(LinkLostError, match="still sent after 0.01 s"):
+    with pytest.raises(LinkLostError, match=r"still sent after 0\.01 s"):
         programs.wait(number, 0.01)
     threading.Timer(0.02, programs.ended, (7, number, Phase.FINISHED, 3, "")).start()
     assert programs.wait(number, 5.0).phase is Phase.FINISHED
