@@ -1,0 +1,108 @@
+"""The person at the controller, on a socket: what hands do at a real one.
+
+=========================  ============================================================================================
+``estop`` / ``estop off``  press or release the emergency stop; the drives stay off after it
+``mode T1|T2|AUT|EXT``     turn the mode switch
+``drives on|off``          switch the drives
+``restart``                start the controller's programs anew
+``kill-link``              cut both channels
+``sight lost N``           the instrument finds no line of sight, N times
+``speed X``                simulated seconds in a second
+``fault NAME=VALUE``       arm a fault, see `experiments.virtual_controller.faults`
+``state``                  what a person would see
+=========================  ============================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from experiments.virtual_controller.clock import Clock
+from experiments.virtual_controller.errors import ControllerError
+from experiments.virtual_controller.faults import Fault, parse_faults
+from experiments.virtual_controller.programs import Controller, Mode
+from experiments.virtual_controller.tracker import Tracker
+
+__all__ = ["Operator"]
+
+
+class Operator:
+    """Answers an operator's lines.
+
+    Parameters
+    ----------
+    controller, clock, tracker
+        What hands can reach.
+    restart, kill_link
+        Start the programs anew; cut the channels.
+    arm_fault
+        Arms a fault.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        clock: Clock,
+        tracker: Tracker,
+        *,
+        restart: Callable[[], None],
+        kill_link: Callable[[], None],
+        arm_fault: Callable[[Fault], None],
+    ) -> None:
+        self._controller, self._clock, self._tracker = controller, clock, tracker
+        self._restart, self._kill_link, self._arm_fault = restart, kill_link, arm_fault
+
+    async def answer(self, line: str) -> dict[str, Any]:
+        """Answer a line of the protocol."""
+        match line.split():
+            case ["estop"]:
+                self._controller.press_estop(True)
+            case ["estop", "off"]:
+                self._controller.press_estop(False)
+            case ["mode", ("T1" | "T2" | "AUT" | "EXT") as mode]:
+                self._controller.switch_mode(Mode[mode])
+            case ["drives", ("on" | "off") as word]:
+                if word == "on" and self._controller.estop:
+                    raise ControllerError("the emergency stop is pressed: release it first (estop off)")
+                self._controller.switch_drives(word == "on")
+            case ["restart"]:
+                self._restart()
+            case ["kill-link"]:
+                self._kill_link()
+            case ["sight", "lost", number] if number.isdecimal() and len(number) < 7:
+                self._tracker.lost = int(number)
+            case ["speed", number]:
+                self._speed(number)
+            case ["fault", *items] if items:
+                self._faults(items)
+            case ["state"]:
+                pass
+            case _:
+                raise ControllerError(
+                    "expected estop [off], mode T1|T2|AUT|EXT, drives on|off, restart, kill-link, sight lost N, "
+                    "speed X, fault NAME=VALUE, or state"
+                )
+        return self._state()
+
+    def _speed(self, text: str) -> None:
+        try:
+            speed = float(text)
+        except ValueError:
+            raise ControllerError(f"speed: expected a number, found {text[:20]!r}") from None
+        self._controller.due()
+        self._clock.speed = speed
+
+    def _faults(self, items: Sequence[str]) -> None:
+        for fault in parse_faults(items):
+            self._arm_fault(fault)
+
+    def _state(self) -> dict[str, Any]:
+        c = self._controller
+        c.due()
+        return {
+            "boot": c.boot, "mode": c.mode.name, "drives": c.drives, "brakes_released": c.brakes, "estop": c.estop,
+            "stopped": c.stopped, "running": c.running, "accepted": c.accepted, "finished": c.finished,
+            "aborted": c.aborted, "point": c.point, "standing": c.standing(), "time_s": round(self._clock.now(), 3),
+            "speed": self._clock.speed, "sight_lost": self._tracker.lost,
+        }  # fmt: skip
