@@ -74,7 +74,7 @@ class EkiLink:
         )
         self._programs = Programs(patience)
         self._state = StateChannel(host, port + STATE.offset, self._programs.seen, self._programs.tick)
-        self._motion = MotionChannel(host, port, self._programs, self._fresh)
+        self._motion = MotionChannel(host, port, self._programs, self._fresh, self._state.hurry)
 
     def _fresh(self) -> Status:
         return status_of(self._state.exchange(Kind.STATE))

@@ -49,10 +49,14 @@ class MotionChannel:
         What becomes of them.
     asked
         Asks for a status and gives the answer to that very question; raises `LinkLostError`.
+    changed
+        Called when a program has ended, so that a status is asked for.
     """
 
-    def __init__(self, host: str, port: int, programs: Programs, asked: Callable[[], Status]) -> None:
-        self._where, self._programs, self._asked = (host, port), programs, asked
+    def __init__(
+        self, host: str, port: int, programs: Programs, asked: Callable[[], Status], changed: Callable[[], None]
+    ) -> None:
+        self._where, self._programs, self._asked, self._changed = (host, port), programs, asked, changed
         self._connection: Connection | None = None
         self._lock = threading.Lock()
         self._job: _Job | None = None
@@ -202,6 +206,7 @@ class MotionChannel:
         else:
             phases = {Event.FINISHED: Phase.FINISHED, Event.REFUSED: Phase.REFUSED, Event.ABORTED: Phase.INTERRUPTED}
             self._programs.ended(boot, number, phases[event], point, reason.words if reason else "")
+            self._changed()
 
     def _fenced(self) -> None:
         """The controller has dropped what it had: a status from now on decides."""

@@ -58,6 +58,7 @@ class StateChannel:
         self._awaited: dict[int, Values | None] = {}
         self._stop_wanted = False
         self._closing = False
+        self._due = 0.0  # when the next question is, monotonic s
         self._wake = Wake()
         self.last: Status | None = None
         self.trouble = "not connected yet"
@@ -80,6 +81,11 @@ class StateChannel:
         """
         self._stop_wanted = True
         self._ask(Kind.STOP)
+        self._wake.set()
+
+    def hurry(self) -> None:
+        """Ask as soon as possible: something has changed."""
+        self._due = 0.0
         self._wake.set()
 
     def release(self) -> None:
@@ -164,21 +170,16 @@ class StateChannel:
         self._wake.set()
 
     def _run(self) -> None:
-        backoff, due = Backoff(), 0.0
+        backoff = Backoff()
         while not self._closing:
             if self._connection is None:
                 if not self._connect():
                     self._tick()
                     readable(None, self._wake, backoff.seconds())
                     continue
-                due = 0.0
+                self._due = 0.0
             try:
-                now = time.monotonic()
-                if now >= due:
-                    due = now + self._period
-                    self._tick()
-                    self._poll(now)
-                self._listen(max(due - time.monotonic(), 0.0))
+                self._listen(self._poll(time.monotonic()))
                 if self.last is not None and self.last.age < SILENCE:
                     backoff.reset()
             except (LinkLostError, StreamError) as error:
@@ -199,16 +200,28 @@ class StateChannel:
             self._connection, self.trouble = connection, ""
         return True
 
-    def _poll(self, now: float) -> None:
-        """Ask, if no question is on its way; a wanted stop goes first, each time until it is acknowledged."""
+    def _poll(self, now: float) -> float:
+        """Ask, if no question is on its way; a wanted stop goes first, each time until it is acknowledged.
+
+        Returns
+        -------
+        float
+            How long there is nothing else to do, s.
+        """
         with self._lock:
             oldest = min((when for _, when in self._asked.values()), default=now)
             busy = bool(self._asked)
         if now - oldest > SILENCE:
             raise LinkLostError(f"state channel: no answer for {SILENCE:g} s")
-        if not busy:
-            with contextlib.suppress(LinkLostError):  # said in `trouble`, and seen in the next turn
-                self._ask(Kind.STOP if self._stop_wanted else Kind.STATE)
+        if busy:
+            return self._period
+        if now < self._due:
+            return self._due - now
+        self._due = now + self._period
+        self._tick()
+        with contextlib.suppress(LinkLostError):  # said in `trouble`, and seen in the next turn
+            self._ask(Kind.STOP if self._stop_wanted else Kind.STATE)
+        return self._period
 
     def _listen(self, patience: float) -> None:
         connection = self._connection

@@ -21,6 +21,7 @@ from experiments.links.protocol import Fate, LinkLostError, Phase, RefusedError,
 __all__ = ["MAX_AGE", "Programs"]
 
 MAX_AGE = 0.5  # s: a status that is older is not moved by
+CONFIRMED = 1.0  # s within which a status should say what an event has said; then the event counts alone
 REMEMBERED = 1000  # programs whose fate can be asked for
 
 
@@ -32,6 +33,7 @@ class _Current:
     fate: Fate
     count: int
     since: float  # of the last evidence, monotonic s
+    ending: Fate | None = None  # what an event said; a status that says so too, with the posture of then, ends it
 
 
 class Programs:
@@ -105,14 +107,22 @@ class Programs:
         self._advance(boot, number, point)
 
     def ended(self, boot: int, number: int, phase: Phase, point: int, reason: str) -> None:
-        """The controller says how it ended: finished, refused or interrupted."""
+        """The controller says how it ended: finished, refused or interrupted.
+
+        The program counts as ended once a status says so too: then the last status is of the robot at rest.
+        """
         with self._changed:
             current = self._current
             if current is None or current.boot != boot or current.fate.id != number:
                 return
             if phase is Phase.REFUSED and current.fate.phase is Phase.RUNNING:
                 return  # a fence's answer, or another client's: it had been accepted
-            self._end(phase, max(point, current.fate.point), reason)
+            point = max(point, current.fate.point)
+            if phase is Phase.REFUSED:
+                self._end(phase, point, reason)
+                return
+            current.ending = Fate(number, phase, point, reason)
+            current.since = time.monotonic()
 
     def seen(self, status: Status) -> None:
         """Take what a status says of programs as evidence."""
@@ -126,10 +136,12 @@ class Programs:
             current = self._current
             if current is None:
                 return
-            if boot != current.boot:
+            if boot != current.boot and current.ending is not None:
+                self._end(current.ending.phase, current.ending.point, current.ending.reason)
+            elif boot != current.boot:
                 self._end(Phase.UNKNOWN, current.fate.point, "the controller's programs were started again meanwhile")
-                return
-            self._compare(current, status)
+            else:
+                self._compare(current, status)
 
     def _compare(self, current: _Current, status: Status) -> None:
         number, point = current.fate.id, status.point or 0
@@ -159,12 +171,14 @@ class Programs:
         """Let the patience run out."""
         with self._changed:
             current = self._current
-            if current is not None and time.monotonic() - current.since > self.patience:
-                self._end(
-                    Phase.UNKNOWN,
-                    current.fate.point,
-                    f"nothing was heard of it for {self.patience:g} s: look at the robot",
-                )
+            if current is None:
+                return
+            silent = time.monotonic() - current.since
+            if current.ending is not None and silent > CONFIRMED:
+                self._end(current.ending.phase, current.ending.point, current.ending.reason)
+            elif silent > self.patience:
+                why = f"nothing was heard of it for {self.patience:g} s: look at the robot"
+                self._end(Phase.UNKNOWN, current.fate.point, why)
 
     def ask_person(self, question: str) -> None:
         """Refuse programs until a person confirms."""

@@ -9,11 +9,11 @@ import numpy as np
 import orjson
 import pytest
 from fake_controller import FakeController
+from variable_server import VariableServer
 
 from clampid.verbs.output import finite
 from experiments.links.eki import EkiLink
 from experiments.links.varproxy import connect as connect_varproxy
-from experiments.links.varproxy_server import VariableServer
 from offline_ik.errors import DetectorError
 from offline_ik.link import LinkedRobot
 

@@ -39,7 +39,7 @@ def test_a_number_is_new_to_the_controller_and_to_the_link() -> None:
     assert number == 5
     programs.not_sent(5, "no")
     assert programs.begin(now(), 1).id == 6
-    programs.ended(7, 6, Phase.FINISHED, 1, "")
+    programs.seen(now(accepted=6, finished=6))
     assert programs.begin(now(accepted=20), 1).id == 21
 
 
@@ -50,8 +50,25 @@ def test_the_usual_way() -> None:
     programs.reached(7, number, 1)
     assert (programs.fate(number).phase, programs.fate(number).point) == (Phase.RUNNING, 1)
     programs.ended(7, number, Phase.FINISHED, 3, "")
+    programs.seen(now(accepted=5, running=5, point=2))  # this status was on its way
+    assert programs.fate(number).phase is Phase.RUNNING
+    programs.seen(now(accepted=5, finished=5, point=3))  # with the posture at rest
     assert programs.wait(number, 0).point == 3
     assert programs.question is None
+
+
+def test_what_an_event_says_counts_alone_where_no_status_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("experiments.links.programs.CONFIRMED", 0.01)
+    for phase, boot in ((Phase.FINISHED, None), (Phase.INTERRUPTED, None), (Phase.FINISHED, 8)):
+        programs, number = begun()
+        programs.ended(7, number, phase, 3, "why")
+        assert not programs.fate(number).phase.final
+        if boot is None:
+            time.sleep(0.02)
+            programs.tick()
+        else:
+            programs.seen(now(boot=boot))
+        assert (programs.fate(number).phase, programs.fate(number).point) == (phase, 3)
 
 
 def test_a_status_alone_moves_it_on_as_well() -> None:
@@ -127,6 +144,7 @@ def test_an_abort_tells_the_point_and_the_reason() -> None:
     programs, number = begun()
     programs.reached(7, number, 2)
     programs.ended(7, number, Phase.INTERRUPTED, 2, "emergency stop")
+    programs.seen(now(accepted=5, aborted=5, point=2, reason="emergency stop"))
     with pytest.raises(InterruptedProgramError, match="program 5: interrupted after point 2: emergency stop"):
         programs.wait(number, 0)
 
@@ -178,7 +196,7 @@ def test_wait_ends_when_it_ends_and_says_when_it_does_not() -> None:
     programs, number = begun()
     with pytest.raises(LinkLostError, match=r"still sent after 0\.01 s"):
         programs.wait(number, 0.01)
-    threading.Timer(0.02, programs.ended, (7, number, Phase.FINISHED, 3, "")).start()
+    threading.Timer(0.02, programs.seen, (now(accepted=5, finished=5),)).start()
     assert programs.wait(number, 5.0).phase is Phase.FINISHED
     with pytest.raises(RefusedError, match="has sent none"):
         programs.fate(99)

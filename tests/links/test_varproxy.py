@@ -14,11 +14,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from variable_server import VariableServer
 
 from experiments.links.address import LinkAddress
 from experiments.links.protocol import CannotError, Link, LinkLostError, Program
 from experiments.links.varproxy import axes_of, connect
-from experiments.links.varproxy_server import VariableServer
 from experiments.links.varproxy_wire import Answers, Question, Questions, answer_bytes, question_bytes
 
 VARIABLES = {

@@ -1,4 +1,4 @@
-"""A variable proxy for tests and for the virtual controller: what KUKAVARPROXY is on a real one."""
+"""A variable proxy for tests: what KUKAVARPROXY is on a real controller."""
 
 from __future__ import annotations
 
