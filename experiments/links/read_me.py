@@ -44,7 +44,8 @@ Read them before you use them. You are responsible for the cell.
 
 3. What the programs use: check that nothing else does
    $FLAG[{ALIVE_FLAGS[0]}] to $FLAG[{DATA_FLAGS[1]}]; $TIMER[{timers[0]}] and $TIMER[{timers[1]}];
-   interrupts 21, 22 and 23; $VEL_AXIS; about {RING * 20 * 4 / 1e6:.1f} MB for the recording ({RING} samples, one each {SAMPLE_MS} ms).
+   interrupts 21, 22 and 23; $VEL_AXIS;
+   about {RING * 20 * 4 / 1e6:.1f} MB for the recording ({RING} samples, one each {SAMPLE_MS} ms).
 
 4. Axis limits in clampid_motion.dat [deg]; the controller's software limits are checked as well
    {"; ".join(limits)}
