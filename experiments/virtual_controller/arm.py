@@ -146,21 +146,22 @@ class Arm:
         powered
             Whether the drives are on; without them there is no torque to read.
         """
-        drive = self.plant.drive
-        counts = motor_angles(drive, self.track.at(times).q) / COUNT + FLICKER * self._flicker.white(rows)
+        drive, lag = self.plant.drive, self.plant.friction.lag
+        now = self.track.at(times)
+        counts = motor_angles(drive, now.q) / COUNT + FLICKER * self._flicker.white(rows)
         axis = np.degrees(np.round(counts) * COUNT @ drive.nominal)
         if not powered:
             nothing = np.zeros_like(axis)
             return Readings(axis, nothing, nothing)
-        before = [time - self.plant.friction.lag for time in times]
-        then = self.track.at(before)
+        before = [max(time - lag, 0.0) for time in times]
+        then = self.track.at(before) if lag else now
         shaft = moving_torques(
             self.plant,
             self.bodies,
             (then.q, then.qd, then.qdd),
             state=then.motor_state,
             gear_state=then.gear_state,
-            temperature=self.warmth.at([max(time, 0.0) for time in before]).motor,
+            temperature=self.warmth.motor(before),
         )
         torque = shaft + self.plant.instrument.torque_sigma * self._noise.torque(rows)
         current = shaft + self.plant.instrument.torque_sigma * self._flicker.torque(rows)
@@ -168,7 +169,7 @@ class Arm:
 
     def motor_kelvin(self, time: float) -> Array:
         """Return ``$MOT_TEMP``, K, (6,): whole kelvins."""
-        return np.asarray(np.round(self.warmth.at([time]).motor[0] + KELVIN), dtype=float)
+        return np.asarray(np.round(self.warmth.motor([time])[0] + KELVIN), dtype=float)
 
     def climate(self, time: float) -> Temperatures:
         """Return the true temperatures at a time, °C."""
