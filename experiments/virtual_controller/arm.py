@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from experiments.virtual_controller.clamping import Clamping, close_clamp, gauges, held_torques
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.moves import Limits, limits_of, move
 from experiments.virtual_controller.noise import Noise
-from experiments.virtual_controller.track import Track
+from experiments.virtual_controller.track import Rows, Track
 from experiments.virtual_controller.warmth import Warmth
 from experiments.virtual_robot import Hidden, RobotDescription
 from experiments.virtual_robot.bodies import Bodies
@@ -111,6 +112,7 @@ class Arm:
         start = site.middle if posture is None else np.asarray(posture, dtype=float)
         self.track = Track(self.plant, self.limits, start, self.rng)
         self.warmth = Warmth(self.plant.heat, self.limits.speed, self.track.travel)
+        self._clampings: list[Clamping] = []
         self._rated = self.plant.drive.rated * np.abs(np.diag(self.plant.drive.nominal))  # Nm at the motors
         self.boot_noise(0)
 
@@ -154,18 +156,51 @@ class Arm:
             nothing = np.zeros_like(axis)
             return Readings(axis, nothing, nothing)
         before = [max(time - lag, 0.0) for time in times]
-        then = self.track.at(before) if lag else now
-        shaft = moving_torques(
-            self.plant,
-            self.bodies,
-            (then.q, then.qd, then.qdd),
-            state=then.motor_state,
-            gear_state=then.gear_state,
-            temperature=self.warmth.motor(before),
-        )
+        shaft = self._shaft(before, self.track.at(before) if lag else now)
         torque = shaft + self.plant.instrument.torque_sigma * self._noise.torque(rows)
         current = shaft + self.plant.instrument.torque_sigma * self._flicker.torque(rows)
         return Readings(axis, _digits(torque), _digits(current * RATED_CURRENT / self._rated))
+
+    def _shaft(self, times: list[float], rows: Rows) -> Array:
+        """Torques at the motors without noise, Nm, (N, 6): of a free arm, or of a clamped one."""
+        warm = self.warmth.motor(times)
+        clampings = [self.clamped(time) for time in times]
+        if clampings[0] is None and not any(clampings):
+            return moving_torques(
+                self.plant,
+                self.bodies,
+                (rows.q, rows.qd, rows.qdd),
+                state=rows.motor_state,
+                gear_state=rows.gear_state,
+                temperature=warm,
+            )
+        if clampings[0] is not None and all(each is clampings[0] for each in clampings):
+            return held_torques(self.plant, self.bodies, clampings[0], times, rows, warm)
+        single = [self._shaft([time], self.track.at([time])) for time in times]  # closed or opened in between
+        return np.vstack(single)
+
+    def clamped(self, time: float) -> Clamping | None:
+        """Return how the flange is clamped at a time, if it is."""
+        return next((each for each in reversed(self._clampings) if each.start <= time < each.end), None)
+
+    def clamp(self, now: float) -> None:
+        """Clamp the flange of the robot, which stands."""
+        rows = self.track.at([now])
+        self._clampings = [each for each in self._clampings if each.end > now - MEMORY]
+        self._clampings.append(close_clamp(self.plant, self.bodies, now, rows, self.rng))
+
+    def release(self, now: float) -> None:
+        """Open the clamp."""
+        if self._clampings and math.isinf(self._clampings[-1].end):
+            self._clampings[-1] = replace(self._clampings[-1], end=now)
+
+    def gauges(self, now: float) -> Array | None:
+        """Return what the dial gauges at the block see, m and rad, (6,), with their noise; None: no clamp."""
+        clamping = self.clamped(now)
+        if clamping is None:
+            return None
+        true = gauges(self.plant, self.bodies, clamping, now, self.track.at([now]).q[0])
+        return np.asarray(true + self.plant.fixture.sigma * self.rng.standard_normal(6), dtype=float)
 
     def motor_kelvin(self, time: float) -> Array:
         """Return ``$MOT_TEMP``, K, (6,): whole kelvins."""
@@ -182,6 +217,9 @@ class Arm:
             arm = np.array([self._slipped(time) for time in times])
         else:
             arm, _ = arm_at_rest(self.plant, self.bodies, rows.q, rows.direction)
+        for place, time in enumerate(times):
+            if (clamping := self.clamped(time)) is not None:
+                arm[place] = clamping.arm
         warm = self.warmth.at([max(time, 0.0) for time in times]).link
         return tracked_points(self.plant, self.bodies, arm + rows.off, warm, np.maximum(np.asarray(times), 0.0))
 

@@ -6,6 +6,7 @@
 ``drives on|off``          switch the drives
 ``restart``                start the controller's programs anew
 ``kill-link``              cut both channels
+``clamp`` / ``release``    clamp the flange of a robot that stands; open the clamp
 ``sight lost N``           the instrument finds no line of sight, N times
 ``speed X``                simulated seconds in a second
 ``fault NAME=VALUE``       arm a fault, see `experiments.virtual_controller.faults`
@@ -70,6 +71,10 @@ class Operator:
                 self._restart()
             case ["kill-link"]:
                 self._kill_link()
+            case ["clamp"]:
+                self._controller.clamp(True)
+            case ["release"]:
+                self._controller.clamp(False)
             case ["sight", "lost", number] if number.isdecimal() and len(number) < 7:
                 self._tracker.lost = int(number)
             case ["speed", number]:
@@ -80,8 +85,8 @@ class Operator:
                 pass
             case _:
                 raise ControllerError(
-                    "expected estop [off], mode T1|T2|AUT|EXT, drives on|off, restart, kill-link, sight lost N, "
-                    "speed X, fault NAME=VALUE, or state"
+                    "expected estop [off], mode T1|T2|AUT|EXT, drives on|off, restart, kill-link, clamp, release, "
+                    "sight lost N, speed X, fault NAME=VALUE, or state"
                 )
         return self._state()
 
@@ -103,6 +108,7 @@ class Operator:
         return {
             "boot": c.boot, "mode": c.mode.name, "drives": c.drives, "brakes_released": c.brakes, "estop": c.estop,
             "stopped": c.stopped, "running": c.running, "accepted": c.accepted, "finished": c.finished,
-            "aborted": c.aborted, "point": c.point, "standing": c.standing(), "time_s": round(self._clock.now(), 3),
+            "aborted": c.aborted, "point": c.point, "standing": c.standing(),
+            "clamped": c.arm.clamped(self._clock.now()) is not None, "time_s": round(self._clock.now(), 3),
             "speed": self._clock.speed, "sight_lost": self._tracker.lost,
         }  # fmt: skip

@@ -16,6 +16,7 @@ import numpy as np
 
 from experiments.virtual_controller.arm import AXES, Arm, rows_at
 from experiments.virtual_controller.clock import Clock
+from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.documents import Value
 from experiments.virtual_controller.moves import beyond
 from experiments.virtual_controller.recording import Recording, Sample
@@ -299,6 +300,26 @@ class Controller:
         if not on:
             self._halt(self.clock.now(), Reason.DRIVES)
         self.recording.power(self.brakes, self.clock.now())
+
+    def clamp(self, closed: bool) -> None:
+        """Clamp the flange or open the clamp, as a person does it at a robot that stands.
+
+        Raises
+        ------
+        ControllerError
+            The robot moves, or it is so already.
+        """
+        self.due()
+        now = self.clock.now()
+        if not self.standing():
+            raise ControllerError("the robot moves: expected it at rest")
+        if closed == (self.arm.clamped(now) is not None):
+            raise ControllerError(f"the flange is {'clamped' if closed else 'free'} already")
+        if closed:
+            self.arm.clamp(now)
+        else:
+            self.arm.release(now)
+        self._tell({"event": "clamped" if closed else "released", "boot": self.boot, "time": now})
 
     def restart(self) -> None:
         """Start the controller's programs anew: the robot brakes, the boot number rises, numbers begin again."""

@@ -154,7 +154,7 @@ class VirtualRobot:
     def _tell(self, event: Mapping[str, Any]) -> None:
         """An event of the programs: first on the disk, then to the client."""
         self.journal.add(event)
-        if "restart" in event:
+        if "restart" in event or not isinstance(event["event"], Event):
             return
         self.motion.send(_moved(event))
         if event["event"] == Event.ACCEPTED and self._restart_at_point is not None:

@@ -3,6 +3,7 @@
 ========================  =============================================================================================
 ``measure N [TARGET]``    N points at 500 Hz from now on: ``points_m``, ``std_m``, ``temperature_C``, ``time_s``, …
 ``targets``               names of the targets on the tool, and where they are on the flange by design
+``gauges``                  dial gauges at a clamped flange: ``gauges`` along and about the base's axes, m and rad
 ``temperatures``          sensors on motors and links and in the air: ``motor_C``, ``link_C``, ``ambient_C``
 ========================  =============================================================================================
 
@@ -54,9 +55,11 @@ class Tracker:
             return await self._measure(words)
         if line.strip() == "targets":
             return {"targets_m": {name: list(point) for name, point in TARGETS.items()}}
+        if line.strip() == "gauges":
+            return self._gauges()
         if line.strip() == "temperatures":
             return self._temperatures()
-        raise ControllerError("expected 'measure N [TARGET]', 'targets' or 'temperatures'")
+        raise ControllerError("expected 'measure N [TARGET]', 'targets', 'gauges' or 'temperatures'")
 
     async def _measure(self, words: list[str]) -> dict[str, Any]:
         names = list(TARGETS)
@@ -90,6 +93,13 @@ class Tracker:
         if still:
             return np.repeat(self._arm.points([float(times[-1])]), len(times), axis=0)
         return self._arm.points([float(time) for time in times])
+
+    def _gauges(self) -> dict[str, Any]:
+        now = self._clock.now()
+        read = self._arm.gauges(now)
+        if read is None:
+            raise ControllerError("the flange is not clamped")
+        return {"time_s": round(now, 4), "gauges": np.round(read, 8).tolist()}
 
     def _temperatures(self) -> dict[str, Any]:
         now = self._clock.now()
