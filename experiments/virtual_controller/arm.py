@@ -69,7 +69,7 @@ class Arm:
     Parameters
     ----------
     robot
-        The nominal robot; six axes.
+        The nominal robot; six axes. Without masses it has no weight, and torques are those of friction.
     hidden
         Effects that this individual has.
     seed, session
@@ -80,7 +80,7 @@ class Arm:
     Raises
     ------
     ControllerError
-        The robot has not six axes or no masses, or an effect cannot be hidden in it.
+        The robot has not six axes, or an effect cannot be hidden in it.
     """
 
     def __init__(
@@ -95,8 +95,6 @@ class Arm:
         if len(robot.joints) != AXES:
             raise ControllerError(f"{robot.name}: expected a robot with {AXES} axes, found {len(robot.joints)}")
         site = Site(robot)
-        if not site.weighed:
-            raise ControllerError(f"{robot.name}: expected masses in the description, found none: no torques are known")
         try:
             seeds = seeds_of(seed, session)
             baseline = draw_plant(robot, np.random.default_rng(seeds.plant))

@@ -16,8 +16,8 @@ import numpy as np
 
 from experiments.virtual_controller.arm import AXES, Arm, rows_at
 from experiments.virtual_controller.clock import Clock
-from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.documents import Value
+from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.moves import beyond
 from experiments.virtual_controller.recording import Recording, Sample
 from experiments.virtual_robot.description import Array

@@ -83,7 +83,14 @@ class Track:
         self._creeps = bool(plant.friction.creep.any())
         direction, motor, gear = rng.choice([-1.0, 1.0], (3, n))
         first = _Left(
-            direction, motor, gear, np.tile(motor, (len(CONTACTS), 1)), np.zeros(n), self._wobble(), self._wobble(), np.zeros(n)
+            direction,
+            motor,
+            gear,
+            np.tile(motor, (len(CONTACTS), 1)),
+            np.zeros(n),
+            self._wobble(),
+            self._wobble(),
+            np.zeros(n),
         )
         self._moves = [Move(-1.0, np.array(posture, dtype=float), np.zeros(n), 0.5, 0.25)]
         self._left = [first]

@@ -91,6 +91,12 @@ class Link:
         self.close()
 
 
+def configs() -> tuple[tuple[str, str], tuple[str, str]]:
+    """The config files that are shipped."""
+    motion, state = ((f"{channel.name}.xml", config_text(channel)) for channel in (MOTION, STATE))
+    return motion, state
+
+
 def numbers(document: bytes) -> dict[str, float]:
     """Values by name: ``Boot`` of an element, ``Axis.A1`` of an attribute."""
     text = document.decode()
@@ -276,8 +282,8 @@ class Inside(Controller):
     def __init__(self, truth: Path | None = None, **asked: Any) -> None:
         super().__init__()
         self.truth = truth
-        configs = tuple((f"{channel.name}.xml", config_text(channel)) for channel in (MOTION, STATE))
-        self.robot = built(Asked(robot=load_robot("kuka_kr20_r1810"), configs=configs, truth=truth, **asked))
+        description = load_robot(asked.pop("robot", "kuka_kr20_r1810"))
+        self.robot = built(Asked(robot=description, configs=configs(), truth=truth, **asked))
         self.errors: list[dict[str, Any]] = []
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda _, context: self.errors.append(context))
