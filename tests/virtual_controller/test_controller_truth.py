@@ -118,7 +118,7 @@ def test_clamped_flange_winds_up_the_drives() -> None:
     with inside(seed=5, speed=1000.0, hide=("fixture_compliance",)) as robot:
         assert robot.run(1, [HOME]) == [1, 2, 3]
         assert "singular" in robot.line("operator", "clamp")["error"]  # axes 4 and 6 are in one line
-        bent = HOME + [0, 0, 0, 30, 50, 0]
+        bent = HOME + np.array([0, 0, 0, 30, 50, 0])
         assert robot.run(2, [bent - STEP, bent]) == [1, 2, 2, 3]
         assert robot.line("tracker", "gauges") == {"error": "the flange is not clamped"}
         assert robot.line("operator", "clamp")["clamped"]
@@ -129,7 +129,7 @@ def test_clamped_flange_winds_up_the_drives() -> None:
         offsets = np.degrees(np.array([0.0, 0.5, 1.0]) * 2e-3)
         for offset in offsets:
             number += 1
-            assert robot.run(number, [bent + [0, 0, offset, 0, 0, 0]], 1.0)[-1] == 3
+            assert robot.run(number, [bent + np.array([0, 0, offset, 0, 0, 0])], 1.0)[-1] == 3
             torque.append(np.mean([robot.ask()["Torque.A3"] for _ in range(20)]))
             seen.append(robot.line("tracker", "gauges")["gauges"])
         after = np.mean(robot.line("tracker", "measure 50")["points_m"], axis=0)
