@@ -146,6 +146,7 @@ class Controller:
 
     def take_point(self, record: Mapping[str, Value]) -> None:
         """Take one point of a program, as the motion program gets it from its channel."""
+        self.due()
         boot, number, point, count = (int(record[f"Move/{name}"]) for name in ("Boot", "Id", "Point", "Count"))
         if self._ignored == (boot, number) and point != 1:
             return
@@ -187,7 +188,6 @@ class Controller:
         return Reason.NONE
 
     def _begin(self, program: Collected) -> None:
-        self.due()
         reason = self._forbidden()
         if reason is not Reason.NONE:
             self._refuse(program.id, reason)

@@ -264,6 +264,12 @@ class Process(Controller):
     def descriptors(self) -> int:
         return len(list(Path(f"/proc/{self.process.pid}/fd").iterdir()))
 
+    def kill(self) -> None:
+        """End it as a power cut does."""
+        self.hang_up()
+        self.process.kill()
+        self.process.communicate(timeout=20)
+
     def end(self) -> None:
         self.hang_up()
         if self.process.poll() is None:

@@ -65,7 +65,7 @@ def send_many(robot: Process, name: str, count: int, seed: int) -> int:
     """Send messages to a listener, several to a connection; how many were sent."""
     rng = random.Random(seed)
     good, root = {
-        "listening": (move(7, 7, [HOME + STEP])[0], b"Move"),  # of a boot that will not come
+        "listening": (move(7, 7, [HOME + STEP, HOME])[0], b"Move"),  # one point of two, for a boot that will not come
         "state": (ASK, b"Ask"),
     }.get(name, (b"measure 1 T1\n" if name == "tracker" else b"state\n", b"x"))
     sent = 0

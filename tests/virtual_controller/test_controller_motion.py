@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from controller_client import HOME, STEP, Controller, angles, inside, move, process
+from controller_client import HOME, STEP, Controller, Process, angles, inside, move, process
 
 
 @pytest.fixture(scope="module")
@@ -169,14 +169,25 @@ def test_restart_counts_up_and_begins_anew(robot: Controller) -> None:
     assert robot.run(1, [HOME]) == [1, 2, 3]
 
 
-def test_controller_process_goes_on_where_it_was_killed(tmp_path: Path) -> None:
+def test_killed_controller_goes_on_where_it_was_seen_last(tmp_path: Path) -> None:
     truth = tmp_path / "truth.json"
-    with process("--speed", "100", truth=truth) as first:
+    first = Process("--speed", "100", truth=truth)
+    try:
         assert first.run(1, [HOME + STEP]) == [1, 2, 3]
+        first.line("operator", "speed 1")
+        with first.motion() as link:
+            link.send(b"".join(move(1, 2, [HOME], 5.0)))
+            assert link.receive()["Event"] == 1
+    finally:
+        first.kill()
     with process("--speed", "100", truth=truth) as second:
         state = second.ask()
-        assert state["State.Boot"] == 2
+        assert (state["State.Boot"], state["State.Accepted"]) == (2, 0)
         assert np.allclose(angles(state), HOME + STEP, atol=2e-4)
+        assert (second.said(1), second.said(3)) == ([(1, 1, 0), (1, 2, 0)], [(1, 1, 1)])
+        with second.motion() as link:
+            link.send(b"".join(move(1, 3, [HOME])))
+            assert link.receive()["Reason"] == 1
 
 
 def test_sixty_points_take_well_below_a_second(tmp_path: Path) -> None:
@@ -190,3 +201,23 @@ def test_sixty_points_take_well_below_a_second(tmp_path: Path) -> None:
         for _ in range(200):
             robot.ask()
         assert (time.monotonic() - begin) / 200 < 0.01
+
+
+@pytest.mark.slow
+def test_six_simulated_hours_of_motion_leave_memory_and_files_as_they_were(tmp_path: Path) -> None:
+    with process("--speed", "1000", truth=tmp_path / "truth.json") as robot:
+        number, memory, files, begun = 0, [], [], 0.0
+        while robot.line("operator", "state")["time_s"] < begun + 6 * 3600:
+            number += 1
+            assert robot.run(number, [HOME + STEP * (-1) ** k for k in range(60)], 50.0) == [1, *[2] * 60, 3]
+            robot.line("tracker", "measure 10")
+            for k in range(20):
+                robot.ask(3, int(robot.ask()["State.Newest"]) - 80 + 4 * k)
+            if number == 10:
+                begun = robot.line("operator", "state")["time_s"]
+            memory.append(robot.memory())
+            files.append(robot.descriptors())
+        print(f"{number} programs, memory {memory[10]:.1f} to {memory[-1]:.1f} MB")
+        assert robot.told(3) == [(k, 60) for k in range(1, number + 1)]
+        assert memory[-1] < memory[10] + 10.0
+        assert max(files[10:]) <= files[10]
