@@ -264,4 +264,4 @@ def test_cut_at_every_byte_against_the_virtual_controller(
     assert set(found) <= {(Phase.FINISHED, True), (Phase.NOT_EXECUTED, False)}
     assert found[Phase.FINISHED, True] > 0
     if not way:
-        assert found[Phase.NOT_EXECUTED, False] >= length // step - 2
+        assert found[Phase.NOT_EXECUTED, False] >= 0.8 * length / step  # numbers of fewer digits make it shorter
