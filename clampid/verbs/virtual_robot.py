@@ -42,9 +42,7 @@ def virtual_robot(
     operator: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="The person at the controller.", show_default=False)
     ] = None,
-    varproxy: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="KUKAVARPROXY.", show_default=False)
-    ] = None,
+    varproxy: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="KUKAVARPROXY.", show_default=False)] = None,
     files: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Config files to interpret, as link-files wrote them.", show_default=False),
@@ -58,9 +56,9 @@ def virtual_robot(
     """Play a robot's controller on sockets, with hidden errors, until interrupted."""
     from experiments.links.eki_config import config_text
     from experiments.links.schema import MOTION, STATE
+    from experiments.targets import check_output
     from experiments.virtual_controller.errors import ControllerError
     from experiments.virtual_controller.running import Asked, play
-    from experiments.targets import check_output
     from kinematics.description import load_robot
 
     if truth is not None:

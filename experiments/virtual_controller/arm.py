@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from experiments.virtual_controller.clamping import Clamping, close_clamp, gauges, held_torques
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.moves import Limits, limits_of, move
 from experiments.virtual_controller.noise import Noise
-from experiments.virtual_controller.track import Track
+from experiments.virtual_controller.track import Rows, Track
 from experiments.virtual_controller.warmth import Warmth
 from experiments.virtual_robot import Hidden, RobotDescription
 from experiments.virtual_robot.bodies import Bodies
@@ -68,7 +69,7 @@ class Arm:
     Parameters
     ----------
     robot
-        The nominal robot; six axes.
+        The nominal robot; six axes. Without masses it has no weight, and torques are those of friction.
     hidden
         Effects that this individual has.
     seed, session
@@ -79,7 +80,7 @@ class Arm:
     Raises
     ------
     ControllerError
-        The robot has not six axes or no masses, or an effect cannot be hidden in it.
+        The robot has not six axes, or an effect cannot be hidden in it.
     """
 
     def __init__(
@@ -94,8 +95,6 @@ class Arm:
         if len(robot.joints) != AXES:
             raise ControllerError(f"{robot.name}: expected a robot with {AXES} axes, found {len(robot.joints)}")
         site = Site(robot)
-        if not site.weighed:
-            raise ControllerError(f"{robot.name}: expected masses in the description, found none: no torques are known")
         try:
             seeds = seeds_of(seed, session)
             baseline = draw_plant(robot, np.random.default_rng(seeds.plant))
@@ -111,6 +110,7 @@ class Arm:
         start = site.middle if posture is None else np.asarray(posture, dtype=float)
         self.track = Track(self.plant, self.limits, start, self.rng)
         self.warmth = Warmth(self.plant.heat, self.limits.speed, self.track.travel)
+        self._clampings: list[Clamping] = []
         self._rated = self.plant.drive.rated * np.abs(np.diag(self.plant.drive.nominal))  # Nm at the motors
         self.boot_noise(0)
 
@@ -146,29 +146,63 @@ class Arm:
         powered
             Whether the drives are on; without them there is no torque to read.
         """
-        drive = self.plant.drive
-        counts = motor_angles(drive, self.track.at(times).q) / COUNT + FLICKER * self._flicker.white(rows)
+        drive, lag = self.plant.drive, self.plant.friction.lag
+        now = self.track.at(times)
+        counts = motor_angles(drive, now.q) / COUNT + FLICKER * self._flicker.white(rows)
         axis = np.degrees(np.round(counts) * COUNT @ drive.nominal)
         if not powered:
             nothing = np.zeros_like(axis)
             return Readings(axis, nothing, nothing)
-        before = [time - self.plant.friction.lag for time in times]
-        then = self.track.at(before)
-        shaft = moving_torques(
-            self.plant,
-            self.bodies,
-            (then.q, then.qd, then.qdd),
-            state=then.motor_state,
-            gear_state=then.gear_state,
-            temperature=self.warmth.at([max(time, 0.0) for time in before]).motor,
-        )
+        before = [max(time - lag, 0.0) for time in times]
+        shaft = self._shaft(before, self.track.at(before) if lag else now)
         torque = shaft + self.plant.instrument.torque_sigma * self._noise.torque(rows)
         current = shaft + self.plant.instrument.torque_sigma * self._flicker.torque(rows)
         return Readings(axis, _digits(torque), _digits(current * RATED_CURRENT / self._rated))
 
+    def _shaft(self, times: list[float], rows: Rows) -> Array:
+        """Torques at the motors without noise, Nm, (N, 6): of a free arm, or of a clamped one."""
+        warm = self.warmth.motor(times)
+        clampings = [self.clamped(time) for time in times]
+        if clampings[0] is None and not any(clampings):
+            return moving_torques(
+                self.plant,
+                self.bodies,
+                (rows.q, rows.qd, rows.qdd),
+                state=rows.motor_state,
+                gear_state=rows.gear_state,
+                temperature=warm,
+            )
+        if clampings[0] is not None and all(each is clampings[0] for each in clampings):
+            return held_torques(self.plant, self.bodies, clampings[0], times, rows, warm)
+        single = [self._shaft([time], self.track.at([time])) for time in times]  # closed or opened in between
+        return np.vstack(single)
+
+    def clamped(self, time: float) -> Clamping | None:
+        """Return how the flange is clamped at a time, if it is."""
+        return next((each for each in reversed(self._clampings) if each.start <= time < each.end), None)
+
+    def clamp(self, now: float) -> None:
+        """Clamp the flange of the robot, which stands."""
+        rows = self.track.at([now])
+        self._clampings = [each for each in self._clampings if each.end > now - MEMORY]
+        self._clampings.append(close_clamp(self.plant, self.bodies, now, rows, self.rng))
+
+    def release(self, now: float) -> None:
+        """Open the clamp."""
+        if self._clampings and math.isinf(self._clampings[-1].end):
+            self._clampings[-1] = replace(self._clampings[-1], end=now)
+
+    def gauges(self, now: float) -> Array | None:
+        """Return what the dial gauges at the block see, m and rad, (6,), with their noise; None: no clamp."""
+        clamping = self.clamped(now)
+        if clamping is None:
+            return None
+        true = gauges(self.plant, self.bodies, clamping, now, self.track.at([now]).q[0])
+        return np.asarray(true + self.plant.fixture.sigma * self.rng.standard_normal(6), dtype=float)
+
     def motor_kelvin(self, time: float) -> Array:
         """Return ``$MOT_TEMP``, K, (6,): whole kelvins."""
-        return np.asarray(np.round(self.warmth.at([time]).motor[0] + KELVIN), dtype=float)
+        return np.asarray(np.round(self.warmth.motor([time])[0] + KELVIN), dtype=float)
 
     def climate(self, time: float) -> Temperatures:
         """Return the true temperatures at a time, °C."""
@@ -181,6 +215,9 @@ class Arm:
             arm = np.array([self._slipped(time) for time in times])
         else:
             arm, _ = arm_at_rest(self.plant, self.bodies, rows.q, rows.direction)
+        for place, time in enumerate(times):
+            if (clamping := self.clamped(time)) is not None:
+                arm[place] = clamping.arm
         warm = self.warmth.at([max(time, 0.0) for time in times]).link
         return tracked_points(self.plant, self.bodies, arm + rows.off, warm, np.maximum(np.asarray(times), 0.0))
 

@@ -6,6 +6,7 @@
 ``drives on|off``          switch the drives
 ``restart``                start the controller's programs anew
 ``kill-link``              cut both channels
+``clamp`` / ``release``    clamp the flange of a robot that stands; open the clamp
 ``sight lost N``           the instrument finds no line of sight, N times
 ``speed X``                simulated seconds in a second
 ``fault NAME=VALUE``       arm a fault, see `experiments.virtual_controller.faults`
@@ -16,6 +17,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from experiments.virtual_controller.clock import Clock
@@ -51,39 +53,43 @@ class Operator:
         arm_fault: Callable[[Fault], None],
     ) -> None:
         self._controller, self._clock, self._tracker = controller, clock, tracker
-        self._restart, self._kill_link, self._arm_fault = restart, kill_link, arm_fault
+        self._arm_fault = arm_fault
+        self._hands: dict[str, Callable[[], None]] = {
+            "estop": lambda: controller.press_estop(True),
+            "estop off": lambda: controller.press_estop(False),
+            **{f"mode {mode.name}": partial(controller.switch_mode, mode) for mode in Mode},
+            "drives on": self._drives_on,
+            "drives off": lambda: controller.switch_drives(False),
+            "restart": restart,
+            "kill-link": kill_link,
+            "clamp": lambda: controller.clamp(True),
+            "release": lambda: controller.clamp(False),
+            "state": lambda: None,
+        }
 
     async def answer(self, line: str) -> dict[str, Any]:
         """Answer a line of the protocol."""
-        match line.split():
-            case ["estop"]:
-                self._controller.press_estop(True)
-            case ["estop", "off"]:
-                self._controller.press_estop(False)
-            case ["mode", ("T1" | "T2" | "AUT" | "EXT") as mode]:
-                self._controller.switch_mode(Mode[mode])
-            case ["drives", ("on" | "off") as word]:
-                if word == "on" and self._controller.estop:
-                    raise ControllerError("the emergency stop is pressed: release it first (estop off)")
-                self._controller.switch_drives(word == "on")
-            case ["restart"]:
-                self._restart()
-            case ["kill-link"]:
-                self._kill_link()
+        words = line.split()
+        hand = self._hands.get(" ".join(words))
+        if hand is not None:
+            hand()
+            return self._state()
+        match words:
             case ["sight", "lost", number] if number.isdecimal() and len(number) < 7:
                 self._tracker.lost = int(number)
             case ["speed", number]:
                 self._speed(number)
             case ["fault", *items] if items:
                 self._faults(items)
-            case ["state"]:
-                pass
             case _:
-                raise ControllerError(
-                    "expected estop [off], mode T1|T2|AUT|EXT, drives on|off, restart, kill-link, sight lost N, "
-                    "speed X, fault NAME=VALUE, or state"
-                )
+                known = ", ".join(self._hands)
+                raise ControllerError(f"expected one of {known}, sight lost N, speed X, fault NAME=VALUE")
         return self._state()
+
+    def _drives_on(self) -> None:
+        if self._controller.estop:
+            raise ControllerError("the emergency stop is pressed: release it first (estop off)")
+        self._controller.switch_drives(True)
 
     def _speed(self, text: str) -> None:
         try:
@@ -103,6 +109,7 @@ class Operator:
         return {
             "boot": c.boot, "mode": c.mode.name, "drives": c.drives, "brakes_released": c.brakes, "estop": c.estop,
             "stopped": c.stopped, "running": c.running, "accepted": c.accepted, "finished": c.finished,
-            "aborted": c.aborted, "point": c.point, "standing": c.standing(), "time_s": round(self._clock.now(), 3),
+            "aborted": c.aborted, "point": c.point, "standing": c.standing(),
+            "clamped": c.arm.clamped(self._clock.now()) is not None, "time_s": round(self._clock.now(), 3),
             "speed": self._clock.speed, "sight_lost": self._tracker.lost,
         }  # fmt: skip

@@ -17,8 +17,10 @@ import numpy as np
 from experiments.virtual_controller.arm import AXES, Arm, rows_at
 from experiments.virtual_controller.clock import Clock
 from experiments.virtual_controller.documents import Value
+from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.moves import beyond
 from experiments.virtual_controller.recording import Recording, Sample
+from experiments.virtual_robot.description import Array
 
 __all__ = ["MAX_POINTS", "WATCHDOG_S", "Controller", "Event", "Kind", "Mode", "Reason"]
 
@@ -78,7 +80,7 @@ class Mode(IntEnum):
 class Point:
     """One point of a program: axis angles, rad, (6,), and the share of the top speeds, 0 … 1."""
 
-    target: np.ndarray[Any, np.dtype[np.float64]]
+    target: Array
     share: float
 
 
@@ -298,6 +300,26 @@ class Controller:
         if not on:
             self._halt(self.clock.now(), Reason.DRIVES)
         self.recording.power(self.brakes, self.clock.now())
+
+    def clamp(self, closed: bool) -> None:
+        """Clamp the flange or open the clamp, as a person does it at a robot that stands.
+
+        Raises
+        ------
+        ControllerError
+            The robot moves, or it is so already.
+        """
+        self.due()
+        now = self.clock.now()
+        if not self.standing():
+            raise ControllerError("the robot moves: expected it at rest")
+        if closed == (self.arm.clamped(now) is not None):
+            raise ControllerError(f"the flange is {'clamped' if closed else 'free'} already")
+        if closed:
+            self.arm.clamp(now)
+        else:
+            self.arm.release(now)
+        self._tell({"event": "clamped" if closed else "released", "boot": self.boot, "time": now})
 
     def restart(self) -> None:
         """Start the controller's programs anew: the robot brakes, the boot number rises, numbers begin again."""

@@ -89,5 +89,7 @@ class Recording:
         out = []
         for i, (number, time) in enumerate(zip(numbers, times, strict=True)):
             read = off if any(start <= time < end for start, end in self._off) else on
-            out.append(Sample(number, time, *(tuple(map(float, part[i])) for part in (read.axis, read.torque, read.current))))
+            out.append(
+                Sample(number, time, *(tuple(map(float, part[i])) for part in (read.axis, read.torque, read.current)))
+            )
         return out

@@ -24,7 +24,14 @@ from experiments.virtual_controller.varproxy import VarProxy
 __all__ = ["Address", "VirtualRobot", "parse_address"]
 
 RESTART_S = 0.3  # s of the wall clock, in which a controller that starts lets nobody in
-MOTION_TAGS = {"Move/Boot", "Move/Id", "Move/Point", "Move/Count", "Move/Speed", *(f"Move/Axis/@A{k}" for k in range(1, 7))}
+MOTION_TAGS = {
+    "Move/Boot",
+    "Move/Id",
+    "Move/Point",
+    "Move/Count",
+    "Move/Speed",
+    *(f"Move/Axis/@A{k}" for k in range(1, 7)),
+}
 STATE_TAGS = {"Ask/Sequence", "Ask/Kind", "Ask/From"}
 ATTEMPTS = 50  # at two free ports side by side
 
@@ -85,7 +92,9 @@ class VirtualRobot:
     def _check_sent(self) -> None:
         for channel, known in ((self.motion, set(_moved({}))), (self.state, set(self.controller.state()))):
             if strange := set(channel.config.send) - known:
-                raise ControllerError(f"{channel.config.name}: SEND has elements unknown here: {', '.join(sorted(strange))}")
+                raise ControllerError(
+                    f"{channel.config.name}: SEND has elements unknown here: {', '.join(sorted(strange))}"
+                )
 
     # Sockets.
 
@@ -145,7 +154,7 @@ class VirtualRobot:
     def _tell(self, event: Mapping[str, Any]) -> None:
         """An event of the programs: first on the disk, then to the client."""
         self.journal.add(event)
-        if "restart" in event:
+        if "restart" in event or not isinstance(event["event"], Event):
             return
         self.motion.send(_moved(event))
         if event["event"] == Event.ACCEPTED and self._restart_at_point is not None:
@@ -214,10 +223,14 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         sock = socket.socket(family, kind, protocol)
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind(where)
     except (OSError, UnicodeError) as error:
         raise ControllerError(f"cannot listen on {host}:{port}: {error}") from None
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind(where)
+    except OSError as error:
+        sock.close()
+        raise ControllerError(f"cannot listen on {host}:{port}: {error.strerror}") from None
     return sock
 
 

@@ -60,7 +60,7 @@ class _Left:
     travel: Array  # rad, all that an axis ever went
     off: Array  # rad, before this move
     then: Array  # rad, after it
-    at: float  # s, when
+    turn: Array  # 1, by how much the motors' dry friction would be wound up by the whole move
 
 
 class Track:
@@ -79,12 +79,18 @@ class Track:
     def __init__(self, plant: Plant, limits: Limits, posture: Array, rng: np.random.Generator) -> None:
         self._plant, self._limits, self._rng = plant, limits, rng
         n = plant.n
-        # Turns of the motors for a turn of the axes, over the widths at which dry friction has built up.
-        self._motor_width = plant.friction.presliding
         self._gear_width = plant.friction.presliding * np.abs(np.diag(plant.drive.nominal))
+        self._creeps = bool(plant.friction.creep.any())
         direction, motor, gear = rng.choice([-1.0, 1.0], (3, n))
         first = _Left(
-            direction, motor, gear, np.tile(motor, (len(CONTACTS), 1)), np.zeros(n), self._wobble(), self._wobble(), 0.0
+            direction,
+            motor,
+            gear,
+            np.tile(motor, (len(CONTACTS), 1)),
+            np.zeros(n),
+            self._wobble(),
+            self._wobble(),
+            np.zeros(n),
         )
         self._moves = [Move(-1.0, np.array(posture, dtype=float), np.zeros(n), 0.5, 0.25)]
         self._left = [first]
@@ -102,8 +108,7 @@ class Track:
 
     def add(self, one: Move) -> None:
         """Plan a move; it starts where and not before the last one ends."""
-        before = self._moves[-1]
-        self._left.append(self._after(before, self._left[-1], one.start))
+        self._left.append(self._after(self._moves[-1], self._left[-1], one))
         self._moves.append(one)
         self._starts.append(one.start)
 
@@ -122,24 +127,29 @@ class Track:
 
     def at(self, times: Sequence[float]) -> Rows:
         """Return the axes at times, s."""
-        columns: tuple[list[Array], ...] = ([], [], [], [], [], [], [])
-        for time in times:
-            k = max(bisect_right(self._starts, time) - 1, 0)
-            one, left = self._moves[k], self._left[k]
-            s, ds, dds = one.progress(time)
-            motor, _ = self._friction(one, left, time, s)
-            row = (
-                one.origin + s * one.step,
-                ds * one.step,
-                dds * one.step,
-                np.where(one.step == 0.0, left.direction, np.sign(one.step)) if s > 0.0 else left.direction,
-                motor,
-                np.clip(left.gear_state + s * one.step / self._gear_width, -1.0, 1.0),
-                left.off if s == 0.0 else left.then,
+        which = [max(bisect_right(self._starts, time) - 1, 0) for time in times]
+        moves, left = [self._moves[k] for k in which], [self._left[k] for k in which]
+        rates = np.array([one.progress(time) for one, time in zip(moves, times, strict=True)])
+        s, moved = rates[:, :1], rates[:, :1] > 0.0
+        step = np.array([one.step for one in moves])
+        motor = np.array([each.motor_state + part * each.turn for each, part in zip(left, rates[:, 0], strict=True)])
+        motor = np.minimum(np.maximum(motor, -1.0), 1.0)
+        gear = np.array([each.gear_state for each in left]) + s * step / self._gear_width
+        if self._creeps:
+            motor = np.array(
+                [self._friction(*row)[0] for row in zip(moves, left, times, rates[:, 0].tolist(), strict=True)]
             )
-            for column, value in zip(columns, row, strict=True):
-                column.append(value)
-        return Rows(*(np.array(column) for column in columns))
+        before = np.array([each.direction for each in left])
+        off = [each.off if part == 0.0 else each.then for each, part in zip(left, rates[:, 0], strict=True)]
+        return Rows(
+            q=np.array([one.origin for one in moves]) + s * step,
+            qd=rates[:, 1:2] * step,
+            qdd=rates[:, 2:] * step,
+            direction=np.where(moved & (step != 0.0), np.sign(step), before),
+            motor_state=motor,
+            gear_state=np.minimum(np.maximum(gear, -1.0), 1.0),
+            off=np.array(off),
+        )
 
     def stands(self, begin: float, end: float) -> bool:
         """Return whether the robot stands still all the time between two times, s."""
@@ -160,10 +170,10 @@ class Track:
         now = self.at([time])
         return np.array([*ends, now.q[0]]), np.array([*came, now.direction[0]])
 
-    def _after(self, one: Move, left: _Left, until: float) -> _Left:
-        """What is left behind when the next move begins."""
+    def _after(self, one: Move, left: _Left, following: Move) -> _Left:
+        """What a move has left behind when the next one begins."""
         s = one.progress(one.end)[0]
-        motor, contacts = self._friction(one, left, until, s)
+        motor, contacts = self._friction(one, left, following.start, s)
         return _Left(
             direction=np.where(one.step == 0.0, left.direction, np.sign(one.step)) if s > 0.0 else left.direction,
             motor_state=motor,
@@ -172,15 +182,14 @@ class Track:
             travel=left.travel + s * np.abs(one.step),
             off=left.then if s > 0.0 else left.off,
             then=self._wobble(),
-            at=until,
+            turn=motor_angles(self._plant.drive, following.step[None])[0] / self._plant.friction.presliding,
         )
 
     def _friction(self, one: Move, left: _Left, time: float, s: float) -> tuple[Array, Array]:
         """States of the motors' dry friction, (n,), and of the contacts that creep, (4, n)."""
-        turn = motor_angles(self._plant.drive, one.step[None])[0] / self._motor_width
+        turn, creep = left.turn, self._plant.friction.creep
         state = np.clip(left.motor_state + s * turn, -1.0, 1.0)
-        creep = self._plant.friction.creep
-        if not creep.any():
+        if not self._creeps:
             return state, left.contacts
         now, moving = left.contacts, max(min(time, one.end), one.start)
         done = 0.0

@@ -3,6 +3,7 @@
 ========================  =============================================================================================
 ``measure N [TARGET]``    N points at 500 Hz from now on: ``points_m``, ``std_m``, ``temperature_C``, ``time_s``, …
 ``targets``               names of the targets on the tool, and where they are on the flange by design
+``gauges``                  dial gauges at a clamped flange: ``gauges`` along and about the base's axes, m and rad
 ``temperatures``          sensors on motors and links and in the air: ``motor_C``, ``link_C``, ``ambient_C``
 ========================  =============================================================================================
 
@@ -21,6 +22,7 @@ import numpy as np
 from experiments.virtual_controller.arm import Arm
 from experiments.virtual_controller.clock import Clock
 from experiments.virtual_controller.errors import ControllerError
+from experiments.virtual_robot.description import Array
 from experiments.virtual_robot.draw import TARGETS
 
 __all__ = ["LOST", "Tracker"]
@@ -53,9 +55,11 @@ class Tracker:
             return await self._measure(words)
         if line.strip() == "targets":
             return {"targets_m": {name: list(point) for name, point in TARGETS.items()}}
+        if line.strip() == "gauges":
+            return self._gauges()
         if line.strip() == "temperatures":
             return self._temperatures()
-        raise ControllerError("expected 'measure N [TARGET]', 'targets' or 'temperatures'")
+        raise ControllerError("expected 'measure N [TARGET]', 'targets', 'gauges' or 'temperatures'")
 
     async def _measure(self, words: list[str]) -> dict[str, Any]:
         names = list(TARGETS)
@@ -69,7 +73,7 @@ class Tracker:
             self.lost -= 1
             return {"error": LOST}
         begin = self._clock.now()
-        times = begin + PERIOD * np.arange(count)
+        times: Array = begin + PERIOD * np.arange(count, dtype=float)
         await asyncio.sleep(max(self._clock.left(float(times[-1])), 0.0))
         points = self._seen(times)[:, names.index(target)]
         points = points + self._arm.plant.instrument.sigma * self._rng.standard_normal(points.shape)
@@ -83,12 +87,19 @@ class Tracker:
             "temperature_C": self._read(air),
         }
 
-    def _seen(self, times: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    def _seen(self, times: Array) -> Array:
         """Targets without noise; while the robot stands they are worked out once."""
         still = self._arm.track.stands(float(times[0]), float(times[-1]))
         if still:
             return np.repeat(self._arm.points([float(times[-1])]), len(times), axis=0)
         return self._arm.points([float(time) for time in times])
+
+    def _gauges(self) -> dict[str, Any]:
+        now = self._clock.now()
+        read = self._arm.gauges(now)
+        if read is None:
+            raise ControllerError("the flange is not clamped")
+        return {"time_s": round(now, 4), "gauges": np.round(read, 8).tolist()}
 
     def _temperatures(self) -> dict[str, Any]:
         now = self._clock.now()

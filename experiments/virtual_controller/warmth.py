@@ -70,20 +70,22 @@ class Warmth:
 
     def at(self, times: Sequence[float]) -> Temperatures:
         """Return the temperatures at times that have passed, s; the last step goes on until the next one."""
+        return Temperatures(*(self._between(times, which) for which in range(3)))
+
+    def motor(self, times: Sequence[float]) -> Array:
+        """Return the motors' temperatures, °C, (N, n)."""
+        return self._between(times, 0)
+
+    def _between(self, times: Sequence[float], which: int) -> Array:
         self.advance(max(times))
         first = self.steps - len(self._rows) + 1
-        at = np.clip(np.asarray(times) / STEP - first, 0.0, len(self._rows) - 1.0)
-        low = np.minimum(at.astype(int), max(len(self._rows) - 2, 0))
-        part = at - low
-        rows = list(self._rows)
-
-        def between(which: int) -> Array:
-            values = np.array([row[which] for row in rows])
-            high = np.minimum(low + 1, len(rows) - 1)
-            weight = part.reshape(-1, *([1] * (values.ndim - 1)))
-            return np.asarray(values[low] * (1 - weight) + values[high] * weight, dtype=float)
-
-        return Temperatures(between(0), between(1), between(2))
+        rows = []
+        for time in times:
+            at = min(max(time / STEP - first, 0.0), len(self._rows) - 1.0)
+            low = int(at)
+            high = min(low + 1, len(self._rows) - 1)
+            rows.append(self._rows[low][which] * (1 - (at - low)) + self._rows[high][which] * (at - low))
+        return np.array(rows, dtype=float)
 
     def _air(self, time: float) -> float:
         heat = self._heat

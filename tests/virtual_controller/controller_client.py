@@ -91,6 +91,12 @@ class Link:
         self.close()
 
 
+def configs() -> tuple[tuple[str, str], tuple[str, str]]:
+    """The config files that are shipped."""
+    motion, state = ((f"{channel.name}.xml", config_text(channel)) for channel in (MOTION, STATE))
+    return motion, state
+
+
 def numbers(document: bytes) -> dict[str, float]:
     """Values by name: ``Boot`` of an element, ``Axis.A1`` of an attribute."""
     text = document.decode()
@@ -155,7 +161,9 @@ class Controller:
         if self._state is None:
             self._state = self.state_link()
         self.sequence += 1
-        self._state.send(f"<Ask><Sequence>{self.sequence}</Sequence><Kind>{kind}</Kind><From>{first}</From></Ask>".encode())
+        self._state.send(
+            f"<Ask><Sequence>{self.sequence}</Sequence><Kind>{kind}</Kind><From>{first}</From></Ask>".encode()
+        )
         answer = self._state.receive()
         assert answer["State.Sequence"] == self.sequence
         return answer
@@ -177,7 +185,9 @@ class Controller:
         answer: dict[str, Any] = json.loads(file.readline())
         return answer
 
-    def run(self, number: int, points: Sequence[Sequence[float]], speed: float = 100.0, timeout: float = 20.0) -> list[int]:
+    def run(
+        self, number: int, points: Sequence[Sequence[float]], speed: float = 100.0, timeout: float = 20.0
+    ) -> list[int]:
         """Run a program to its end; the events."""
         boot = int(self.ask()["State.Boot"])
         with self.motion() as link:
@@ -219,7 +229,9 @@ class Controller:
 class Process(Controller):
     """A ``clampid virtual-robot`` in a process of its own."""
 
-    def __init__(self, *options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")) -> None:
+    def __init__(
+        self, *options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")
+    ) -> None:
         super().__init__()
         self.truth = truth
         besides = [part for name in wants for part in (f"--{name}", "127.0.0.1:0")]
@@ -270,8 +282,8 @@ class Inside(Controller):
     def __init__(self, truth: Path | None = None, **asked: Any) -> None:
         super().__init__()
         self.truth = truth
-        configs = tuple((f"{channel.name}.xml", config_text(channel)) for channel in (MOTION, STATE))
-        self.robot = built(Asked(robot=load_robot("kuka_kr20_r1810"), configs=configs, truth=truth, **asked))
+        description = load_robot(asked.pop("robot", "kuka_kr20_r1810"))
+        self.robot = built(Asked(robot=description, configs=configs(), truth=truth, **asked))
         self.errors: list[dict[str, Any]] = []
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda _, context: self.errors.append(context))
@@ -306,7 +318,9 @@ class Inside(Controller):
 
 
 @contextlib.contextmanager
-def process(*options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")) -> Iterator[Process]:
+def process(
+    *options: str, truth: Path | None = None, wants: Sequence[str] = ("operator", "tracker")
+) -> Iterator[Process]:
     """A controller in its process, which must end cleanly, with nothing on stderr."""
     one = Process(*options, truth=truth, wants=wants)
     try:

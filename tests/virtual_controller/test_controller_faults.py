@@ -94,7 +94,8 @@ def test_overflow_on_demand(robot: Inside) -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        b'<!DOCTYPE a [<!ENTITY b "c">]><Move></Move>', b"<?go?>", b"<Move><Move><a><a><a><a><a><a><a>", b"go", b"<Go></Go>",
+        b'<!DOCTYPE a [<!ENTITY b "c">]><Move></Move>', b"<?go?>", b"<Move><Move><a><a><a><a><a><a><a>", b"go",
+        b"<Go></Go>",
         b"<Move><Boot>x</Boot></Move>", b"<Move><Boot>99999999999</Boot></Move>", b"<Move><Speed>nan</Speed></Move>",
         b"<Move><Speed>1e300</Speed></Move>", b"<Move>&boot;</Move>", b"<Move>" + b"x" * 40000, b"<Move></Mova>",
         b"<Move>\0</Move>", b"\xff\xfe<\0M\0", b"<Move a='" + b">" * 40000,
@@ -208,7 +209,15 @@ def test_faults_are_read_and_refused() -> None:
         Fault("restart-at", "motion", 3.0, point=True),
         Fault("drop-after", "state", 0.0, sent=True),
     ]
-    for wrong in ("drop-after", "drop-after=", "drop-after=-1", "stall=nan", "overflow=all", "go=1", "restart-at=point:x"):
+    for wrong in (
+        "drop-after",
+        "drop-after=",
+        "drop-after=-1",
+        "stall=nan",
+        "overflow=all",
+        "go=1",
+        "restart-at=point:x",
+    ):
         with pytest.raises(ControllerError, match="expected"):
             parse_faults([wrong])
 

@@ -18,7 +18,17 @@ FAST, FULL = 1000, 100_000
 NAMES = ("listening", "state", "tracker", "operator", "varproxy")
 GROWTH = 30.0  # MB
 ASK = b"<Ask><Sequence>1</Sequence><Kind>0</Kind><From>0</From></Ask>"
-WORDS = (b"estopp", b"mode T9", b"measure 99999999", b"speed nan", b"speed 1e9", b"fault x=1", b"sight lost -1", b"\xff\xfe", b"")
+WORDS = (
+    b"estopp",
+    b"mode T9",
+    b"measure 99999999",
+    b"speed nan",
+    b"speed 1e9",
+    b"fault x=1",
+    b"sight lost -1",
+    b"\xff\xfe",
+    b"",
+)
 
 
 def laughs(root: bytes) -> bytes:
@@ -41,7 +51,9 @@ def hostile(rng: random.Random, good: bytes, root: bytes) -> bytes:
         lambda: b"<?xml version='1.0' encoding='utf-16'?>" + good,
         lambda: rng.choice(WORDS) + b"\n",
         lambda: b"x" * rng.randrange(1000, 5000) + b"\n",
-        lambda: struct.pack(">HHBH", rng.randrange(65536), rng.randrange(65536), rng.randrange(256), rng.randrange(65536)),
+        lambda: struct.pack(
+            ">HHBH", rng.randrange(65536), rng.randrange(65536), rng.randrange(256), rng.randrange(65536)
+        ),
         lambda: struct.pack(">HHBH", 1, 9, 1, 4) + b"$OV_" * rng.randrange(1, 5),
         lambda: good.replace(b">1<", b">-1<").replace(b">7<", b">%d<" % rng.randrange(-(2**40), 2**40)),
         lambda: b"\0" * rng.randrange(1, 3000),

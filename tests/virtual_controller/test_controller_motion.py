@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from controller_client import HOME, STEP, Controller, angles, inside, move, process
 
+
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Controller]:
     with inside(tmp_path_factory.mktemp("truth") / "truth.json", speed=20.0) as one:
@@ -104,9 +105,7 @@ def test_stop_latches_until_released(robot: Controller) -> None:
     assert np.allclose(stood, where, atol=2e-4)
 
 
-@pytest.mark.parametrize(
-    ("lines", "reason"), [(["estop"], 7), (["mode T1"], 8), (["mode T2"], 8), (["drives off"], 9)]
-)
+@pytest.mark.parametrize(("lines", "reason"), [(["estop"], 7), (["mode T1"], 8), (["mode T2"], 8), (["drives off"], 9)])
 def test_safety_aborts_and_refuses(robot: Controller, lines: list[str], reason: int) -> None:
     with robot.motion() as link:
         link.send(b"".join(move(robot.boot, 1, [HOME + STEP], 1.0)))

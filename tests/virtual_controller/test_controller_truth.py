@@ -43,7 +43,8 @@ def test_instrument_agrees_with_the_simulated_campaign(hidden: tuple[str, ...]) 
     assert number > 40
     assert rms < 45e-6
     if hidden:
-        plain = measure(load_robot("kuka_kr20_r1810"), [], seed=11, poses=60, tables=["poses"]).truth.noise_free["poses"]
+        bare = measure(load_robot("kuka_kr20_r1810"), [], seed=11, poses=60, tables=["poses"])
+        plain = bare.truth.noise_free["poses"]
         assert np.sqrt(np.mean(np.sum((plain - truth) ** 2, axis=-1))) > 5 * rms
 
 
@@ -111,3 +112,32 @@ def test_line_of_sight_is_lost_on_demand() -> None:
         assert (answer["target"], len(answer["points_m"])) == ("T2", 3)
         for wrong in ("measure", "measure 0", "measure 5001", "measure 3 T9", "measure 3 T1 x", "measure -3", "hello"):
             assert "error" in robot.line("tracker", wrong)
+
+
+def test_clamped_flange_winds_up_the_drives() -> None:
+    with inside(seed=5, speed=1000.0, hide=("fixture_compliance",)) as robot:
+        assert robot.run(1, [HOME]) == [1, 2, 3]
+        assert "singular" in robot.line("operator", "clamp")["error"]  # axes 4 and 6 are in one line
+        bent = HOME + np.array([0, 0, 0, 30, 50, 0])
+        assert robot.run(2, [bent - STEP, bent]) == [1, 2, 2, 3]
+        assert robot.line("tracker", "gauges") == {"error": "the flange is not clamped"}
+        assert robot.line("operator", "clamp")["clamped"]
+        assert robot.line("operator", "clamp") == {"error": "the flange is clamped already"}
+        arm, number = robot.robot.controller.arm, 2
+        before = np.mean(robot.line("tracker", "measure 50")["points_m"], axis=0)
+        torque, seen = [], []
+        offsets = np.degrees(np.array([0.0, 0.5, 1.0]) * 2e-3)
+        for offset in offsets:
+            number += 1
+            assert robot.run(number, [bent + np.array([0, 0, offset, 0, 0, 0])], 1.0)[-1] == 3
+            torque.append(np.mean([robot.ask()["Torque.A3"] for _ in range(20)]))
+            seen.append(robot.line("tracker", "gauges")["gauges"])
+        after = np.mean(robot.line("tracker", "measure 50")["points_m"], axis=0)
+        assert np.linalg.norm(after - before) < 40e-6  # 2 mrad of a free arm would be more than a millimetre
+        stiffness = arm.plant.drive.spring[2] / arm.plant.drive.nominal[2, 2]  # Nm at the motor for 1 rad at the joint
+        slope = (torque[2] - torque[1]) / np.radians(offsets[2] - offsets[1])
+        assert 0.2 * stiffness < slope < 1.2 * stiffness  # the gap, the block and the other joints give way, too
+        assert np.linalg.norm(np.subtract(seen[2], seen[0])[:3]) > 1e-5
+        assert not robot.line("operator", "release")["clamped"]
+        free = np.mean(robot.line("tracker", "measure 50")["points_m"], axis=0)
+        assert np.linalg.norm(free - before) > 5e-4
