@@ -14,12 +14,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from variable_server import VariableServer
+from variable_server import Questions, VariableServer, answer_bytes
 
 from experiments.links.address import LinkAddress
 from experiments.links.protocol import CannotError, Link, LinkLostError, Program
 from experiments.links.varproxy import axes_of, connect
-from experiments.links.varproxy_wire import Answers, Question, Questions, answer_bytes, question_bytes
+from experiments.links.varproxy_wire import Answers, Question, question_bytes
 
 VARIABLES = {
     "$AXIS_ACT_MEAS": "{E6AXIS: A1 10.5, A2 -90.0, A3 9.0e1, A4 0.0, A5 -0.25, A6 350.0, E1 0.0, E2 0.0}",
@@ -163,19 +163,18 @@ def test_messages_in_any_pieces() -> None:
         assert [(a.number, a.value) for a in found] == [(7, "1.5"), (8, None)]
 
 
-def test_spoilt_messages_are_errors_and_nothing_else() -> None:
+def test_spoilt_answers_are_errors_and_nothing_else() -> None:
     rng, errors = random.Random(1), 0
-    good = question_bytes(Question(2, "$BASE", "3")) + answer_bytes(7, False, "1.5")
+    good = answer_bytes(7, False, "1.5") + answer_bytes(8, True, "x")
     for _ in range(5000):
         data = bytearray(good)
         for _ in range(rng.randrange(1, 6)):
             data[rng.randrange(len(data))] = rng.randrange(256)
-        for stream in (Questions(), Answers()):
-            try:
-                stream.feed(bytes(data))
-            except ValueError:
-                errors += 1
-    assert errors > 1000
+        try:
+            Answers().feed(bytes(data))
+        except ValueError:
+            errors += 1
+    assert errors > 500
 
 
 def test_the_server_outlives_rubbish_and_silent_clients(server: VariableServer) -> None:
