@@ -192,6 +192,14 @@ class Arm:
         if self._clampings and math.isinf(self._clampings[-1].end):
             self._clampings[-1] = replace(self._clampings[-1], end=now)
 
+    def slip(self, now: float, shift: Sequence[float]) -> None:
+        """Let the block that holds the flange slip by a shift, m, (3,)."""
+        clamping = self.clamped(now)
+        if clamping is None:
+            raise ControllerError("the flange is not clamped")
+        further = np.concatenate([shift, np.zeros(3)])
+        self._clampings[-1] = replace(clamping, slipped=(*clamping.slipped, (now, further)))
+
     def gauges(self, now: float) -> Array | None:
         """Return what the dial gauges at the block see, m and rad, (6,), with their noise; None: no clamp."""
         clamping = self.clamped(now)

@@ -42,7 +42,9 @@ class Clamping:
     load
         Joint torques that held it there, Nm, (n,).
     slips
-        When the block slips, if it does, s.
+        When the block slips by what is hidden, if it does, s.
+    slipped
+        When it slipped besides, s, and by how much, m and rad, (6,).
     """
 
     start: float
@@ -51,6 +53,7 @@ class Clamping:
     load: Array
     slips: float
     end: float = math.inf
+    slipped: tuple[tuple[float, Array], ...] = ()
 
 
 def close_clamp(plant: Plant, bodies: Bodies, time: float, rows: Rows, rng: np.random.Generator) -> Clamping:
@@ -84,8 +87,10 @@ def close_clamp(plant: Plant, bodies: Bodies, time: float, rows: Rows, rng: np.r
 def _pressed(plant: Plant, bodies: Bodies, clamping: Clamping, times: Sequence[float], q: Array) -> tuple[Array, Array]:
     output = gear_output(plant.drive, motor_angles(plant.drive, q), plant.geometry.zero)
     output = output + off_by_approach(plant, q, np.broadcast_to(clamping.direction, q.shape))
-    slipped = np.asarray(times) >= clamping.slips
-    return clamped_torques(plant, bodies, output, clamping.arm, clamping.load, slipped)
+    when = np.asarray(times)
+    slips = [(clamping.slips, plant.fixture.shift), *clamping.slipped]
+    shift = np.sum([np.outer(when >= time, by) for time, by in slips], axis=0)
+    return clamped_torques(plant, bodies, output, clamping.arm, clamping.load, shift=shift)
 
 
 def held_torques(

@@ -8,6 +8,8 @@
 ``kill-link``              cut both channels
 ``clamp`` / ``release``    clamp the flange of a robot that stands; open the clamp
 ``sight lost N``           the instrument finds no line of sight, N times
+``sight silent SECONDS``   the instrument answers nothing for so long
+``slip X Y Z``             the clamped block slips by so many mm along the base's axes
 ``speed X``                simulated seconds in a second
 ``fault NAME=VALUE``       arm a fault, see `experiments.virtual_controller.faults`
 ``state``                  what a person would see
@@ -20,10 +22,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from experiments.virtual_controller.clock import Clock
+from experiments.virtual_controller.clock import MAX_SPEED, Clock
+from experiments.virtual_controller.codes import Mode
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.faults import Fault, parse_faults
-from experiments.virtual_controller.programs import Controller, Mode
+from experiments.virtual_controller.programs import Controller
 from experiments.virtual_controller.tracker import Tracker
 
 __all__ = ["Operator"]
@@ -77,13 +80,18 @@ class Operator:
         match words:
             case ["sight", "lost", number] if number.isdecimal() and len(number) < 7:
                 self._tracker.lost = int(number)
+            case ["sight", "silent", number]:
+                self._tracker.fall_silent(_number(number, 0.0, 3600.0))
+            case ["slip", x, y, z]:
+                self._controller.slip([_number(text, -5.0, 5.0) / 1000.0 for text in (x, y, z)])
             case ["speed", number]:
-                self._speed(number)
+                self._speed(_number(number, 0.0, MAX_SPEED))
             case ["fault", *items] if items:
                 self._faults(items)
             case _:
                 known = ", ".join(self._hands)
-                raise ControllerError(f"expected one of {known}, sight lost N, speed X, fault NAME=VALUE")
+                more = "sight lost N, sight silent SECONDS, slip X Y Z, speed X, fault NAME=VALUE"
+                raise ControllerError(f"expected one of {known}, {more}")
         return self._state()
 
     def _drives_on(self) -> None:
@@ -91,11 +99,7 @@ class Operator:
             raise ControllerError("the emergency stop is pressed: release it first (estop off)")
         self._controller.switch_drives(True)
 
-    def _speed(self, text: str) -> None:
-        try:
-            speed = float(text)
-        except ValueError:
-            raise ControllerError(f"speed: expected a number, found {text[:20]!r}") from None
+    def _speed(self, speed: float) -> None:
         self._controller.due()
         self._clock.speed = speed
 
@@ -113,3 +117,13 @@ class Operator:
             "clamped": c.arm.clamped(self._clock.now()) is not None, "time_s": round(self._clock.now(), 3),
             "speed": self._clock.speed, "sight_lost": self._tracker.lost,
         }  # fmt: skip
+
+
+def _number(text: str, least: float, most: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not least <= value <= most:
+        raise ControllerError(f"expected a number from {least:g} to {most:g}, found {text[:20]!r}")
+    return value

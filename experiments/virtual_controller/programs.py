@@ -1,79 +1,33 @@
 """What the KRL programs on the controller do: collect a program, check it, move, answer, stand still when they should.
 
-The numbers are those of the documents: events, reasons, kinds of questions, operating modes. All reactions are worked
-out at the time at which they are due, in the order of time, even when the process gets round to them later.
+All reactions are worked out at the time at which they are due, in the order of time, even when the process gets round
+to them later.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from experiments.virtual_controller.arm import AXES, Arm, rows_at
 from experiments.virtual_controller.clock import Clock
+from experiments.virtual_controller.codes import Event, Kind, Mode, Reason
 from experiments.virtual_controller.documents import Value
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.moves import beyond
 from experiments.virtual_controller.recording import Recording, Sample
 from experiments.virtual_robot.description import Array
 
-__all__ = ["MAX_POINTS", "WATCHDOG_S", "Controller", "Event", "Kind", "Mode", "Reason"]
+__all__ = ["MAX_POINTS", "WATCHDOG_S", "Controller"]
 
 MAX_POINTS = 60  # of one program
 WATCHDOG_S = 2.0  # s of the wall clock without a question, after which a running program is aborted
 SAMPLES = 4  # in one answer
 INTEGER = 2**32  # KRL's INT has 32 bits: its timer runs over
-
-
-class Event(IntEnum):
-    """What is said of a program."""
-
-    ACCEPTED = 1
-    POINT = 2
-    FINISHED = 3
-    REFUSED = 4
-    ABORTED = 5
-
-
-class Reason(IntEnum):
-    """Why a program was refused or aborted."""
-
-    NONE = 0
-    BOOT = 1
-    ID = 2
-    POINTS = 3
-    RANGE = 4
-    SPEED = 5
-    LATCH = 6
-    EMERGENCY = 7
-    MODE = 8
-    DRIVES = 9
-    WATCHDOG = 10
-    CLOSED = 11
-    BUSY = 12
-
-
-class Kind(IntEnum):
-    """What a question asks for."""
-
-    STATE = 0
-    STOP = 1
-    RELEASE = 2
-    RECORDING = 3
-
-
-class Mode(IntEnum):
-    """Operating modes; programs from outside run in the last two."""
-
-    T1 = 1
-    T2 = 2
-    AUT = 3
-    EXT = 4
 
 
 @dataclass(frozen=True)
@@ -320,6 +274,18 @@ class Controller:
         else:
             self.arm.release(now)
         self._tell({"event": "clamped" if closed else "released", "boot": self.boot, "time": now})
+
+    def slip(self, shift: Sequence[float]) -> None:
+        """Let the block that holds the flange slip, m along the base's axes.
+
+        Raises
+        ------
+        ControllerError
+            The flange is not clamped.
+        """
+        self.due()
+        self.arm.slip(self.clock.now(), shift)
+        self._tell({"event": "slipped", "boot": self.boot, "time": self.clock.now(), "shift_m": list(shift)})
 
     def restart(self) -> None:
         """Start the controller's programs anew: the robot brakes, the boot number rises, numbers begin again."""

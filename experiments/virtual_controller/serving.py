@@ -11,13 +11,14 @@ from typing import Any
 from experiments.virtual_controller.arm import Arm
 from experiments.virtual_controller.channel import Channel
 from experiments.virtual_controller.clock import Clock
+from experiments.virtual_controller.codes import Event
 from experiments.virtual_controller.config import Config
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.faults import Fault
 from experiments.virtual_controller.journal import Journal
 from experiments.virtual_controller.lines import LINE_BYTES, LineService
 from experiments.virtual_controller.operator_line import Operator
-from experiments.virtual_controller.programs import Controller, Event
+from experiments.virtual_controller.programs import Controller
 from experiments.virtual_controller.tracker import Tracker
 from experiments.virtual_controller.varproxy import VarProxy
 

@@ -47,9 +47,11 @@ class Tracker:
         self._arm, self._clock = arm, clock
         self._rng = np.random.default_rng([arm.seed, 28])
         self.lost = 0  # requests that will find no line of sight
+        self.silent_until = 0.0  # on the wall clock, s
 
     async def answer(self, line: str) -> dict[str, Any]:
         """Answer a line of the protocol."""
+        await asyncio.sleep(max(self.silent_until - self._clock.wall(), 0.0))
         word, *words = line.split()[:4] or [""]
         if word == "measure":
             return await self._measure(words)
@@ -60,6 +62,10 @@ class Tracker:
         if line.strip() == "temperatures":
             return self._temperatures()
         raise ControllerError("expected 'measure N [TARGET]', 'targets', 'gauges' or 'temperatures'")
+
+    def fall_silent(self, seconds: float) -> None:
+        """Answer nothing for a while, s of the wall clock."""
+        self.silent_until = self._clock.wall() + seconds
 
     async def _measure(self, words: list[str]) -> dict[str, Any]:
         names = list(TARGETS)

@@ -13,7 +13,8 @@ import struct
 from collections.abc import Callable
 
 from experiments.virtual_controller.arm import AXES
-from experiments.virtual_controller.programs import Controller, Mode, milliseconds
+from experiments.virtual_controller.codes import Mode
+from experiments.virtual_controller.programs import Controller, milliseconds
 
 __all__ = ["VarProxy"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,10 @@ def test_line_of_sight_is_lost_on_demand() -> None:
         assert robot.line("tracker", "measure 3 T2") == {"error": "line of sight lost"}
         answer = robot.line("tracker", "measure 3 T2")
         assert (answer["target"], len(answer["points_m"])) == ("T2", 3)
+        robot.line("operator", "sight silent 0.4")
+        begin = time.monotonic()
+        robot.line("tracker", "measure 1")
+        assert 0.3 < time.monotonic() - begin < 3
         for wrong in ("measure", "measure 0", "measure 5001", "measure 3 T9", "measure 3 T1 x", "measure -3", "hello"):
             assert "error" in robot.line("tracker", wrong)
 
@@ -141,6 +146,11 @@ def test_clamped_flange_winds_up_the_drives() -> None:
         slope = (torque[2] - torque[1]) / np.radians(offsets[2] - offsets[1])
         assert 0.2 * stiffness < slope < 1.2 * stiffness  # the gap, the block and the other joints give way, too
         assert np.linalg.norm(np.subtract(seen[2], seen[0])[:3]) > 1e-5
+        settled = np.array(robot.line("tracker", "gauges")["gauges"])
+        assert "error" not in robot.line("operator", "slip 0 0.1 0")
+        moved = np.array(robot.line("tracker", "gauges")["gauges"]) - settled
+        assert 2e-5 < moved[1] < 1.5e-4  # the springs of the drives hold it back
         assert not robot.line("operator", "release")["clamped"]
+        assert "not clamped" in robot.line("operator", "slip 0 0.1 0")["error"]
         free = np.mean(robot.line("tracker", "measure 50")["points_m"], axis=0)
         assert np.linalg.norm(free - before) > 5e-4
