@@ -86,6 +86,7 @@ class VirtualRobot:
             restart=self.restart, kill_link=self.kill_link, arm_fault=self.arm_fault,
         )  # fmt: skip
         self.varproxy = VarProxy(self.controller)
+        self.restart_time = RESTART_S
         self._servers: list[asyncio.Server] = []
         self._timer: asyncio.TimerHandle | None = None
         self._restart_at_point: int | None = None
@@ -183,7 +184,7 @@ class VirtualRobot:
             channel.close()
         self.controller.restart()
         self.journal.add({"event": "started", "boot": self.controller.boot, "time": self.clock.now()})
-        asyncio.get_running_loop().call_later(RESTART_S, self._started)
+        asyncio.get_running_loop().call_later(self.restart_time, self._started)
         self._wake()
 
     def _started(self) -> None:

@@ -290,6 +290,7 @@ class Inside(Controller):
         self.truth = truth
         description = load_robot(asked.pop("robot", "kuka_kr20_r1810"))
         self.robot = built(Asked(robot=description, configs=configs(), truth=truth, **asked))
+        self.robot.restart_time = 0.05
         self.errors: list[dict[str, Any]] = []
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda _, context: self.errors.append(context))
