@@ -26,7 +26,7 @@ from experiments.virtual_controller.serving import Address
 from kinematics.description import load_robot
 
 START = (
-    "from clampid.cli import main; import sys; from clampid.verbs.virtual_robot import virtual_robot; import typer; "
+    "import sys; from clampid.verbs.virtual_robot import virtual_robot; import typer; "
     "app = typer.Typer(); app.command()(virtual_robot); app(sys.argv[1:])"
 )
 AXES = range(1, 7)
