@@ -29,6 +29,8 @@ from experiments.links.protocol import (
     RefusedError,
     UnknownFateError,
 )
+from experiments.links.weight import check_torque_unit
+from kinematics.description import load_robot
 
 
 class Operator:
@@ -175,6 +177,19 @@ def test_a_recording_has_no_hole_after_a_cut_of_both_channels(operator: Operator
     assert (np.diff(numbers) == 1).all()
     np.testing.assert_allclose(np.diff(np.concatenate([first.time, second.time])), 0.012, atol=1.1e-3)
     assert second.lost is None
+
+
+def test_the_unit_of_its_torques_is_told_by_the_robots_weight(operator: Operator, link: EkiLink) -> None:
+    joints, torques = [], []
+    for a2, a3 in ((-90, 90), (-60, 60), (-30, 90), (-110, 60), (-45, 20), (-80, 120), (-20, 30), (-90, 40)):
+        link.wait(link.execute(Program(np.radians([[0.0, a2, a3, 0.0, 30.0, 0.0]]), 0.5)), 20.0)
+        found = link.recording(link.status().newest + 1, most=8)
+        joints.append(found.joints.mean(axis=0))
+        torques.append(found.torque.mean(axis=0))
+    robot = load_robot("kuka_kr20_r1810")
+    told = check_torque_unit(robot, joints, torques)
+    assert (told.unit, told.side) == ("Nm", "motor"), told.words
+    assert check_torque_unit(robot, joints, 10.0 * np.array(torques)).unit is None
 
 
 CLIENT = """
