@@ -74,7 +74,9 @@ class LinkedRobot:
         self.link, self.name = link, name
         self._program: int | None = None
         self._stops = 0
-        self._stopped_here = False  # the latch that is set was set from here
+        self._stopped_here = False  # the latch that is set is this server's to lift
+        with suppress(LinkError):  # a person has just started the server: a stop of before is lifted by a move
+            self._stopped_here = bool(link.status().stopped)
 
     def posture(self) -> Array:
         """Joint angles of the last status ``(n,)``, rad.

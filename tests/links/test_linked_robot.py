@@ -13,6 +13,7 @@ from variable_server import VariableServer
 
 from clampid.verbs.output import finite
 from experiments.links.eki import EkiLink
+from experiments.links.protocol import Program, RefusedError
 from experiments.links.varproxy import connect as connect_varproxy
 from offline_ik.errors import DetectorError
 from offline_ik.link import LinkedRobot
@@ -75,6 +76,16 @@ def test_a_move_after_an_own_stop_lifts_it(controller: FakeController, robot: Li
     robot.move(HOME[None, :], 0.1)
     until(lambda: robot.state()["program"]["phase"] == "finished")
     assert controller.begun == 2
+
+
+def test_a_stop_of_before_the_server_began_is_lifted_by_a_move(controller: FakeController, link: EkiLink) -> None:
+    link.stop()
+    until(lambda: link.status().stopped and not link._state.stop_wanted)
+    with pytest.raises(RefusedError, match="not released"):
+        link.execute(Program(HOME[None, :], 0.1))
+    robot = LinkedRobot(link, "eki://here")
+    robot.move(HOME[None, :], 0.1)
+    until(lambda: robot.state()["program"]["phase"] == "finished")
 
 
 def test_a_stop_while_a_stop_is_lifted_refuses_the_move(controller: FakeController, robot: LinkedRobot) -> None:

@@ -72,6 +72,8 @@ def operator(process: tuple[int, int]) -> Iterator[Operator]:
     found = Operator(process[1])
     found("speed 20")
     yield found
+    for name in ("split", "coalesce", "padding"):
+        found(f"fault {name}=0")
     found.close()
 
 
@@ -242,6 +244,37 @@ def test_nobody_asks_for_two_seconds_and_the_watchdog_ends_the_motion(
         assert "had not been asked" in following.status().reason
     finally:
         following.close()
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["split=97", "split=700", "coalesce=3", "padding=100", "stall=motion:0.5", "stall=state:1.5", "stall=motion:3.0"],
+)  # fmt: skip
+def test_programs_are_executed_once_or_not_at_all_whatever_goes_wrong(
+    operator: Operator, link: EkiLink, fault: str
+) -> None:
+    before = link._fresh().accepted
+    operator(f"fault {fault}")
+    done = 0
+    for _ in range(3):
+        end = time.monotonic() + 20.0
+        while True:
+            assert time.monotonic() < end
+            try:
+                number = link.execute(turned(link, 0.02, -0.02))
+                break
+            except LinkError:
+                if link.open_question() is not None:
+                    link.confirm()
+                time.sleep(0.02)
+        with contextlib.suppress(LinkError):
+            link.wait(number, 20.0)
+        assert link.fate(number).phase in (Phase.FINISHED, Phase.NOT_EXECUTED)
+        done += link.fate(number).phase is Phase.FINISHED
+        until(lambda: link.status().age < 0.1)
+        assert (link.status().finished == number) == (link.fate(number).phase is Phase.FINISHED)
+    assert done >= 1
+    assert link.status().accepted > before
 
 
 def cut_each(operator: Operator, link: EkiLink, way: str, bytes_: range) -> Counter:
