@@ -111,7 +111,7 @@ class LinkedRobot:
         stops, end, released = self._stops, time.monotonic() + LIFT, math.inf
         while time.monotonic() < end and self._stops == stops:
             status = self.link.status()
-            if status.received > released and not status.stopped:
+            if not status.stopped and (status.received > released or not self._stops):
                 self._stopped_here = False
                 return
             with suppress(RefusedError):  # not acknowledged yet, or the robot still brakes
@@ -165,10 +165,9 @@ class LinkedRobot:
         self._tell(self.link.release)
 
     def confirm(self) -> None:
-        """A person has looked at the robot: what was unknown is settled, and a stop of whoever is lifted; as `stop`."""
+        """A person has looked at the robot: questions are settled, and the next `move` lifts a stop of whoever."""
         self._tell(self.link.confirm)
-        if self.state().get("stopped"):
-            self.release()
+        self._stopped_here = True
 
     def close(self) -> None:
         """Hang up."""

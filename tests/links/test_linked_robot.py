@@ -116,7 +116,6 @@ def test_what_a_person_has_to_look_at_is_asked_and_settled(controller: FakeContr
     with pytest.raises(DetectorError):
         robot.move(HOME[None, :], 0.1)
     robot.confirm()
-    until(lambda: not robot.state()["stopped"])
     assert robot.state()["question"] is None
     controller.point_s = 0.0
     until(lambda: robot.link._motion.ready)

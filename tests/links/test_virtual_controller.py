@@ -87,9 +87,7 @@ def link(process: tuple[int, int]) -> Iterator[EkiLink]:
         except LinkLostError:
             assert time.monotonic() < end
     until(lambda: found._motion.ready)
-    if found.status().stopped:
-        found.release()
-        until(lambda: not found.status().stopped)
+    released(found)
     yield found
     found.close()
 
@@ -99,6 +97,15 @@ def until(holds: Callable[[], object], patience: float = 10.0) -> None:
     while not holds():
         assert time.monotonic() < end, "it never came to be"
         time.sleep(0.002)
+
+
+def released(link: EkiLink) -> None:
+    """Lift a stop; the controller does not while the robot still brakes."""
+    end = time.monotonic() + 10.0
+    while link.status().stopped:
+        assert time.monotonic() < end
+        link.release()
+        time.sleep(0.05)
 
 
 def turned(link: EkiLink, *a1: float) -> Program:
@@ -132,8 +139,7 @@ def test_a_stop_brakes_and_a_release_lets_it_go(operator: Operator, link: EkiLin
     until(lambda: not link._state.stop_wanted)
     with pytest.raises(RefusedError, match="not released"):
         link.execute(program)
-    link.release()
-    until(lambda: not link.status().stopped)
+    released(link)
 
 
 def test_an_emergency_stop_is_told(operator: Operator, link: EkiLink) -> None:
@@ -223,8 +229,7 @@ def test_kill_9_of_the_client_while_the_robot_moves(process: tuple[int, int], op
         following.stop()
         until(lambda: following.status().running == 0)
         assert following.status().aborted == number
-        following.release()
-        until(lambda: not following.status().stopped)
+        released(following)
     finally:
         following.close()
 
