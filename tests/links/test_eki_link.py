@@ -260,6 +260,7 @@ def test_rubbish_of_the_controller_ends_a_connection_and_not_the_link(
     controller: FakeController, link: EkiLink, channel: str, data: bytes
 ) -> None:
     found = getattr(controller, channel)
+    until(lambda: found.client is not None)
     before = found.connections
     with controller.lock:
         found.client.sendall(data)

@@ -13,6 +13,7 @@ from variable_server import VariableServer
 
 from clampid.verbs.output import finite
 from experiments.links.eki import EkiLink
+from experiments.links.protocol import Program, RefusedError
 from experiments.links.varproxy import connect as connect_varproxy
 from offline_ik.errors import DetectorError
 from offline_ik.link import LinkedRobot
@@ -62,19 +63,64 @@ def test_no_call_waits_for_a_controller_that_does_not_answer(controller: FakeCon
     until(lambda: controller.stopped)
 
 
-def test_refusals_are_the_servers(controller: FakeController, robot: LinkedRobot) -> None:
+def test_a_move_after_an_own_stop_lifts_it(controller: FakeController, robot: LinkedRobot) -> None:
+    controller.point_s = 5.0
+    robot.move(HOME[None, :], 0.1)
+    assert robot.state()["moving"]
+    until(lambda: robot.state()["program"]["phase"] == "running")
     robot.stop()
-    until(lambda: robot.state()["stopped"])
-    with pytest.raises(DetectorError, match="stop"):
+    robot.stop()
+    until(lambda: not robot.state()["moving"])
+    assert (robot.state()["program"]["phase"], robot.state()["failed"]) == ("interrupted", None)
+    controller.point_s = 0.0
+    robot.move(HOME[None, :], 0.1)
+    until(lambda: robot.state()["program"]["phase"] == "finished")
+    assert controller.begun == 2
+
+
+def test_a_stop_of_before_the_server_began_is_lifted_by_a_move(controller: FakeController, link: EkiLink) -> None:
+    link.stop()
+    until(lambda: link.status().stopped and not link._state.stop_wanted)
+    with pytest.raises(RefusedError, match="not released"):
+        link.execute(Program(HOME[None, :], 0.1))
+    robot = LinkedRobot(link, "eki://here")
+    robot.move(HOME[None, :], 0.1)
+    until(lambda: robot.state()["program"]["phase"] == "finished")
+
+
+def test_a_stop_while_a_stop_is_lifted_refuses_the_move(controller: FakeController, robot: LinkedRobot) -> None:
+    robot.stop()
+    release = robot.link.release
+
+    def stopped_again() -> None:
+        release()
+        robot.stop()
+
+    robot.link.release = stopped_again
+    with pytest.raises(DetectorError, match="could not be lifted"):
         robot.move(HOME[None, :], 0.1)
-    until(lambda: not robot.link._state.stop_wanted)
-    robot.release()
-    until(lambda: not robot.state()["stopped"])
+    assert not controller.begun
+
+
+def test_what_a_person_has_to_look_at_is_asked_and_settled(controller: FakeController, robot: LinkedRobot) -> None:
+    controller.point_s = 5.0
+    robot.move(HOME[None, :], 0.1)
+    until(lambda: robot.state()["program"]["phase"] == "running")
     controller.restart()
-    until(lambda: robot.state()["question"] is not None)
+    until(lambda: robot.state()["failed"])
+    assert "started again" in robot.state()["failed"]
     until(lambda: not robot.state()["stale"])
+    with controller.lock:
+        controller.stopped = True  # by somebody else
+    until(lambda: robot.state()["stopped"])
+    with pytest.raises(DetectorError):
+        robot.move(HOME[None, :], 0.1)
     robot.confirm()
     assert robot.state()["question"] is None
+    controller.point_s = 0.0
+    until(lambda: robot.link._motion.ready)
+    robot.move(HOME[None, :], 0.1)
+    until(lambda: robot.state()["program"]["phase"] == "finished")
 
 
 def test_a_link_that_only_reads_is_a_robot_that_refuses_to_move() -> None:

@@ -29,6 +29,8 @@ from experiments.links.protocol import (
     RefusedError,
     UnknownFateError,
 )
+from experiments.links.weight import check_torque_unit
+from kinematics.description import load_robot
 
 
 class Operator:
@@ -70,6 +72,8 @@ def operator(process: tuple[int, int]) -> Iterator[Operator]:
     found = Operator(process[1])
     found("speed 20")
     yield found
+    for name in ("split", "coalesce", "padding"):
+        found(f"fault {name}=0")
     found.close()
 
 
@@ -83,9 +87,7 @@ def link(process: tuple[int, int]) -> Iterator[EkiLink]:
         except LinkLostError:
             assert time.monotonic() < end
     until(lambda: found._motion.ready)
-    if found.status().stopped:
-        found.release()
-        until(lambda: not found.status().stopped)
+    released(found)
     yield found
     found.close()
 
@@ -95,6 +97,15 @@ def until(holds: Callable[[], object], patience: float = 10.0) -> None:
     while not holds():
         assert time.monotonic() < end, "it never came to be"
         time.sleep(0.002)
+
+
+def released(link: EkiLink) -> None:
+    """Lift a stop; the controller does not while the robot still brakes."""
+    end = time.monotonic() + 10.0
+    while link.status().stopped:
+        assert time.monotonic() < end
+        link.release()
+        time.sleep(0.05)
 
 
 def turned(link: EkiLink, *a1: float) -> Program:
@@ -128,8 +139,7 @@ def test_a_stop_brakes_and_a_release_lets_it_go(operator: Operator, link: EkiLin
     until(lambda: not link._state.stop_wanted)
     with pytest.raises(RefusedError, match="not released"):
         link.execute(program)
-    link.release()
-    until(lambda: not link.status().stopped)
+    released(link)
 
 
 def test_an_emergency_stop_is_told(operator: Operator, link: EkiLink) -> None:
@@ -177,6 +187,19 @@ def test_a_recording_has_no_hole_after_a_cut_of_both_channels(operator: Operator
     assert second.lost is None
 
 
+def test_the_unit_of_its_torques_is_told_by_the_robots_weight(operator: Operator, link: EkiLink) -> None:
+    joints, torques = [], []
+    for a2, a3 in ((-90, 90), (-60, 60), (-30, 90), (-110, 60), (-45, 20), (-80, 120), (-20, 30), (-90, 40)):
+        link.wait(link.execute(Program(np.radians([[0.0, a2, a3, 0.0, 30.0, 0.0]]), 0.5)), 20.0)
+        found = link.recording(link.status().newest + 1, most=8)
+        joints.append(found.joints.mean(axis=0))
+        torques.append(found.torque.mean(axis=0))
+    robot = load_robot("kuka_kr20_r1810")
+    told = check_torque_unit(robot, joints, torques)
+    assert (told.unit, told.side) == ("Nm", "motor"), told.words
+    assert check_torque_unit(robot, joints, 10.0 * np.array(torques)).unit is None
+
+
 CLIENT = """
 import sys, time, numpy as np
 from experiments.links.address import open_link
@@ -206,8 +229,7 @@ def test_kill_9_of_the_client_while_the_robot_moves(process: tuple[int, int], op
         following.stop()
         until(lambda: following.status().running == 0)
         assert following.status().aborted == number
-        following.release()
-        until(lambda: not following.status().stopped)
+        released(following)
     finally:
         following.close()
 
@@ -227,6 +249,37 @@ def test_nobody_asks_for_two_seconds_and_the_watchdog_ends_the_motion(
         assert "had not been asked" in following.status().reason
     finally:
         following.close()
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["split=97", "split=700", "coalesce=3", "padding=100", "stall=motion:0.5", "stall=state:1.5", "stall=motion:3.0"],
+)  # fmt: skip
+def test_programs_are_executed_once_or_not_at_all_whatever_goes_wrong(
+    operator: Operator, link: EkiLink, fault: str
+) -> None:
+    before = link._fresh().accepted
+    operator(f"fault {fault}")
+    done = 0
+    for _ in range(3):
+        end = time.monotonic() + 20.0
+        while True:
+            assert time.monotonic() < end
+            try:
+                number = link.execute(turned(link, 0.02, -0.02))
+                break
+            except LinkError:
+                if link.open_question() is not None:
+                    link.confirm()
+                time.sleep(0.02)
+        with contextlib.suppress(LinkError):
+            link.wait(number, 20.0)
+        assert link.fate(number).phase in (Phase.FINISHED, Phase.NOT_EXECUTED)
+        done += link.fate(number).phase is Phase.FINISHED
+        until(lambda: link.status().age < 0.1)
+        assert (link.status().finished == number) == (link.fate(number).phase is Phase.FINISHED)
+    assert done >= 1
+    assert link.status().accepted > before
 
 
 def cut_each(operator: Operator, link: EkiLink, way: str, bytes_: range) -> Counter:
