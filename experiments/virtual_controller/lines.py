@@ -47,6 +47,8 @@ class LineService:
                 await asyncio.wait_for(writer.drain(), PATIENCE)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             self.refused += 1
+        except asyncio.CancelledError:
+            pass  # the controller ends; streams would print a cancelled client's traceback
         finally:
             self._clients.pop(writer, None)
             writer.transport.abort() if writer.is_closing() else writer.close()

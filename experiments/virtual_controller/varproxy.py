@@ -77,6 +77,8 @@ class VarProxy:
                 await asyncio.wait_for(writer.drain(), PATIENCE)
         except (OSError, TimeoutError, asyncio.IncompleteReadError):
             self.refused += 1
+        except asyncio.CancelledError:
+            pass  # the controller ends; streams would print a cancelled client's traceback
         finally:
             self._clients.pop(writer, None)
             writer.close()

@@ -271,13 +271,13 @@ class Process(Controller):
         self.process.communicate(timeout=20)
 
     def end(self) -> None:
-        self.hang_up()
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGTERM)
+            self.process.send_signal(signal.SIGTERM)  # while its clients are still there
         try:
             _, errors = self.process.communicate(timeout=20)
         finally:
             self.process.kill()
+            self.hang_up()
         assert self.process.returncode == 0, errors
         assert not errors, errors
 
