@@ -50,7 +50,13 @@ def block_compliance(plant: Plant, jacobian: Array) -> tuple[Array, Array]:
 
 
 def clamped_torques(
-    plant: Plant, bodies: Bodies, output: Array, arm: Array, load: Array, slipped: npt.NDArray[np.bool_] | None = None
+    plant: Plant,
+    bodies: Bodies,
+    output: Array,
+    arm: Array,
+    load: Array,
+    slipped: npt.NDArray[np.bool_] | None = None,
+    shift: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return joint torques, Nm, (N, n), and the flange's displacement, m and rad, (N, 6), of one clamping.
 
@@ -66,11 +72,14 @@ def clamped_torques(
         Torques that held it there, Nm, (n,).
     slipped
         Whether the block has slipped by then, (N,); by default it has not.
+    shift
+        By how much it has, m and rad, (N, 6), where that is not the plant's own slip.
     """
     drive = plant.drive
     jacobian = bodies.jacobian(arm)
     block, wrench = block_compliance(plant, jacobian)
-    shift = np.zeros((len(output), 6)) if slipped is None else np.outer(slipped, plant.fixture.shift)
+    if shift is None:
+        shift = np.zeros((len(output), 6)) if slipped is None else np.outer(slipped, plant.fixture.shift)
     C = compliance_matrix(drive) + block
     ahead = (
         output - arm - shift @ np.linalg.pinv(jacobian).T + block @ load

@@ -21,7 +21,7 @@ SMALL = 100.0  # Nm: of joints of less rated torque the seals are smaller as wel
 
 def motor_angles(drive: Drive, q: Array) -> Array:
     """Return motor angles, rad, (N, n), at which the controller reports joint angles q, rad, (N, n)."""
-    return np.asarray(q @ np.linalg.inv(drive.nominal), dtype=float)  # rows: θ_m = T⁻ᵀ q
+    return np.asarray(q @ drive.to_motors, dtype=float)  # rows: θ_m = T⁻ᵀ q
 
 
 def compliance_matrix(drive: Drive) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from experiments.virtual_robot.description import Array
 from experiments.virtual_robot.plant import Instrument
@@ -19,6 +18,8 @@ def to_instrument(instrument: Instrument, points: Array) -> Array:
 
 def torque_noise(sigma: Array, rows: int, step: float, rng: np.random.Generator) -> Array:
     """Return torque noise, Nm, (rows, n), of standard deviation ``sigma`` (n,), logged every ``step`` seconds."""
+    from scipy.signal import lfilter  # half of what starting a virtual controller takes, which does without
+
     memory = np.exp(-step / CORRELATION_TIME)
     white, drive = rng.standard_normal((2, rows, len(sigma)))
     drive[1:] *= np.sqrt(1 - memory**2)  # the first row starts in the stationary state

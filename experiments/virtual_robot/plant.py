@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -73,6 +74,11 @@ class Drive:
     disc_turn: Array  # (n,) rad by which each drive's disc is turned
     disc_sense: Array  # (n,) ±1, on which of its sides it is read
     tooth: Array  # (n, 3) rad: how far a damaged tooth turns the joint, the joint angle in its middle, its whole width
+
+    @cached_property
+    def to_motors(self) -> Array:
+        """The inverse of T, (n, n): rows of joint angles times it are rows of motor angles."""
+        return np.asarray(np.linalg.inv(self.nominal), dtype=float)
 
 
 @dataclass(frozen=True)

@@ -77,14 +77,10 @@ def log_runs(
         states = _dry_states(plant, motor, state)
         gears = dry_friction(q, _gear_width(plant), gear)
         state, gear = states[-1], gears[-1]
-        ideal = gear_output(plant.drive, motor, plant.geometry.zero)
-        arm = ideal - static_load(plant, bodies, ideal) @ compliance_matrix(plant.drive)
-        tau = bodies.torque(arm, qd, qdd) + attached_load(plant.attachments, arm)
-        motion = Motion(motor, motor_angles(plant.drive, qd), motor_angles(plant.drive, qdd))
-        shaft = motor_torque(
-            plant, tau, motion, state=states, gear_state=gears, temperature=temperature.motor, arm=True
+        shaft = moving_torques(
+            plant, bodies, (q, qd, qdd), state=states, gear_state=gears, temperature=temperature.motor
         )
-        shaft = late(shaft + outside_torque(plant.outside, q), plant.friction.lag)
+        shaft = late(shaft, plant.friction.lag)
         noise = torque_noise(plant.instrument.torque_sigma, len(time), 1 / RATE, rng)
         speed = qd + SPEED_NOISE * rng.standard_normal(qd.shape)
         data: dict[str, Array] = {"time_s": np.round(run.start + time, 3)}
@@ -93,6 +89,33 @@ def log_runs(
         tables.append(pd.DataFrame({"run": np.full(len(time), number), **data}))
         truths.append(shaft)
     return Logged(pd.concat(tables, ignore_index=True), np.vstack(truths))
+
+
+def moving_torques(
+    plant: Plant, bodies: Bodies, motion: tuple[Array, Array, Array], *, state: Array, gear_state: Array,
+    temperature: Array,
+) -> Array:  # fmt: skip
+    """Return the torques that the motors of a free arm read, without lag and noise, Nm, (N, n).
+
+    Parameters
+    ----------
+    plant, bodies
+        The robot.
+    motion
+        Reported joint angles, speeds and accelerations, rad and s, (N, n) each.
+    state, gear_state
+        States of the dry friction at the motors and at the gears' output, −1 … 1, (N, n).
+    temperature
+        Motor temperatures, °C, (N, n).
+    """
+    q, qd, qdd = motion
+    motor = motor_angles(plant.drive, q)
+    ideal = gear_output(plant.drive, motor, plant.geometry.zero)
+    arm = ideal - static_load(plant, bodies, ideal) @ compliance_matrix(plant.drive)
+    tau = bodies.torque(arm, qd, qdd) + attached_load(plant.attachments, arm)
+    turning = Motion(motor, motor_angles(plant.drive, qd), motor_angles(plant.drive, qdd))
+    shaft = motor_torque(plant, tau, turning, state=state, gear_state=gear_state, temperature=temperature, arm=True)
+    return np.asarray(shaft + outside_torque(plant.outside, q), dtype=float)
 
 
 def _dry_states(plant: Plant, motor: Array, start: Array) -> Array:

@@ -7,9 +7,8 @@ import os
 import re
 import stat
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,20 +18,21 @@ from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assumed
 
 if TYPE_CHECKING:
-    from offline_ik.link import RobotLink
+    from offline_ik.link import LinkedRobot
 
-__all__ = ["LINKS", "serve"]
+__all__ = ["serve"]
 
 MAX_TOKEN = 256  # characters
-LINKS = "clampid.robot_links"
-"""Entry points that make a :class:`offline_ik.link.RobotLink` from HOST and PORT: ``connect(host, port)``."""
 
 
 def serve(
     model: ModelFile,
     listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any.")] = "127.0.0.1:7310",
     link: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="The robot to move.", show_default=False)
+        str | None,
+        typer.Option(
+            metavar="SCHEME://HOST:PORT", help="The robot to move; without a scheme eki://.", show_default=False
+        ),
     ] = None,
     token_file: Annotated[
         Path | None,
@@ -57,6 +57,8 @@ def serve(
         for one in taken:
             until_ready.callback(one.close)
         linked = None if link is None else _linked(link)
+        if linked is not None:
+            until_ready.callback(linked.close)
         with out.working("compiling"):
             detector = opened(model, cell, robot, effects_from, running)
             speaker = Speaker(detector, linked, token=token)
@@ -73,7 +75,10 @@ def serve(
             )
             out.warn(f"anyone who reaches {host} can ask{moves}")
         until_ready.pop_all()
-    if not serve_forever(speaker, host, port, out.say, taken):
+    ended = serve_forever(speaker, host, port, out.say, taken)
+    if linked is not None:
+        linked.close()
+    if not ended:
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
         os._exit(0)
@@ -100,11 +105,12 @@ def _token(path: Path, out: Output) -> str:
     return text
 
 
-def _linked(address: str) -> RobotLink:
-    from offline_ik.server import parse_address
+def _linked(address: str) -> LinkedRobot:
+    from experiments.links.address import open_link
+    from experiments.links.protocol import LinkError
+    from offline_ik.link import LinkedRobot
 
-    host, port = parse_address(address)
-    found = list(entry_points(group=LINKS))
-    if not found:
-        raise DetectorError(f"--link {address}: no robot link is installed (entry points {LINKS})")
-    return cast("RobotLink", found[0].load()(host, port))
+    try:
+        return LinkedRobot(open_link(address), address)
+    except LinkError as error:
+        raise DetectorError(f"--link {address}: {error}") from None

@@ -1,0 +1,100 @@
+"""The truth, for those who judge: what was hidden, and every program with what really became of it.
+
+``FILE.json`` says what is hidden. ``FILE.journal.jsonl`` beside it has a line for every event, each written whole with
+one call, so that a process that is killed leaves no half of one. A controller that is started again with the same file
+goes on there: its boot number is the next one, and the robot stands where it was seen last.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.outputs import write_text
+from experiments.virtual_controller.errors import ControllerError
+
+__all__ = ["Journal", "journal_file"]
+
+
+def journal_file(truth: Path) -> Path:
+    """Return where the events of a truth file are."""
+    return truth.with_name(f"{truth.stem}.journal.jsonl")
+
+
+class Journal:
+    """Writes the truth of one controller.
+
+    Parameters
+    ----------
+    truth
+        The file; None: nothing is kept.
+    robot, seed
+        Which individual.
+    asked
+        What was to be hidden, as it was asked for.
+
+    Raises
+    ------
+    ControllerError
+        The file is of another robot.
+    """
+
+    def __init__(self, truth: Path | None, robot: str, seed: int, asked: Sequence[str]) -> None:
+        self._truth = truth
+        self._descriptor: int | None = None
+        self._individual: dict[str, Any] = {"robot": robot, "seed": seed, "asked": list(asked)}
+        self.boot = 1
+        self.posture: list[float] | None = None  # deg
+        if truth is not None and truth.exists():
+            self._go_on(truth)
+
+    def _go_on(self, truth: Path) -> None:
+        try:
+            found = json.loads(truth.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ControllerError(f"{truth}: expected the truth of a virtual robot, found none: {error}") from None
+        told = {key: found.get(key) if isinstance(found, dict) else None for key in self._individual}
+        if told != self._individual:
+            raise ControllerError(f"{truth}: expected the truth of {self._individual}, found that of {told}")
+        for event in read_events(truth):
+            self.boot = max(self.boot, int(event["boot"]) + 1)
+            self.posture = event.get("at", self.posture)
+
+    def begin(self, hidden: Sequence[Mapping[str, Any]], more: Mapping[str, Any]) -> None:
+        """Write the truth file, and say in the journal that the controller is there."""
+        if self._truth is None:
+            return
+        file = journal_file(self._truth)
+        told = self._individual | {"hidden": list(hidden), **more, "journal": file.name}
+        write_text(self._truth, json.dumps(told, indent=1) + "\n")
+        self._descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        if file.stat().st_size and not file.read_bytes().endswith(b"\n"):
+            os.write(self._descriptor, b"\n")  # a line that a full disk cut
+
+    def add(self, event: Mapping[str, Any]) -> None:
+        """Append an event."""
+        if self._descriptor is not None:
+            os.write(self._descriptor, json.dumps(event, separators=(",", ":")).encode() + b"\n")
+
+    def close(self) -> None:
+        """Close the journal."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+
+def read_events(truth: Path) -> list[dict[str, Any]]:
+    """Return the events of a truth file's journal in order; a line that was cut is left out."""
+    file = journal_file(truth)
+    events = []
+    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+        try:
+            event = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(event, dict) and "boot" in event:
+            events.append(event)
+    return events
