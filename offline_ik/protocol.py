@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,8 @@ from clampid.verbs.output import finite
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from offline_ik.answer import Answer
 from offline_ik.approach import approach_through
+from offline_ik.asked import asked_of, sides_of, ways_of
 from offline_ik.assumed import time_effects
-from offline_ik.checks import check_directions
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.link import RobotLink
@@ -33,6 +33,7 @@ from offline_ik.place import place_of
 from offline_ik.pyfai import pyfai_geometry
 from offline_ik.requests import EVERY, GREETED, WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
+from offline_ik.session import Job, Later, Session, Told
 from offline_ik.ways import Ways, ways_to
 from offline_ik.wording import members_of
 
@@ -42,82 +43,6 @@ Array = npt.NDArray[np.float64]
 
 TICK = 1.0  # s, by which a running time goes on: short of any warm-up
 SETTLED = 1e-3  # rad by which a linked robot may have moved since its way was checked
-
-
-class Told(NamedTuple):
-    """What a request is answered with: members of the answer."""
-
-    data: dict[str, Any]
-
-
-class Later(NamedTuple):
-    """What a request is answered with once something has been computed that takes long.
-
-    Attributes
-    ----------
-    work
-        Computes it on a given detector, and touches nothing else: it may run in another thread.
-    then
-        Makes the answer of that; here links are moved and sessions changed.
-    """
-
-    work: Callable[[Detector], Any]
-    then: Callable[[Any], Told]
-
-
-@dataclass
-class Session:
-    """What one client has said.
-
-    Attributes
-    ----------
-    here
-        The posture that its stream is at ``(n,)``, rad.
-    done
-        It wants to end.
-    closed
-        Its side of the connection is closed: whether anybody waits for an answer is not known.
-    count
-        Targets of its stream.
-    greeted
-        It has said `hello`, with the token where there is one: it may change what others see, and move.
-    only_stop
-        There are too many connections; of this one nothing but `stop` is heard.
-    """
-
-    here: Array | None = None
-    done: bool = False
-    closed: bool = False
-    count: int = 0
-    greeted: bool = False
-    only_stop: bool = False
-
-
-@dataclass(frozen=True)
-class Job:
-    """A request whose answer takes long: :meth:`run` may be called in another thread, :meth:`end` not."""
-
-    speaker: Speaker
-    word: str
-    given: Mapping[str, str]
-    later: Later
-
-    def run(self, detector: Detector) -> Any:
-        """What takes long, on a detector that nobody else uses meanwhile; a refusal is a result as well."""
-        try:
-            return self.later.work(detector)
-        except CallError as error:
-            return error
-
-    def end(self, found: Any) -> bytes:
-        """The answer, of what :meth:`run` found."""
-        if isinstance(found, CallError):
-            return self.speaker.refuse(str(found), self.given)
-        try:
-            told = self.later.then(found)
-        except CallError as error:
-            return self.speaker.refuse(str(error), self.given)
-        return self.speaker.told(self.word, self.given, told)
 
 
 @dataclass
@@ -197,9 +122,9 @@ class Speaker:
         return _line({"ok": False, **_id(given or {}), "error": reason})
 
     def _where(self, given: Mapping[str, str], session: Session) -> Told | Later:
-        near, sides = numbers(given, "near"), self._sides(given)
+        near, sides = numbers(given, "near"), sides_of(self.detector, given)
         approach, pyfai = switch(given, "approach"), switch(given, "pyfai")
-        asked = _asked(given, near, sides)
+        asked = asked_of(given, near, sides)
         data = {"direction_from": "asked" if sides is not None else "unknown" if near is None else "moved"}
         answer = None if approach else self.detector.at_once(**asked)
         if answer is not None:
@@ -213,11 +138,6 @@ class Speaker:
             return {"direction_from": "approach", "approach": way.to_json()}, way.answer
 
         return Later(work, lambda found: self._located(found[0], found[1], pyfai))
-
-    def _sides(self, given: Mapping[str, str]) -> Array | None:
-        """From which sides joints are to come ``(n,)``."""
-        asked = numbers(given, "direction")
-        return None if asked is None else check_directions(self.detector.arm.n, asked)
 
     def _located(self, data: dict[str, Any], answer: Answer, pyfai: bool) -> Told:
         if answer.reachable and pyfai:
@@ -239,7 +159,9 @@ class Speaker:
                 lambda detector: check_path(detector, way),
                 lambda path: Told({"path": finite(path.to_json()), "convention": self._convention}),
             )
-        return Later(_ways(given, start, self._sides(given)), partial(self._checked, given.get("branch") == "all"))
+        return Later(
+            ways_of(given, start, sides_of(self.detector, given)), partial(self._checked, given.get("branch") == "all")
+        )
 
     def _checked(self, every: bool, ways: Ways) -> Told:
         told = self._told(finite(ways.to_json()), ways.answer)
@@ -269,12 +191,12 @@ class Speaker:
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
-        dt, sides = number(given, "dt", math.inf), self._sides(given)
+        dt, sides = number(given, "dt", math.inf), sides_of(self.detector, given)
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
         start = self._posture(session) if session.here is None else session.here
         here = self.detector.check_posture(start, "the posture at hand")
-        asked = _asked(given, here, sides)
+        asked = asked_of(given, here, sides)
 
         def work(detector: Detector) -> Ways:
             answer = detector.locate(**asked)
@@ -357,7 +279,7 @@ class Speaker:
                 link.move(ways.chosen[0].postures, self.detector.cell.speed)
             return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
 
-        return Later(_ways(given, here, self._sides(given)), then)
+        return Later(ways_of(given, here, sides_of(self.detector, given)), then)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell
@@ -413,30 +335,6 @@ class Speaker:
 def _refuse_other_robot(own: str, named: object, whose: str) -> None:
     if named is not None and named != own:
         raise TargetError(f"the model is of the robot {own}, {whose} {str(named)[:64]!r}")
-
-
-def _asked(given: Mapping[str, str], near: Array | None, sides: Array | None) -> dict[str, Any]:
-    """What a request asks :meth:`offline_ik.detector.Detector.locate` for."""
-    return {
-        "gamma": number(given, "gamma"),
-        "delta": number(given, "delta"),
-        "r": number(given, "r"),
-        "roll": None if given.get("roll") == "free" else number(given, "roll", 0.0),
-        "near": near,
-        "branch": given.get("branch", "nearest"),
-        "direction": sides if sides is not None else None if near is None else "moved",
-    }
-
-
-def _ways(given: Mapping[str, str], start: Array, sides: Array | None) -> Callable[[Detector], Ways]:
-    """What finds the ways from a posture ``(n,)`` to where a request asks for."""
-    branch, approach, asked = given.get("branch", "nearest"), switch(given, "approach"), _asked(given, start, sides)
-
-    def work(detector: Detector) -> Ways:
-        answer = detector.locate(**asked)
-        return ways_to(detector, answer, start=start, branch=branch, approach=approach, direction=sides)
-
-    return work
 
 
 def _id(given: Mapping[str, str]) -> dict[str, str]:
