@@ -1,4 +1,4 @@
-"""What a request of the line protocol asks for: a detector position, and the ways there."""
+"""What a request of the line protocol asks for: a detector position, and the move there."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy.typing as npt
 from offline_ik.checks import check_directions
 from offline_ik.detector import Detector
 from offline_ik.requests import number, numbers, switch
-from offline_ik.ways import Ways, ways_to
+from offline_ik.simulation import Simulation, simulate_move
 
-__all__ = ["asked_of", "sides_of", "ways_of"]
+__all__ = ["asked_of", "sides_of", "simulation_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,12 +37,13 @@ def asked_of(given: Mapping[str, str], near: Array | None, sides: Array | None) 
     }
 
 
-def ways_of(given: Mapping[str, str], start: Array, sides: Array | None) -> Callable[[Detector], Ways]:
-    """What finds the ways from a posture ``(n,)`` to where a request asks for."""
-    branch, approach, asked = given.get("branch", "nearest"), switch(given, "approach"), asked_of(given, start, sides)
+def simulation_of(given: Mapping[str, str], start: Array, sides: Array | None) -> Callable[[Detector], Simulation]:
+    """What simulates the move from a posture ``(n,)`` to where a request asks for."""
+    asked = asked_of(given, start, sides)
+    position = {name: asked[name] for name in ("gamma", "delta", "r", "roll")}
+    branch, approach = given.get("branch", "nearest"), switch(given, "approach")
 
-    def work(detector: Detector) -> Ways:
-        answer = detector.locate(**asked)
-        return ways_to(detector, answer, start=start, branch=branch, approach=approach, direction=sides)
+    def work(detector: Detector) -> Simulation:
+        return simulate_move(detector, **position, start=start, branch=branch, approach=approach, direction=sides)
 
     return work

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Job", "Later", "Session", "Told"]
 
 Array = npt.NDArray[np.float64]
+Lane = Literal["compute", "link", "stop", "wait"]
 
 
 class Told(NamedTuple):
@@ -27,18 +28,24 @@ class Told(NamedTuple):
 
 
 class Later(NamedTuple):
-    """What a request is answered with once something has been computed that takes long.
+    """What a request is answered with once something is done that takes long.
 
     Attributes
     ----------
     work
-        Computes it on a given detector, and touches nothing else: it may run in another thread.
+        Does it, with a given detector, and touches nothing else: it may run in another thread.
     then
-        Makes the answer of that; here links are moved and sessions changed.
+        Makes the answer of that, or says what has to be done next; here sessions change.
+    lane
+        Where it is done: computed; a motion sent over the link; the robot stopped; or waited until motion ``number``
+        has ended, at most for ``patience`` s.
     """
 
     work: Callable[[Detector], Any]
-    then: Callable[[Any], Told]
+    then: Callable[[Any], Told | Later]
+    lane: Lane = "compute"
+    number: int = 0
+    patience: float = 0.0
 
 
 @dataclass
@@ -59,6 +66,8 @@ class Session:
         It has said `hello`, with the token where there is one: it may change what others see, and move.
     only_stop
         There are too many connections; of this one nothing but `stop` is heard.
+    name, address
+        What it calls itself, and where it calls from.
     """
 
     here: Array | None = None
@@ -67,6 +76,13 @@ class Session:
     count: int = 0
     greeted: bool = False
     only_stop: bool = False
+    name: str = ""
+    address: str = ""
+
+    @property
+    def called(self) -> str:
+        """Who that is, for others to read."""
+        return f"{self.name or 'a client without a name'}{f' ({self.address})' if self.address else ''}"
 
 
 @dataclass(frozen=True)
@@ -85,12 +101,14 @@ class Job:
         except CallError as error:
             return error
 
-    def end(self, found: Any) -> bytes:
-        """The answer, of what :meth:`run` found."""
+    def end(self, found: Any) -> bytes | Job:
+        """The answer, of what :meth:`run` found, or what has to be done next."""
         if isinstance(found, CallError):
-            return self.speaker.refuse(str(found), self.given)
+            return self.speaker.refuse_request(self.word, found, self.given)
         try:
             told = self.later.then(found)
         except CallError as error:
-            return self.speaker.refuse(str(error), self.given)
+            return self.speaker.refuse_request(self.word, error, self.given)
+        if isinstance(told, Later):
+            return replace(self, later=told)
         return self.speaker.told(self.word, self.given, told)
