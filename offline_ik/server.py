@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from offline_ik.beamline.processes import Side, Sides
 from offline_ik.beamline.waiting import Waiting
 from offline_ik.cell import Cell
 from offline_ik.client import LINE_BYTES, Client, Limits
@@ -228,6 +229,12 @@ def take(host: str, port: int) -> list[socket.socket]:
     return found
 
 
+def _reached(at: tuple[str, int]) -> str:
+    """Where a process of this machine reaches a server that listens at an address."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(at[0], at[0])
+    return f"[{host}]:{at[1]}" if ":" in host else f"{host}:{at[1]}"
+
+
 def is_loopback(host: str) -> bool:
     """Whether only this machine can reach an address."""
     if host == "localhost":
@@ -244,9 +251,24 @@ def settle() -> None:
 
 
 def serve(
-    speaker: Speaker, host: str, port: int, say: Callable[[str], None], taken: Sequence[socket.socket] | None = None
+    speaker: Speaker,
+    host: str,
+    port: int,
+    say: Callable[[str], None],
+    taken: Sequence[socket.socket] | None = None,
+    sides: Sequence[Side] = (),
+    warn: Callable[[str], None] = lambda _: None,
 ) -> bool:
-    """Serve until interrupted (SIGINT, SIGTERM); ``say`` is told the address. ``taken``: of :func:`take`.
+    """Serve until interrupted (SIGINT, SIGTERM).
+
+    Parameters
+    ----------
+    say, warn
+        Are told the addresses, and what goes wrong meanwhile.
+    taken
+        Of :func:`take`.
+    sides
+        What else answers, see :mod:`offline_ik.beamline.processes`.
 
     Returns
     -------
@@ -256,11 +278,11 @@ def serve(
     Raises
     ------
     DetectorError
-        The address cannot be listened on.
+        The address cannot be listened on, or a side does not start.
     """
 
     async def run() -> bool:
-        server = Server(speaker)
+        server, beside = Server(speaker), Sides(sides, say, warn)
         settle()
         at = await server.start(host, port, taken)
         # Said, not left to the interpreter: started in the background of a shell, it would not hear an interrupt.
@@ -269,12 +291,14 @@ def serve(
             with contextlib.suppress(NotImplementedError):  # Windows hears an interrupt by itself
                 loop.add_signal_handler(number, serving.cancel)
         say(f"listening on {at[0]}:{at[1]}")
-        ended = False
+        ended, starting = False, asyncio.ensure_future(beside.start(_reached(at)))
+        serving.add_done_callback(lambda _: starting.cancel())
         try:
             with contextlib.suppress(asyncio.CancelledError):
+                await starting
                 await serving
         finally:
-            ended = await server.close()
+            ended, _ = await asyncio.gather(server.close(), beside.close())
         return ended
 
     return asyncio.run(run())
