@@ -93,7 +93,7 @@ class DetectorRobot(Device):
         found = self._robot()
         return self._coordinates(found["at"] if found["moving"] else found["setpoint"])
 
-    @position.write  # type: ignore[no-redef]
+    @position.write
     def position(self, value: Sequence[float]) -> None:
         """Move there; what is refused is published, and raises nothing."""
         self._refusal = self._refused(list(map(float, value)))
