@@ -24,7 +24,7 @@ WORDS = {
     "simulate": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "direction", "picture"),
     "pixel": ("i", "j", "pixels", "gamma", "delta", "r", "roll", "q", "near", "poni", "wavelength"),
     "move": ("gamma", "delta", "r", "roll", "approach", "direction", "wait"),
-    "moved": ("timeout",),
+    "moved": ("timeout", "number"),
     "robot": (),
     "hold": (),
     "release": (),

@@ -15,7 +15,7 @@ from typing import Any
 
 from offline_ik.beamline.line_client import AsyncLine, RefusedError, Server
 
-__all__ = ["AXES", "Combined", "MotionError", "why_refused"]
+__all__ = ["AXES", "Batch", "Combined", "MotionError", "why_refused"]
 
 AXES = {"gamma": "gamma_rad", "delta": "delta_rad", "radius": "r_m"}
 """The axes, and what answers call them."""
@@ -35,13 +35,34 @@ def why_refused(told: Mapping[str, Any]) -> str:
     return "; ".join(reasons)
 
 
-class _Batch:
-    """Coordinates that become one motion."""
+class Batch:
+    """Coordinates that become one motion.
+
+    Attributes
+    ----------
+    decided
+        Set once the motion has begun, or was refused; the latter is what ``task`` ends with.
+    task
+        Ends when the motion has, with where that was.
+    """
 
     def __init__(self) -> None:
         self.wanted: dict[str, float] = {}
         self.dropped = False
-        self.task: asyncio.Task[dict[str, Any]] | None = None
+        self.decided = asyncio.Event()
+        self.task: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+
+    async def accepted(self) -> None:
+        """Wait until it has begun.
+
+        Raises
+        ------
+        RefusedError, LostError
+            Why it has not.
+        """
+        await self.decided.wait()
+        if self.task.done():
+            self.task.result()
 
 
 class Combined:
@@ -56,8 +77,8 @@ class Combined:
     def __init__(self, server: Server) -> None:
         self._moves, self.questions, self._stops = (AsyncLine(server) for _ in range(3))
         self._lock = asyncio.Lock()
-        self._open: _Batch | None = None
-        self._ahead: set[_Batch] = set()
+        self._open: Batch | None = None
+        self._ahead: set[Batch] = set()
         self.motions = 0
 
     async def move(self, **wanted: float) -> dict[str, Any]:
@@ -70,44 +91,50 @@ class Combined:
         LostError
             The server does not answer.
         """
+        return await asyncio.shield(self.join(**wanted).task)
+
+    def join(self, **wanted: float) -> Batch:
+        """The batch that a motion there belongs to; arguments and errors as for :meth:`move`."""
         unknown = set(wanted) - set(AXES)
         if unknown or not wanted or not all(map(math.isfinite, wanted.values())):
             raise RefusedError(f"expected finite coordinates of {', '.join(AXES)}, found {wanted}")
         if self._open is None:
-            self._open = _Batch()
+            self._open = Batch()
             self._ahead.add(self._open)
-            self._open.task = asyncio.create_task(self._run(self._open))
-        batch = self._open
-        batch.wanted.update(wanted)
-        assert batch.task is not None
-        return await asyncio.shield(batch.task)
+            self._open.task = asyncio.ensure_future(self._run(self._open))
+        self._open.wanted.update(wanted)
+        return self._open
 
-    async def _run(self, batch: _Batch) -> dict[str, Any]:
+    async def _run(self, batch: Batch) -> dict[str, Any]:
         try:
             async with self._lock:
                 await asyncio.sleep(WINDOW)
                 for _ in range(TURNS):
                     await asyncio.sleep(0)
                 self._close(batch)
-                base = (await self.questions.ask("robot"))["setpoint"]
-                target = {axis: batch.wanted.get(axis, base[name]) for axis, name in AXES.items()}
-                if batch.dropped:
-                    raise MotionError("stopped before it began")
-                self.motions += 1
-                told = await self._moves.move(
-                    timeout=LONGEST, gamma=target["gamma"], delta=target["delta"], r=target["radius"], wait=True
-                )
+                return await self._made(batch)
         finally:
             self._close(batch)
             self._ahead.discard(batch)
-        ended = told.get("ended")
-        if ended is None:
+            asyncio.get_running_loop().call_soon(batch.decided.set)  # once the task has ended
+
+    async def _made(self, batch: Batch) -> dict[str, Any]:
+        base = (await self.questions.ask("robot"))["setpoint"]
+        target = {axis: batch.wanted.get(axis, base[name]) for axis, name in AXES.items()}
+        if batch.dropped:
+            raise MotionError("stopped before it began")
+        told = await self._moves.move(gamma=target["gamma"], delta=target["delta"], r=target["radius"])
+        if not told["moving"]:
             raise RefusedError(why_refused(told))
+        self.motions += 1
+        batch.decided.set()
+        moved = await self._moves.ask("moved", timeout=LONGEST, number=told["number"])
+        ended = moved["ended"] or {"outcome": "unknown", "reason": f"not ended within {LONGEST:g} s"}
         if ended["outcome"] != "arrived":
             raise MotionError(": ".join(filter(None, (ended["outcome"], ended["reason"]))))
-        return told
+        return moved
 
-    def _close(self, batch: _Batch) -> None:
+    def _close(self, batch: Batch) -> None:
         if self._open is batch:
             self._open = None
 
@@ -130,8 +157,10 @@ class Combined:
         """Where the robot is."""
         return await self.questions.ask("robot")
 
-    async def stop(self) -> None:
-        """Stop it at once, and drop what waits."""
+    async def stop(self, own: bool = False) -> None:
+        """Stop it at once, and drop what waits; ``own``: only where a motion that was begun here is not over."""
+        if own and not self._ahead:
+            return
         for batch in self._ahead:
             batch.dropped = True
         await self._stops.ask("stop")

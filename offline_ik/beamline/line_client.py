@@ -64,7 +64,7 @@ def line_of(word: str, given: Mapping[str, Any]) -> bytes:
             case bool():
                 text = "yes" if value else "no"
             case float():
-                text = repr(value)
+                text = repr(float(value))
             case str() | int():
                 text = str(value)
             case _:
@@ -245,9 +245,11 @@ class AsyncLine:
                 await writer.drain()
                 found = await reader.readline()
             return _answer(found)
-        except (OSError, ValueError, TimeoutError) as error:
-            self._drop()
-            raise LostError(f"the server at {self.server.host}:{self.server.port} did not answer: {error}") from None
+        except RefusedError:
+            raise
         except (LostError, asyncio.CancelledError):
             self._drop()  # an answer that comes later must not be taken for the next one's
             raise
+        except (OSError, ValueError, TimeoutError) as error:
+            self._drop()
+            raise LostError(f"the server at {self.server.host}:{self.server.port} did not answer: {error}") from None

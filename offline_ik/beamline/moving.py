@@ -113,8 +113,18 @@ def _moved(speaker: Speaker, given: Given, session: Session) -> Told | Later:
     robot, patience = _linked(speaker, "moved", "nothing moves"), number(given, "timeout", LONGEST)
     if not (math.isfinite(patience) and 0 <= patience <= LONGEST):
         raise RequestError(f"timeout: expected seconds from 0 to {LONGEST:g}, found {patience:g}")
-    which = robot.number if robot.refresh() and robot.mover is not None else 0
-    return _until(robot, which, patience, lambda _: Told({**status_of(speaker), "convention": speaker.convention}))
+    which = int(number(given, "number", 0.0 if not robot.refresh() or robot.mover is None else float(robot.number)))
+    if not 0 <= which <= robot.number:
+        raise RequestError(f"number: expected a motion from 1 to {robot.number}, found {which}")
+
+    def then(_: Any) -> Told:
+        found = {**status_of(speaker), "convention": speaker.convention}
+        if "number" in given:
+            end = robot.ends.get(which)
+            found["ended"] = None if end is None else end.to_json()
+        return Told(found)
+
+    return _until(robot, which, patience, then)
 
 
 def _hold(speaker: Speaker, given: Given, session: Session) -> Told:
