@@ -113,9 +113,11 @@ def _moved(speaker: Speaker, given: Given, session: Session) -> Told | Later:
     robot, patience = _linked(speaker, "moved", "nothing moves"), number(given, "timeout", LONGEST)
     if not (math.isfinite(patience) and 0 <= patience <= LONGEST):
         raise RequestError(f"timeout: expected seconds from 0 to {LONGEST:g}, found {patience:g}")
-    which = int(number(given, "number", 0.0 if not robot.refresh() or robot.mover is None else float(robot.number)))
-    if not 0 <= which <= robot.number:
-        raise RequestError(f"number: expected a motion from 1 to {robot.number}, found {which}")
+    under_way = robot.number if robot.refresh() and robot.mover is not None else 0
+    asked = number(given, "number", under_way)
+    if not (0 <= asked <= robot.number and asked == int(asked)):
+        raise RequestError(f"number: expected a motion from 1 to {robot.number}, found {asked:g}")
+    which = int(asked)
 
     def then(_: Any) -> Told:
         found = {**status_of(speaker), "convention": speaker.convention}
