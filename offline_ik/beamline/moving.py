@@ -75,22 +75,14 @@ def ended(speaker: Speaker, number: int) -> dict[str, Any]:
     """How a motion ended, and where."""
     robot = _linked(speaker, "moved", "nothing moves")
     end = robot.ends.get(number)
-    return {"ended": None if end is None else end.to_json(), "at": _at(speaker, robot)}
-
-
-def _at(speaker: Speaker, robot: LinkedRobot) -> dict[str, Any]:
-    """Where it is: measured, and as a controller writes it."""
-    here, place = robot.place(speaker.detector)
-    frames = speaker.detector.framing(speaker.detector.to_base(place.pose), here)
-    return {"q_rad": here.tolist(), **place.to_json(), **frames}
+    return {"ended": None if end is None else end.to_json(), "at": robot.place(speaker.detector)[2]}
 
 
 def status_of(speaker: Speaker) -> dict[str, Any]:
     """All that a beamline wants to see of the robot."""
     robot = _linked(speaker, "robot", "there is none to see")
     moving = robot.refresh()
-    here, place = robot.place(speaker.detector)
-    frames = speaker.detector.framing(speaker.detector.to_base(place.pose), here)
+    here, place, told = robot.place(speaker.detector)
     last = next(reversed(robot.ends.values()), None)
     return {
         "moving": moving,
@@ -98,7 +90,7 @@ def status_of(speaker: Speaker) -> dict[str, Any]:
         "number": robot.number,
         "ended": None if last is None else last.to_json(),
         "setpoint": robot.setpoint(here, place, moving),
-        "at": {"q_rad": here.tolist(), **place.to_json(), **frames},
+        "at": told,
         "last_refusal": robot.refusal,
         "refusals": robot.refusals,
         "link": finite(dict(robot.link.state())),
