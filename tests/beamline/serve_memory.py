@@ -20,6 +20,7 @@ def main() -> None:
     model, cell, *options = sys.argv[1:]
     sides = [Side(name, f"offline_ik.beamline.{module}", tuple(own)) for name, module, *own in map(str.split, options)]
     detector = open_detector(model, cell)
+    detector.warm_up()
     speaker = Speaker(detector, MemoryLink())
     assert serve(speaker, "127.0.0.1", 0, say, sides=sides, warn=lambda text: say(f"warning: {text}"))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import subprocess
@@ -15,6 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 from peers import HERE, free_port, free_udp_and_tcp, peer
+from serving_thread import Serving
 from typer.testing import CliRunner
 
 from clampid.cli import app
@@ -24,10 +24,9 @@ pytest.importorskip("caproto")
 
 
 @contextmanager
-def served(model_file: Path, cell_file: Path, *sides: str) -> Iterator[tuple[subprocess.Popen[str], Callable[[], str]]]:
-    command = [sys.executable, str(HERE / "serve_memory.py"), str(model_file), str(cell_file), *sides]
-    env = {**os.environ, "CLAMPID_COMPILER": "none"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
+def running(script: str, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], Callable[[], str]]]:
+    command = [sys.executable, str(HERE / script), *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         try:
             yield process, process.stdout.readline
@@ -39,46 +38,56 @@ def gone(children: list[psutil.Process]) -> bool:
     return not any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children)
 
 
+def ended(process: subprocess.Popen[str], children: list[psutil.Process], how: signal.Signals) -> float:
+    """How long process and children took to end, s."""
+    begun = time.monotonic()
+    process.send_signal(how)
+    assert process.wait(20) == (0 if how == signal.SIGTERM else -signal.SIGKILL)
+    while not gone(children):
+        assert time.monotonic() - begun < 20
+        time.sleep(0.02)
+    return time.monotonic() - begun
+
+
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
-def test_sides_start_and_end_with_the_server(how: signal.Signals, model_file: Path, cell_file: Path) -> None:
+def test_sides_end_with_the_server_and_are_started_again_when_they_end(how: signal.Signals, serving: Serving) -> None:
     tango, epics = f"127.0.0.1:{free_port()}", f"127.0.0.1:{free_udp_and_tcp()}"
     sides = (f"tango tango_device a/b --listen {tango}", f"epics epics_records X: --listen {epics}")
-    with served(model_file, cell_file, *sides) as (process, line):
-        assert line().startswith("listening on 127.0.0.1:")
+    with running("run_sides.py", serving.address, *sides) as (process, line):
         at = line().split()[-1]
         assert at == f"tango://{tango}/a/b/detector#dbase=no"
         assert line().startswith(f"epics on {epics} X:gamma")
         children = psutil.Process(process.pid).children()
         assert len(children) == 2
-        with peer("contrast_client.py", at) as client:
-            assert client.ask("State")["ok"] == "ON"
-            if how == signal.SIGTERM:
-                next(c for c in children if "tango_device" in " ".join(c.cmdline())).kill()
-                assert "tango: it ended by itself (exit code -9) and is started again" in line()
-                assert line().split()[-1] == at
-                children = psutil.Process(process.pid).children()
-                assert client.ask("wait")["ok"] == "ON"
-        begun = time.monotonic()
-        process.send_signal(how)
-        code = process.wait(10)
-        assert code == (0 if how == signal.SIGTERM else -signal.SIGKILL)
-        while not gone(children):
-            assert time.monotonic() - begun < 5
-            time.sleep(0.02)
         if how == signal.SIGTERM:
-            assert time.monotonic() - begun < 2.5
+            next(c for c in children if "tango_device" in " ".join(c.cmdline())).kill()
+            assert "tango: it ended by itself (exit code -9) and is started again" in line()
+            assert line().split()[-1] == at
+            children = psutil.Process(process.pid).children()
+            with peer("contrast_client.py", at) as client:
+                assert client.ask("wait")["ok"] == "ON"
+        ended(process, children, how)
 
 
-def test_a_side_that_does_not_start_ends_the_server(model_file: Path, cell_file: Path) -> None:
-    with (
-        socket.create_server(("127.0.0.1", 0)) as taken,
-        served(model_file, cell_file, f"tango tango_device a/b --listen 127.0.0.1:{taken.getsockname()[1]}") as (
-            process,
-            line,
-        ),
-    ):
-        assert line().startswith("listening on")
-        assert process.wait(60) != 0
+def test_a_side_that_does_not_start_is_said(serving: Serving) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"127.0.0.1:{taken.getsockname()[1]}"
+        with running("run_sides.py", serving.address, f"tango tango_device a/b --listen {listen}") as (process, line):
+            assert line() == "--tango: it did not start; what it says is above\n"
+            assert process.wait(20) == 2
+
+
+@pytest.mark.slow
+def test_the_whole_server_with_its_sides(model_file: Path, cell_file: Path) -> None:
+    listen = f"127.0.0.1:{free_port()}"
+    side = f"tango tango_device a/b --listen {listen}"
+    with running("serve_memory.py", str(model_file), str(cell_file), side) as (process, line):
+        assert line().startswith("listening on 127.0.0.1:")
+        at = line().split()[-1]
+        children = psutil.Process(process.pid).children()
+        with peer("contrast_client.py", at) as client:
+            assert client.ask("move 0 20")["ok"]["again"] == 0
+        assert ended(process, children, signal.SIGTERM) < 5
 
 
 @pytest.mark.parametrize(
