@@ -37,6 +37,7 @@ HAND = 3.0  # m: what a flange carries, how far it sticks out, a link's radius
 CELL, HALL = 10.0, 100.0  # m: around a robot; around an instrument, and obstacles
 WIDEST = 1.0  # m, of a clearance
 LARGEST_PIXEL = 0.01  # m
+MOST_PIXELS = 100_000  # along an edge
 LARGEST_MARGIN = 0.5  # rad
 HEAVIEST = 2000.0  # kg
 LONGEST = 1e8  # s, three years
@@ -82,6 +83,8 @@ class Cell:
         or more the mount follows their identified positions.
     size
         Edges of the detector's box (x, y across, z behind its plane), m; none if None.
+    pixels
+        Rows and columns of the detector's pixels; None: nobody says.
     tool_mass, tool_com
         What the flange carries, kg and ``(3,)`` m, flange frame; None: as the model's session declared it, at the
         flange.
@@ -107,6 +110,7 @@ class Cell:
     targets: Mapping[str, Array] = field(default_factory=dict)
     size: tuple[float, float, float] | None = None
     pixel: float = PIXEL
+    pixels: tuple[int, int] | None = None
     tool_mass: float | None = None
     tool_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     link_temperature: Array | None = None
@@ -128,6 +132,7 @@ class Cell:
             "mount": np.asarray(self.mount).tolist(),
             "targets_m": {name: np.asarray(p).tolist() for name, p in self.targets.items()},
             "pixel_m": self.pixel,
+            "pixels": self.pixels,
             "gravity_m_s2": list(self.gravity),
             "tool_mass_kg": self.tool_mass,
             "tool_com_m": list(self.tool_com),
@@ -200,6 +205,7 @@ def _cell(at: Section, robot: RobotDescription, folder: Path) -> Cell:
         targets=_targets(detector),
         size=_three(detector.vector("size_m", 3, 0.0, HAND, "m", None, above=True)),
         pixel=detector.number("pixel_m", 0.0, LARGEST_PIXEL, "m", PIXEL, above=True),
+        pixels=_pixels(detector),
         tool_mass=tool.number("mass_kg", 0.0, HEAVIEST, "kg", None),
         tool_com=_three(tool.vector("com_m", 3, -HAND, HAND, "m", np.zeros(3))),
         link_temperature=heat.vector("link_C", n, COLDEST, HOTTEST, "°C", None),
@@ -216,6 +222,16 @@ def _cell(at: Section, robot: RobotDescription, folder: Path) -> Cell:
     for section in (detector, tool, heat, safety, shape, convention, at):
         section.done()
     return out
+
+
+def _pixels(detector: Section) -> tuple[int, int] | None:
+    found = detector.vector("pixels", 2, 1, MOST_PIXELS, "", None)
+    if found is None:
+        return None
+    rows, columns = found.tolist()
+    if rows != round(rows) or columns != round(columns):
+        raise detector.fault("pixels", "two whole numbers, rows and columns", repr(found.tolist()))
+    return int(rows), int(columns)
 
 
 def _three(found: Array | None) -> Any:

@@ -12,7 +12,7 @@ import re
 import socket
 from collections import deque
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from offline_ik.protocol import Job, Session, Speaker
 
@@ -49,8 +49,8 @@ class Host(Protocol):
         """Begin a job."""
         ...
 
-    def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes:
-        """The answer of a job that has been computed."""
+    def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes | Job:
+        """The answer of a job that has been done, or what has to be done next."""
         ...
 
 
@@ -69,6 +69,21 @@ class Limits:
         self.idle, self.silent = idle, silent
 
 
+class Begun(NamedTuple):
+    """What was begun, and is answered when it is done; a `stop` is begun when it comes, before its turn."""
+
+    job: Job
+    done: asyncio.Future[Any]
+
+
+class Answered(bytes):
+    """The answer to a `stop` that was refused when it came."""
+
+
+class Overtaken(bytes):
+    """A `move` that waited when a `stop` came after it: it does not begin any more."""
+
+
 class Client(asyncio.Protocol):
     """One connection: splits lines, answers in order, and stops reading while either side is behind."""
 
@@ -77,12 +92,12 @@ class Client(asyncio.Protocol):
         self.loop = asyncio.get_running_loop()
         self.partial = b""
         self.skipping = False
-        self.lines: deque[bytes] = deque()
+        self.lines: deque[bytes | Begun] = deque()
         self.writable, self.reading, self.working, self.ended = True, True, False, False
         self.timer: asyncio.TimerHandle | None = None
         self.idle: asyncio.TimerHandle | None = None
         self.heard = 0  # whole lines
-        self.job: asyncio.Future[Any] | None = None
+        self.job: tuple[Job, asyncio.Future[Any]] | None = None
         self.transport: asyncio.Transport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -101,6 +116,8 @@ class Client(asyncio.Protocol):
             self.session.only_stop = True
             self.transport.write(self._too_many())
         _keep_alive(self.transport.get_extra_info("socket"))
+        at = self.transport.get_extra_info("peername")
+        self.session.address = f"{at[0]}:{at[1]}" if at else ""
         self._rest()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -112,8 +129,12 @@ class Client(asyncio.Protocol):
         for timer in (self.timer, self.idle):
             if timer is not None:
                 timer.cancel()
-        if self.job is not None:
-            self.job.cancel()
+        robot = self.server.speaker.robot
+        if robot is not None:
+            robot.release(self.session)
+        # What is on its way to the robot is seen through.
+        if self.job is not None and self.job[0].later.lane in ("compute", "wait"):
+            self.job[1].cancel()
 
     def data_received(self, data: bytes) -> None:
         """Split what came into lines, and answer them unless that is under way."""
@@ -131,6 +152,8 @@ class Client(asyncio.Protocol):
         for line in parts:
             if self.skipping:  # the rest of a line that was too long, already answered
                 self.skipping = False
+            elif len(line) <= LINE_BYTES and line.split(None, 1)[:1] == [b"stop"]:
+                self._stop_now(line)
             else:
                 self.lines.append(line)
         if len(self.partial) > LINE_BYTES:
@@ -178,28 +201,17 @@ class Client(asyncio.Protocol):
         transport = self.transport
         if transport is None or transport.is_closing():
             return
-        speaker = self.server.speaker
         for _ in range(TURN):
             if not self.lines or not self.writable:
                 break
-            line = self.lines.popleft()
-            if line == CUT_OFF:
-                transport.write(
-                    speaker.refuse("expected a newline at the end of a line, found the end of the connection")
-                )
-            elif len(line) > LINE_BYTES:
-                transport.write(speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes"))
-            else:
-                if self.session.only_stop and line.split()[:1] != [b"stop"]:
-                    self.tell_end(b"")
-                    return
-                found = self.server.reply(line, self.session)
-                if not isinstance(found, bytes):
-                    self.working = True
-                    self.job = self.server.compute(found)
-                    self.job.add_done_callback(partial(self._computed, found))
-                    return
-                transport.write(found)
+            found = self._begin(self.lines.popleft())
+            if found is None:
+                self.tell_end(b"")
+                return
+            if isinstance(found, Begun):
+                self._await(*found)
+                return
+            transport.write(found)
             if self.session.done:
                 transport.close()
                 return
@@ -211,6 +223,22 @@ class Client(asyncio.Protocol):
             return
         self._pace(transport)
 
+    def _begin(self, line: bytes | Begun) -> bytes | Begun | None:
+        """The answer to a line, or what it waits for; None: this connection is not heard."""
+        speaker = self.server.speaker
+        if isinstance(line, (Begun, Answered)):
+            return line
+        if isinstance(line, Overtaken):
+            return speaker.overtaken(line)
+        if line == CUT_OFF:
+            return speaker.refuse("expected a newline at the end of a line, found the end of the connection")
+        if len(line) > LINE_BYTES:
+            return speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes")
+        if self.session.only_stop:  # stops are begun before their turn
+            return None
+        found = self.server.reply(line, self.session)
+        return found if isinstance(found, bytes) else Begun(found, self.server.compute(found))
+
     def _pace(self, transport: asyncio.Transport | None) -> None:
         """Read on only while the client keeps up with its answers, and we with its requests."""
         behind = len(self.lines) > PENDING or not self.writable
@@ -218,13 +246,35 @@ class Client(asyncio.Protocol):
             transport.pause_reading() if behind else transport.resume_reading()
             self.reading = not behind
 
+    def _stop_now(self, line: bytes) -> None:
+        """Begin a stop when it comes, whatever this connection waits for; its answer comes in its turn."""
+        self.lines = deque(
+            Overtaken(other) if isinstance(other, bytes) and other.split(None, 1)[:1] == [b"move"] else other
+            for other in self.lines
+        )
+        found = self.server.reply(line, self.session)
+        self.lines.append(Answered(found) if isinstance(found, bytes) else Begun(found, self.server.compute(found)))
+
+    def _await(self, job: Job, done: asyncio.Future[Any]) -> None:
+        """Answer nothing before a job is done."""
+        self.working, self.job = True, (job, done)
+        _acknowledge(self.transport)
+        done.add_done_callback(partial(self._computed, job))
+
     def _computed(self, job: Job, done: asyncio.Future[Any]) -> None:
-        """Answer what another thread has computed, and go on; for a connection that was reset, nothing moves."""
+        """Answer what was done elsewhere, and go on; for a connection that was reset, nothing moves."""
         self.job = None
         transport = self.transport
-        if done.cancelled() or self.ended or transport is None or transport.is_closing():
+        gone = self.ended or transport is None or transport.is_closing()
+        if done.cancelled() or (gone and job.later.lane == "compute"):
             return
-        transport.write(self.server.finish(job, done))
+        found = self.server.finish(job, done)
+        if gone or transport is None:
+            return
+        if not isinstance(found, bytes):
+            self._await(found, self.server.compute(found))
+            return
+        transport.write(found)
         self._work()
 
     def _watch(self, begun: bool) -> None:
@@ -287,6 +337,14 @@ class Client(asyncio.Protocol):
             self.transport.write(self.server.speaker.refuse(f"a line was not completed within {patience:g} s"))
             self.transport.close()
         self.ended = True
+
+
+def _acknowledge(transport: asyncio.Transport | None) -> None:
+    """Acknowledge at once what has no answer yet: by Nagle's algorithm a `stop` would wait for that, for 40 ms."""
+    found = None if transport is None else transport.get_extra_info("socket")
+    if found is not None and hasattr(socket, "TCP_QUICKACK"):
+        with contextlib.suppress(OSError):
+            found.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
 
 def _keep_alive(found: socket.socket | None) -> None:

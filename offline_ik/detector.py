@@ -29,6 +29,7 @@ from offline_ik.cell import LONGEST, Cell, default_cell, read_cell
 from offline_ik.checks import check_arm, check_directions, check_posture, check_temperatures
 from offline_ik.coordinates import check_target, detector_pose
 from offline_ik.errors import CellError, TargetError
+from offline_ik.frames import Framing
 from offline_ik.free_roll import effort, rolls_to_try
 from offline_ik.kernel import Kernel
 from offline_ik.kernels import looking_kernel
@@ -86,6 +87,7 @@ class Detector:
         for kernel in (self.looking, self.solver.whole):  # of what is out of reach, and of what is singular
             kernel.trigger()
         self.solver.search.refine(self.to_base(near)[None], self.rest[None], self.still)
+        self.framing(near, self.rest)
 
     @cached_property
     def still(self) -> Conditions:
@@ -299,6 +301,11 @@ class Detector:
         out = Detector(self.arm, self.cell)
         out.warm_up()
         return out
+
+    @cached_property
+    def framing(self) -> Framing:
+        """Makes the frames that a controller writes."""
+        return Framing(self.robot, self.solver.mount)
 
     @cached_property
     def looking(self) -> Kernel:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from offline_ik.coordinates import DetectorAngles, detector_angles, detector_pose
+from offline_ik.seen import Spread, spread_of
 from offline_ik.uncertainty import Uncertainty
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ class Place:
         ``(n,)``: the motor angles of the posture, rad.
     beyond
         Names of the joints that are beyond their limits.
+    spread
+        How uncertain the angles are.
     """
 
     pose: Array
@@ -41,6 +44,7 @@ class Place:
     uncertainty: Uncertainty
     motor: Array
     beyond: tuple[str, ...]
+    spread: Spread
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""
@@ -54,6 +58,7 @@ class Place:
             "detector_position_m": self.pose[:3, 3].tolist(),
             "motor_rad": self.motor.tolist(),
             **self.uncertainty.stated(),
+            **self.spread.to_json(),
             "beyond_limits": list(self.beyond),
         }
 
@@ -84,4 +89,5 @@ def place_of(detector: Detector, q: Sequence[float] | Array, near: Sequence[floa
     outside = (there < detector.lower) | (there > detector.upper)
     beyond = tuple(joint.name for joint, out in zip(detector.robot.joints, outside, strict=True) if out)
     uncertainty = detector.propagation.at(there, conditions, towards)
-    return Place(pose, angles, uncertainty, detector.motor(there), beyond)
+    spread = spread_of(detector, pose, pose[:3, 3], uncertainty.covariance)
+    return Place(pose, angles, uncertainty, detector.motor(there), beyond, spread)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,16 +23,21 @@ from clampid.verbs.output import finite
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from offline_ik.answer import Answer
 from offline_ik.approach import approach_through
+from offline_ik.asked import asked_of, sides_of, simulation_of
 from offline_ik.assumed import time_effects
-from offline_ik.checks import check_directions
+from offline_ik.beamline.looking import LOOKING
+from offline_ik.beamline.moving import MOVING
+from offline_ik.beamline.robot import LinkedRobot
 from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.link import RobotLink
 from offline_ik.peak_request import sample_of
 from offline_ik.place import place_of
 from offline_ik.pyfai import pyfai_geometry
-from offline_ik.requests import EVERY, GREETED, WORDS, RequestError, number, numbers, parse, switch
+from offline_ik.requests import EVERY, GREETED, MOVES, WORDS, RequestError, number, numbers, parse, switch
 from offline_ik.safety import check_path, move_time
+from offline_ik.session import Job, Later, Session, Told
+from offline_ik.simulation import Simulation
 from offline_ik.ways import Ways, ways_to
 from offline_ik.wording import members_of
 
@@ -41,83 +46,6 @@ __all__ = ["Job", "RobotLink", "Session", "Speaker"]
 Array = npt.NDArray[np.float64]
 
 TICK = 1.0  # s, by which a running time goes on: short of any warm-up
-SETTLED = 1e-3  # rad by which a linked robot may have moved since its way was checked
-
-
-class Told(NamedTuple):
-    """What a request is answered with: members of the answer."""
-
-    data: dict[str, Any]
-
-
-class Later(NamedTuple):
-    """What a request is answered with once something has been computed that takes long.
-
-    Attributes
-    ----------
-    work
-        Computes it on a given detector, and touches nothing else: it may run in another thread.
-    then
-        Makes the answer of that; here links are moved and sessions changed.
-    """
-
-    work: Callable[[Detector], Any]
-    then: Callable[[Any], Told]
-
-
-@dataclass
-class Session:
-    """What one client has said.
-
-    Attributes
-    ----------
-    here
-        The posture that its stream is at ``(n,)``, rad.
-    done
-        It wants to end.
-    closed
-        Its side of the connection is closed: whether anybody waits for an answer is not known.
-    count
-        Targets of its stream.
-    greeted
-        It has said `hello`, with the token where there is one: it may change what others see, and move.
-    only_stop
-        There are too many connections; of this one nothing but `stop` is heard.
-    """
-
-    here: Array | None = None
-    done: bool = False
-    closed: bool = False
-    count: int = 0
-    greeted: bool = False
-    only_stop: bool = False
-
-
-@dataclass(frozen=True)
-class Job:
-    """A request whose answer takes long: :meth:`run` may be called in another thread, :meth:`end` not."""
-
-    speaker: Speaker
-    word: str
-    given: Mapping[str, str]
-    later: Later
-
-    def run(self, detector: Detector) -> Any:
-        """What takes long, on a detector that nobody else uses meanwhile; a refusal is a result as well."""
-        try:
-            return self.later.work(detector)
-        except CallError as error:
-            return error
-
-    def end(self, found: Any) -> bytes:
-        """The answer, of what :meth:`run` found."""
-        if isinstance(found, CallError):
-            return self.speaker.refuse(str(found), self.given)
-        try:
-            told = self.later.then(found)
-        except CallError as error:
-            return self.speaker.refuse(str(error), self.given)
-        return self.speaker.told(self.word, self.given, told)
 
 
 @dataclass
@@ -132,6 +60,8 @@ class Speaker:
         A robot to move, if there is one.
     token
         What `hello` has to bring along; None: nothing.
+    answers_only
+        Nothing moves, and nothing that others see changes: a network reaches the server, and there is no token.
     """
 
     detector: Detector
@@ -140,42 +70,49 @@ class Speaker:
     refused: int = 0
     clock: Callable[[], float] = time.monotonic
     token: str | None = field(default=None, repr=False)
+    answers_only: bool = False
     _since: float = field(init=False)
     _timed: bool = field(init=False)
-    _stops: int = field(init=False, default=0)
-    _moves: int = field(init=False, default=0)
-    _moving: bool = field(init=False, default=False)
-    _convention: dict[str, Any] = field(init=False)
+    _robot: LinkedRobot | None = field(init=False, default=None)
+    convention: dict[str, Any] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._convention = self.detector.cell.convention.to_json()
+        self.convention = self.detector.cell.convention.to_json()
         self._timed = bool(time_effects(self.detector.arm))
         self._since = self.clock() - (self.detector.cell.running or 0.0)
         if self.link is not None:
             _refuse_other_robot(self.detector.robot.name, self.link.state().get("robot"), "the linked one is")
 
     @property
-    def moved(self) -> bool:
-        """Whether a move was begun here that nobody has stopped since."""
-        return self._moving
+    def robot(self) -> LinkedRobot | None:
+        """The linked robot."""
+        if self.link is None:
+            return None
+        if self._robot is None or self._robot.link is not self.link:
+            self._robot = LinkedRobot(self.link, self.clock)
+        return self._robot
 
     def answer(self, line: bytes, session: Session) -> bytes:
         """The answer to one line, newline included; never raises for what a client may send."""
         found = self.begin(line, session)
-        return found if isinstance(found, bytes) else found.end(found.run(self.detector))
+        while isinstance(found, Job):
+            found = found.end(found.run(self.detector))
+        return found
 
     def begin(self, line: bytes, session: Session) -> bytes | Job:
         """As :meth:`answer`, but what takes long comes as a job, for a thread of its own."""
-        given: dict[str, str] = {}
+        word, given = "", dict[str, str]()
         try:
             word, given = parse(line)
             _refuse_other_robot(self.detector.robot.name, given.get("robot"), "the request is for")
             if word in GREETED and not session.greeted:
                 raise RequestError(f"{word}: expected hello{'' if self.token is None else ' token=…'} before it")
+            if self.answers_only and word in MOVES:
+                raise RequestError(f"{word}: this server only answers: a network reaches it, and it has no token")
             self._tick()
             told = self._verbs[word](self, given, session)
         except CallError as error:
-            return self.refuse(str(error), given)
+            return self.refuse_request(word, error, given)
         return Job(self, word, given, told) if isinstance(told, Later) else self.told(word, given, told)
 
     def told(self, word: str, given: Mapping[str, str], told: Told) -> bytes:
@@ -191,15 +128,29 @@ class Speaker:
             if now - running >= TICK:
                 self.detector = self.detector.at_running(now)
 
+    def overtaken(self, line: bytes) -> bytes:
+        """The answer to a `move` after which a `stop` came before it was begun."""
+        try:
+            _, given = parse(line)
+        except CallError as error:
+            return self.refuse(str(error))
+        return self.refuse_request("move", RequestError("move: a stop came after it; nothing moves"), given)
+
+    def refuse_request(self, word: str, error: CallError, given: Mapping[str, str]) -> bytes:
+        """The line of a refusal; of a `move`, the robot's last refusal is noted for everybody."""
+        if word == "move" and self.robot is not None:
+            self.robot.refuse(str(error))
+        return self.refuse(str(error), given)
+
     def refuse(self, reason: str, given: Mapping[str, str] | None = None) -> bytes:
         """The line of a refusal; ``given``: the request's pairs, where it got as far."""
         self.refused += 1
         return _line({"ok": False, **_id(given or {}), "error": reason})
 
     def _where(self, given: Mapping[str, str], session: Session) -> Told | Later:
-        near, sides = numbers(given, "near"), self._sides(given)
+        near, sides = numbers(given, "near"), sides_of(self.detector, given)
         approach, pyfai = switch(given, "approach"), switch(given, "pyfai")
-        asked = _asked(given, near, sides)
+        asked = asked_of(given, near, sides)
         data = {"direction_from": "asked" if sides is not None else "unknown" if near is None else "moved"}
         answer = None if approach else self.detector.at_once(**asked)
         if answer is not None:
@@ -214,20 +165,15 @@ class Speaker:
 
         return Later(work, lambda found: self._located(found[0], found[1], pyfai))
 
-    def _sides(self, given: Mapping[str, str]) -> Array | None:
-        """From which sides joints are to come ``(n,)``."""
-        asked = numbers(given, "direction")
-        return None if asked is None else check_directions(self.detector.arm.n, asked)
-
     def _located(self, data: dict[str, Any], answer: Answer, pyfai: bool) -> Told:
         if answer.reachable and pyfai:
             data["pyfai"] = pyfai_geometry(self.detector.cell.convention, answer.target).to_json()
-        return self._told(data, answer)
+        return self.told_of(data, answer)
 
     def _path(self, given: Mapping[str, str], session: Session) -> Told | Later:
         start = numbers(given, "from")
         if start is None:
-            start = self._posture(session, "from")
+            start = self.posture(session, "from")
         start = self.detector.check_posture(start, "from")
         to = numbers(given, "to")
         if to is not None:
@@ -237,21 +183,25 @@ class Speaker:
             way = [start, self.detector.check_posture(to, "to")]
             return Later(
                 lambda detector: check_path(detector, way),
-                lambda path: Told({"path": finite(path.to_json()), "convention": self._convention}),
+                lambda path: Told({"path": finite(path.to_json()), "convention": self.convention}),
             )
-        return Later(_ways(given, start, self._sides(given)), partial(self._checked, given.get("branch") == "all"))
+        work = simulation_of(given, start, sides_of(self.detector, given))
+        return Later(work, partial(self._checked, given.get("branch") == "all"))
 
-    def _checked(self, every: bool, ways: Ways) -> Told:
-        told = self._told(finite(ways.to_json()), ways.answer)
+    def _checked(self, every: bool, simulation: Simulation) -> Told:
+        ways = simulation.ways
+        told = self.told_of(finite(ways.to_json()), ways.answer)
         if every:
             for solution, way in zip(told.data["solutions"], ways.chosen, strict=True):
                 solution.update(finite(way.to_json()))
         return told
 
-    def _told(self, data: dict[str, Any], answer: Answer) -> Told:
-        return Told({**data, "convention": self._convention, **members_of(answer), "nearest": answer.nearest})
+    def told_of(self, data: dict[str, Any], answer: Answer) -> Told:
+        """What is told of an answer's positions."""
+        members = members_of(self.detector, answer)
+        return Told({**data, "convention": self.convention, **members, "nearest": answer.nearest})
 
-    def _posture(self, session: Session, key: str | None = None) -> Array:
+    def posture(self, session: Session, key: str | None = None) -> Array:
         """Where the linked robot or the stream is; ``key``: what else would have said it."""
         if self.link is not None:
             return self.link.posture()
@@ -269,12 +219,12 @@ class Speaker:
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
-        dt, sides = number(given, "dt", math.inf), self._sides(given)
+        dt, sides = number(given, "dt", math.inf), sides_of(self.detector, given)
         if not dt > 0:
             raise TargetError(f"dt: expected a time in seconds, found {dt:g}")
-        start = self._posture(session) if session.here is None else session.here
+        start = self.posture(session) if session.here is None else session.here
         here = self.detector.check_posture(start, "the posture at hand")
-        asked = _asked(given, here, sides)
+        asked = asked_of(given, here, sides)
 
         def work(detector: Detector) -> Ways:
             answer = detector.locate(**asked)
@@ -293,7 +243,7 @@ class Speaker:
                 session.here = ways.chosen[0].solution.q
                 session.count += 1
                 data["needs_s"] = ways.chosen[0].path.duration
-            return self._told({**data, "number": session.count}, ways.answer)
+            return self.told_of({**data, "number": session.count}, ways.answer)
 
         return Later(work, then)
 
@@ -321,43 +271,14 @@ class Speaker:
     def _at(self, given: Mapping[str, str], session: Session) -> Told:
         """The other way round than ``where``: what a posture means on the sphere."""
         q = numbers(given, "q")
-        there = self.detector.check_posture(self._posture(session, "q") if q is None else q, "q")
+        there = self.detector.check_posture(self.posture(session, "q") if q is None else q, "q")
         place = place_of(self.detector, there, numbers(given, "near"))
-        return Told({"q_rad": there.tolist(), **place.to_json(), "convention": self._convention})
+        frames = self.detector.framing(self.detector.to_base(place.pose), there)
+        return Told({"q_rad": there.tolist(), **place.to_json(), **frames, "convention": self.convention})
 
     def _sample(self, given: Mapping[str, str], session: Session) -> Later:
         """Where the scattering point is, by reflections found."""
         return Later(lambda detector: sample_of(detector, given), lambda found: Told(finite(found.to_json())))
-
-    def _stop(self, given: Mapping[str, str], session: Session) -> Told:
-        if self.link is None:
-            raise RequestError("stop: no robot is linked; there is nothing to stop")
-        self._stops += 1
-        self.link.stop()
-        self._moving = False
-        return Told({"link": finite(dict(self.link.state()))})
-
-    def _move(self, given: Mapping[str, str], session: Session) -> Later:
-        if self.link is None:
-            raise RequestError("move: no robot is linked; this server only computes")
-        link, stops, moves = self.link, self._stops, self._moves
-        here = self.detector.check_posture(link.posture(), "the robot's posture")
-
-        def then(ways: Ways) -> Told:
-            safe = bool(ways.chosen) and ways.chosen[0].path.safe
-            if safe:
-                if session.closed:
-                    raise RequestError("move: the connection was closed before the move was checked; nothing moves")
-                if self._stops != stops:
-                    raise RequestError("move: the robot was stopped while its way was checked")
-                if self._moves != moves or not np.abs(link.posture() - here).max() <= SETTLED:
-                    raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
-                self._moves += 1
-                self._moving = True
-                link.move(ways.chosen[0].postures, self.detector.cell.speed)
-            return self._told({**finite(ways.to_json()), "moving": safe}, ways.answer)
-
-        return Later(_ways(given, here, self._sides(given)), then)
 
     def _state(self, given: Mapping[str, str], session: Session) -> Told:
         cell = self.detector.cell
@@ -370,7 +291,9 @@ class Speaker:
             "refused": self.refused,
             "at_q_rad": None if session.here is None else session.here.tolist(),
             "link": None if self.link is None else finite(dict(self.link.state())),
-            "convention": self._convention,
+            "holder": None if self.robot is None else self.robot.holder(),
+            "answers_only": self.answers_only,
+            "convention": self.convention,
         }
         return Told(state)
 
@@ -379,8 +302,10 @@ class Speaker:
         if self.token is not None and not hmac.compare_digest(given.get("token", "").encode(), self.token.encode()):
             session.done = True  # one attempt a connection
             raise RequestError(f"hello: expected token=…, found {'another' if 'token' in given else 'none'}")
-        session.greeted = True
-        return Told({"server": "clampid", "robot": self.detector.robot.name, "linked": self.link is not None})
+        session.greeted, session.name = True, given.get("name", "")[:64]
+        linked = self.link is not None
+        told = {"server": "clampid", "robot": self.detector.robot.name, "linked": linked}
+        return Told({**told, "moves": linked and not self.answers_only})
 
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
         return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})
@@ -400,9 +325,9 @@ class Speaker:
             "start": Speaker._start,
             "temperature": Speaker._temperature,
             "at": Speaker._at,
-            "move": Speaker._move,
             "sample": Speaker._sample,
-            "stop": Speaker._stop,
+            **MOVING,
+            **LOOKING,
             "state": Speaker._state,
             "help": Speaker._help,
             "quit": Speaker._quit,
@@ -413,30 +338,6 @@ class Speaker:
 def _refuse_other_robot(own: str, named: object, whose: str) -> None:
     if named is not None and named != own:
         raise TargetError(f"the model is of the robot {own}, {whose} {str(named)[:64]!r}")
-
-
-def _asked(given: Mapping[str, str], near: Array | None, sides: Array | None) -> dict[str, Any]:
-    """What a request asks :meth:`offline_ik.detector.Detector.locate` for."""
-    return {
-        "gamma": number(given, "gamma"),
-        "delta": number(given, "delta"),
-        "r": number(given, "r"),
-        "roll": None if given.get("roll") == "free" else number(given, "roll", 0.0),
-        "near": near,
-        "branch": given.get("branch", "nearest"),
-        "direction": sides if sides is not None else None if near is None else "moved",
-    }
-
-
-def _ways(given: Mapping[str, str], start: Array, sides: Array | None) -> Callable[[Detector], Ways]:
-    """What finds the ways from a posture ``(n,)`` to where a request asks for."""
-    branch, approach, asked = given.get("branch", "nearest"), switch(given, "approach"), _asked(given, start, sides)
-
-    def work(detector: Detector) -> Ways:
-        answer = detector.locate(**asked)
-        return ways_to(detector, answer, start=start, branch=branch, approach=approach, direction=sides)
-
-    return work
 
 
 def _id(given: Mapping[str, str]) -> dict[str, str]:

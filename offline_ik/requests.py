@@ -9,19 +9,25 @@ import numpy.typing as npt
 
 from clampid.verbs.errors import CallError
 
-__all__ = ["EVERY", "GREETED", "WORDS", "RequestError", "number", "numbers", "parse", "switch"]
+__all__ = ["EVERY", "GREETED", "MOVES", "WORDS", "RequestError", "number", "numbers", "parse", "switch"]
 
 Array = npt.NDArray[np.float64]
 
 WORDS = {
-    "hello": ("token",),
+    "hello": ("token", "name"),
     "where": ("gamma", "delta", "r", "roll", "near", "branch", "approach", "direction", "pyfai"),
     "path": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "direction", "to"),
     "stream": ("gamma", "delta", "r", "roll", "direction", "dt"),
     "start": ("q",),
     "temperature": ("link", "motor", "running"),
     "at": ("q", "near"),
-    "move": ("gamma", "delta", "r", "roll", "approach", "direction"),
+    "simulate": ("gamma", "delta", "r", "roll", "from", "branch", "approach", "direction", "picture"),
+    "pixel": ("i", "j", "pixels", "gamma", "delta", "r", "roll", "q", "near", "poni", "wavelength"),
+    "move": ("gamma", "delta", "r", "roll", "approach", "direction", "wait"),
+    "moved": ("timeout", "number"),
+    "robot": (),
+    "hold": (),
+    "release": (),
     "sample": (
         "q", "gamma", "delta", "r", "roll", "dir", "x", "y", "two_theta", "spacing", "wavelength", "std", "std_xy",
         "near", "repeatability",
@@ -33,8 +39,11 @@ WORDS = {
 }  # fmt: skip
 """The requests and their keys; every one may have those of :data:`EVERY` too."""
 
-GREETED = frozenset({"move", "temperature", "start", "stream"})
+GREETED = frozenset({"move", "hold", "temperature", "start", "stream"})
 """Requests that change something or move: a connection says `hello` before. `stop` is always obeyed."""
+
+MOVES = frozenset({"move", "hold", "temperature"})
+"""Requests that a server refuses which a network reaches and which has no token: it only answers."""
 
 EVERY = ("id", "robot")
 

@@ -26,7 +26,7 @@ from offline_ik.shapes import Shape, carries, checked_pairs, distance_of, shapes
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["PathReport", "check_path", "check_sample", "move_time"]
+__all__ = ["Clearance", "PathReport", "check_path", "check_sample", "clearances_along", "move_time"]
 
 Array = npt.NDArray[np.float64]
 
@@ -72,6 +72,19 @@ class PathReport:
             "forearm_to_base_m": self.base_distance if np.isfinite(self.base_distance) else None,
             "duration_s": self.duration,
         }
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The least distance of two bodies along a way, m, and at which share of it."""
+
+    between: tuple[str, str]
+    distance: float
+    at: float
+
+    def to_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {"between": list(self.between), "least_distance_m": self.distance, "at": self.at}
 
 
 class _World:
@@ -141,6 +154,23 @@ def check_path(detector: Detector, postures: Sequence[Array] | Array) -> PathRep
     return PathReport(
         tuple(reasons), worst.clearance, worst.between, worst.at, worst.base, move_time(detector, path)
     )  # fmt: skip
+
+
+def clearances_along(detector: Detector, postures: Array) -> list[Clearance]:
+    """The least distance of every pair of bodies that may not touch, over postures ``(m, n)``; the nearest pair first.
+
+    Between the postures nothing is looked at: this is for people to read. :func:`check_path` decides.
+    """
+    world = _world(detector)
+    if not world.pairs:
+        return []
+    distances = np.array([world.distances(q) for q in np.atleast_2d(postures)])  # (m, pairs)
+    least, last = distances.argmin(axis=0), max(len(distances) - 1, 1)
+    found = [
+        Clearance((a.name, b.name), float(distances[k, i]), float(k) / last)
+        for i, ((a, b), k) in enumerate(zip(world.pairs, least.tolist(), strict=True))
+    ]
+    return sorted(found, key=lambda c: c.distance)
 
 
 class _Worst:

@@ -11,10 +11,12 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from offline_ik.beamline.processes import Side, Sides
+from offline_ik.beamline.waiting import Waiting
 from offline_ik.cell import Cell
 from offline_ik.client import LINE_BYTES, Client, Limits
 from offline_ik.detector import Detector
@@ -24,6 +26,7 @@ from offline_ik.protocol import Job, Session, Speaker
 __all__ = ["LINE_BYTES", "Limits", "Server", "parse_address", "serve", "settle", "take"]
 
 BACKLOG = 100  # connections that wait to be accepted
+STOPS = 4  # stops at a time that wait for the robot's link
 GRACE = 0.8  # s that a stop waits for the robot's link, and then for a computation that is under way
 SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
 
@@ -50,7 +53,10 @@ class Server:
         self._thread = ThreadPoolExecutor(1, "clampid")
         self._twin: Detector = speaker.detector.twin
         self._switched = sys.getswitchinterval()
-        self._busy = False
+        self._link_thread = ThreadPoolExecutor(1, "clampid-link")
+        self._stop_threads = ThreadPoolExecutor(STOPS, "clampid-stop")
+        self._waiting = Waiting()
+        self._busy, self._lock = 0, threading.Lock()
 
     def reply(self, line: bytes, session: Session) -> bytes | Job:
         """The answer to a line; an error of the program itself is one client's answer, not everyone's end."""
@@ -61,18 +67,37 @@ class Server:
 
     def compute(self, job: Job) -> asyncio.Future[Any]:
         """Begin a job, at the temperatures and the running time of now."""
-        return asyncio.get_running_loop().run_in_executor(self._thread, self._run, job, self.speaker.detector.cell)
+        loop, later = asyncio.get_running_loop(), job.later
+        if later.lane == "compute":
+            return loop.run_in_executor(self._thread, self._run, job, self.speaker.detector.cell)
+        robot = self.speaker.robot
+        if later.lane == "wait" and robot is not None:
+            return self._waiting.until_ended(robot, later.number, later.patience)
+        # A link may wait for its controller: neither the others' answers nor a stop wait with it.
+        return loop.run_in_executor(self._stop_threads if later.lane == "stop" else self._link_thread, self._apart, job)
 
     def _run(self, job: Job, cell: Cell) -> Any:
-        self._busy = True
-        try:
+        with self._counted():
             self._twin = self._twin.within(cell)
             return job.run(self._twin)
-        finally:
-            self._busy = False
 
-    def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes:
-        """The answer of a job that has been computed."""
+    def _apart(self, job: Job) -> Any:
+        with self._counted():
+            return job.run(self._twin)
+
+    @contextlib.contextmanager
+    def _counted(self) -> Iterator[None]:
+        """Count what runs in threads, which the interpreter would wait for at its end."""
+        with self._lock:
+            self._busy += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._busy -= 1
+
+    def finish(self, job: Job, done: asyncio.Future[Any]) -> bytes | Job:
+        """The answer of a job that has been done, or what has to be done next."""
         try:
             return job.end(done.result())
         except Exception as error:  # as in reply
@@ -123,7 +148,9 @@ class Server:
                 client.transport.abort()
         for _ in range(3):
             await asyncio.sleep(0)
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._waiting.close()
+        for threads in (self._thread, self._link_thread, self._stop_threads):
+            threads.shutdown(wait=False, cancel_futures=True)
         sys.setswitchinterval(self._switched)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(GRACE):
@@ -133,9 +160,10 @@ class Server:
 
     async def _stop_robot(self) -> str:
         """Once the server is gone no client can stop the robot, so that a move does not outlive it."""
-        link = self.speaker.link
-        if link is None or not self.speaker.moved:
+        robot = self.speaker.robot
+        if robot is None or not robot.begun:
             return ""
+        link = robot.link
         # In a thread of its own: a controller that does not answer must not keep the server from ending.
         done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
@@ -201,6 +229,12 @@ def take(host: str, port: int) -> list[socket.socket]:
     return found
 
 
+def _reached(at: tuple[str, int]) -> str:
+    """Where a process of this machine reaches a server that listens at an address."""
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(at[0], at[0])
+    return f"[{host}]:{at[1]}" if ":" in host else f"{host}:{at[1]}"
+
+
 def is_loopback(host: str) -> bool:
     """Whether only this machine can reach an address."""
     if host == "localhost":
@@ -217,9 +251,24 @@ def settle() -> None:
 
 
 def serve(
-    speaker: Speaker, host: str, port: int, say: Callable[[str], None], taken: Sequence[socket.socket] | None = None
+    speaker: Speaker,
+    host: str,
+    port: int,
+    say: Callable[[str], None],
+    taken: Sequence[socket.socket] | None = None,
+    sides: Sequence[Side] = (),
+    warn: Callable[[str], None] = lambda _: None,
 ) -> bool:
-    """Serve until interrupted (SIGINT, SIGTERM); ``say`` is told the address. ``taken``: of :func:`take`.
+    """Serve until interrupted (SIGINT, SIGTERM).
+
+    Parameters
+    ----------
+    say, warn
+        Are told the addresses, and what goes wrong meanwhile.
+    taken
+        Of :func:`take`.
+    sides
+        What else answers, see :mod:`offline_ik.beamline.processes`.
 
     Returns
     -------
@@ -229,11 +278,11 @@ def serve(
     Raises
     ------
     DetectorError
-        The address cannot be listened on.
+        The address cannot be listened on, or a side does not start.
     """
 
     async def run() -> bool:
-        server = Server(speaker)
+        server, beside = Server(speaker), Sides(sides, say, warn)
         settle()
         at = await server.start(host, port, taken)
         # Said, not left to the interpreter: started in the background of a shell, it would not hear an interrupt.
@@ -242,12 +291,14 @@ def serve(
             with contextlib.suppress(NotImplementedError):  # Windows hears an interrupt by itself
                 loop.add_signal_handler(number, serving.cancel)
         say(f"listening on {at[0]}:{at[1]}")
-        ended = False
+        ended, starting = False, asyncio.ensure_future(beside.start(_reached(at)))
+        serving.add_done_callback(lambda _: starting.cancel())
         try:
             with contextlib.suppress(asyncio.CancelledError):
+                await starting
                 await serving
         finally:
-            ended = await server.close()
+            ended, _ = await asyncio.gather(server.close(), beside.close())
         return ended
 
     return asyncio.run(run())

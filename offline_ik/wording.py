@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from offline_ik.answer import Answer, Solution
+
+if TYPE_CHECKING:
+    from offline_ik.detector import Detector
 
 __all__ = ["members_of"]
 
 
-def members_of(answer: Answer) -> dict[str, Any]:
+def members_of(detector: Detector, answer: Answer) -> dict[str, Any]:
     """Of one position; ``nearest`` is left to who looks for it, and the cell is in the server's state."""
+    base = detector.to_base(answer.target)
     return {
         "reachable": answer.reachable,
         "reasons": answer.reasons,
         "asked": answer.asked,
         "detector_position_m": answer.target[:3, 3].tolist(),
-        "solutions": [_told(solution) for solution in answer.solutions],
+        "solutions": [_told(s) | detector.framing(base, s.q) for s in answer.solutions],
     }
 
 

@@ -13,6 +13,7 @@ from clampid.display import fixed, length, number, readable
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
+from offline_ik.verbs.looking import Look, Picture, Pixel, Pixels, Poni, looked
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 from offline_ik.verbs.screen import ik_screen
 from offline_ik.verbs.units import Degrees, Millimetres, Units
@@ -20,7 +21,6 @@ from offline_ik.verbs.units import Degrees, Millimetres, Units
 if TYPE_CHECKING:
     from offline_ik.answer import Solution
     from offline_ik.detector import Detector
-    from offline_ik.postures import Direction
     from offline_ik.ways import Way, Ways
 
 __all__ = ["ik"]
@@ -55,6 +55,10 @@ def ik(
         ),
     ] = None,
     pyfai: Annotated[bool, typer.Option("--pyfai", help="Give the geometry for pyFAI as well.")] = False,
+    picture: Picture = None,
+    poni: Poni = None,
+    pixel: Pixel = None,
+    pixels: Pixels = None,
     effects_from: EffectsFrom = None,
     json: Json = None,
     verbose: Verbose = False,
@@ -66,7 +70,7 @@ def ik(
     from offline_ik.assumed import assumptions
     from offline_ik.checks import check_directions
     from offline_ik.coordinates import check_target
-    from offline_ik.ways import ways_to
+    from offline_ik.simulation import simulate_move
 
     units = Units(deg, mm)
     given_position = {"--gamma": gamma, "--delta": delta, "--r": r}
@@ -77,11 +81,14 @@ def ik(
     here = None if here is None else [units.radians(angle) for angle in here]
     detector = opened(model, cell, robot, effects_from, running)
     asked = None if sides is None else check_directions(detector.arm.n, sides)
-    came: Direction = asked if asked is not None else "moved" if here else None
     with out.working("solving"):
-        answer = detector.locate(gamma, delta, r, turned, near=here, branch=branch, direction=came)
-        ways = ways_to(detector, answer, start=here, branch=branch, approach=approach, direction=asked)
+        simulation = simulate_move(
+            detector, gamma, delta, r, turned, start=here, branch=branch, approach=approach, direction=asked
+        )
+        ways = simulation.ways
         answer, data = ways.answer, _data(ways, branch, (*detector.notes, *_later(detector, ways)))
+        found, seen = looked(detector, simulation, Look(picture, poni, pixel, pixels), units)
+        data |= seen
     if pyfai and answer.reachable:
         from offline_ik.pyfai import pyfai_geometry
 
@@ -105,7 +112,9 @@ def ik(
     given = (("--cell", cell), ("--robot", robot), ("--running", running), ("--near", near))
     call += [f"{option}={value}" for option, value in given if value is not None]
     call += [*(["--roll", roll] if roll != "0" else []), *units.options]
-    out.show(ik_screen(detector, ways, position, [*call, *own], data["notes"], len(assumed), approach, units))
+    out.show(
+        ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], len(assumed), approach, units)
+    )
     out.result(data)
 
 

@@ -38,6 +38,20 @@ def serve(
         Path | None,
         typer.Option(metavar="FILE", help="A file with the token that hello has to bring along.", show_default=False),
     ] = None,
+    tango: Annotated[
+        str | None,
+        typer.Option(metavar="SERVER/INSTANCE", help="Also answer as a Tango device.", show_default=False),
+    ] = None,
+    tango_listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where the Tango device listens.")
+    ] = "127.0.0.1:7311",
+    epics: Annotated[
+        str | None, typer.Option(metavar="PREFIX", help="Also answer as EPICS motor records.", show_default=False)
+    ] = None,
+    epics_listen: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where the EPICS server listens.")
+    ] = "127.0.0.1:5064",
+    radius_unit: Annotated[str, typer.Option(metavar="mm|m|um", help="Unit of the radius for Tango and EPICS.")] = "mm",
     cell: CellFile = None,
     robot: Robot = None,
     running: Running = None,
@@ -46,11 +60,14 @@ def serve(
 ) -> None:
     """Answer detector positions over TCP: one request a line, one JSON answer a line, until interrupted."""
     out = Output(quiet)
+    from offline_ik.beamline.options import Given, sides_of
     from offline_ik.protocol import Speaker
     from offline_ik.server import is_loopback, parse_address, take
     from offline_ik.server import serve as serve_forever
 
     host, port = parse_address(listen)
+    given = Given(tango, tango_listen, epics, epics_listen, radius_unit, token_file)
+    beside = sides_of(given, link is not None, out)
     token = None if token_file is None else _token(token_file, out)
     taken = take(host, port)  # before the compiling: a port in use is said at once
     with contextlib.ExitStack() as until_ready:
@@ -61,21 +78,18 @@ def serve(
             until_ready.callback(linked.close)
         with out.working("compiling"):
             detector = opened(model, cell, robot, effects_from, running)
-            speaker = Speaker(detector, linked, token=token)
+            closed = token is None and not is_loopback(host)
+            speaker = Speaker(detector, linked, token=token, answers_only=closed)
             detector.warm_up()
             _ = detector.twin  # the server's, warmed up as it is made
         say_assumed(detector, out)
         for note in detector.notes:
             out.warn(note)
         if not is_loopback(host):
-            moves = (
-                ", and move a linked robot: there is no --token-file"
-                if token is None
-                else "; the token is sent in clear"
-            )
+            moves = "; nothing moves: there is no --token-file" if token is None else "; the token is sent in clear"
             out.warn(f"anyone who reaches {host} can ask{moves}")
         until_ready.pop_all()
-    ended = serve_forever(speaker, host, port, out.say, taken)
+    ended = serve_forever(speaker, host, port, out.say, taken, beside, out.warn)
     if linked is not None:
         linked.close()
     if not ended:

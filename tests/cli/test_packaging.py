@@ -48,7 +48,7 @@ def test_what_is_installed_takes_the_oldest_python_that_we_name() -> None:
 
 
 INSTALLED = ("appendix_data", "kinematics", "experiments", "clampid", "offline_ik")
-MODULES = {"pin": "pinocchio"}
+MODULES = {"pin": "pinocchio", "pytango": "tango", "ophyd-async": "ophyd_async", "event-model": "event_model"}
 """Distributions whose import name is another."""
 
 
@@ -66,6 +66,8 @@ def imported() -> set[str]:
 
 
 def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
-    lines = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *(line for name in ("tango", "bluesky", "epics") for line in extras[name])]
     declared = {re.split(r"[<>=!~ \[]", line)[0] for line in lines}
     assert {MODULES.get(name, name) for name in declared} == imported()

@@ -104,7 +104,9 @@ def test_a_robot_that_was_sent_on_its_way_is_stopped(
 
     async def run() -> dict[str, Any]:
         speaker = Speaker(detector, arm)
-        speaker._moving = moved
+        if moved:
+            assert speaker.robot is not None
+            speaker.robot.begun = True
         server = Server(speaker)
         host, port = await server.start("127.0.0.1", 0)
         reader, writer = await asyncio.open_connection(host, port)

@@ -1,0 +1,150 @@
+"""Requests about the linked robot: `move`, `moved`, `robot`, `hold`, `release` and `stop`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from clampid.verbs.output import finite
+from offline_ik.asked import sides_of, simulation_of
+from offline_ik.beamline.robot import SETTLED, LinkedRobot
+from offline_ik.requests import RequestError, number, switch
+from offline_ik.session import Later, Session, Told
+from offline_ik.simulation import Simulation
+
+if TYPE_CHECKING:
+    from offline_ik.protocol import Speaker
+
+__all__ = ["MOVING"]
+
+LONGEST = 3600.0  # s that a client may wait for the end of a motion
+Given = Mapping[str, str]
+
+
+def _linked(speaker: Speaker, word: str, what: str) -> LinkedRobot:
+    if speaker.robot is None:
+        raise RequestError(f"{word}: no robot is linked; {what}")
+    return speaker.robot
+
+
+def _move(speaker: Speaker, given: Given, session: Session) -> Later:
+    robot, waits = _linked(speaker, "move", "this server only computes"), switch(given, "wait")
+    robot.check_free(session)
+    stops, before = robot.stops, robot.number
+    here = speaker.detector.check_posture(robot.link.posture(), "the robot's posture")
+
+    def then(simulation: Simulation) -> Told | Later:
+        ways, way = simulation.ways, simulation.way
+        if way is None or not simulation.safe:
+            robot.refuse("; ".join(simulation.reasons))
+            return speaker.told_of({**finite(ways.to_json()), "moving": False}, ways.answer)
+        if session.closed:
+            raise RequestError("move: the connection was closed before the move was checked; nothing moves")
+        if robot.stops != stops:
+            raise RequestError("move: the robot was stopped while its way was checked")
+        if robot.number != before or not np.abs(robot.link.posture() - here).max() <= SETTLED:
+            raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
+        robot.check_free(session)
+        asked = {name: value for name, value in ways.answer.asked.items() if value is not None}
+        asked.setdefault("roll_rad", way.solution.roll)
+        number = robot.begin(session, asked, here, way.postures)
+        speed = speaker.detector.cell.speed
+
+        def sent(_: Any) -> Told | Later:
+            if robot.stops != stops:
+                raise RequestError("move: the robot was stopped as this motion began")
+            data = {**finite(ways.to_json()), "moving": True, "number": number}
+            if not waits:
+                return speaker.told_of(data, ways.answer)
+            then = lambda _: speaker.told_of(data | {"moving": False} | ended(speaker, number), ways.answer)  # noqa: E731
+            return _until(robot, number, LONGEST, then)
+
+        return Later(lambda _: robot.send(way.postures, speed), sent, "link")
+
+    return Later(simulation_of(given, here, sides_of(speaker.detector, given)), then)
+
+
+def _until(robot: LinkedRobot, number: int, patience: float, then: Callable[[Any], Told]) -> Later:
+    return Later(lambda _: robot.wait(number, patience), then, "wait", number, patience)
+
+
+def ended(speaker: Speaker, number: int) -> dict[str, Any]:
+    """How a motion ended, and where."""
+    robot = _linked(speaker, "moved", "nothing moves")
+    end = robot.ends.get(number)
+    return {"ended": None if end is None else end.to_json(), "at": robot.place(speaker.detector)[2]}
+
+
+def status_of(speaker: Speaker) -> dict[str, Any]:
+    """All that a beamline wants to see of the robot."""
+    robot = _linked(speaker, "robot", "there is none to see")
+    moving = robot.refresh()
+    here, place, told = robot.place(speaker.detector)
+    last = next(reversed(robot.ends.values()), None)
+    return {
+        "moving": moving,
+        "holder": robot.holder(),
+        "number": robot.number,
+        "ended": None if last is None else last.to_json(),
+        "setpoint": robot.setpoint(here, place, moving),
+        "at": told,
+        "last_refusal": robot.refusal,
+        "refusals": robot.refusals,
+        "link": finite(dict(robot.link.state())),
+    }
+
+
+def _robot(speaker: Speaker, given: Given, session: Session) -> Told:
+    return Told({**status_of(speaker), "convention": speaker.convention})
+
+
+def _moved(speaker: Speaker, given: Given, session: Session) -> Told | Later:
+    robot, patience = _linked(speaker, "moved", "nothing moves"), number(given, "timeout", LONGEST)
+    if not (math.isfinite(patience) and 0 <= patience <= LONGEST):
+        raise RequestError(f"timeout: expected seconds from 0 to {LONGEST:g}, found {patience:g}")
+    under_way = robot.number if robot.refresh() and robot.mover is not None else 0
+    asked = number(given, "number", under_way)
+    if not (0 <= asked <= robot.number and asked == int(asked)):
+        raise RequestError(f"number: expected a motion from 1 to {robot.number}, found {asked:g}")
+    which = int(asked)
+
+    def then(_: Any) -> Told:
+        found = {**status_of(speaker), "convention": speaker.convention}
+        if "number" in given:
+            end = robot.ends.get(which)
+            found["ended"] = None if end is None else end.to_json()
+        return Told(found)
+
+    return _until(robot, which, patience, then)
+
+
+def _hold(speaker: Speaker, given: Given, session: Session) -> Told:
+    robot = _linked(speaker, "hold", "there is none to hold")
+    robot.hold(session)
+    return Told({"holder": robot.holder()})
+
+
+def _release(speaker: Speaker, given: Given, session: Session) -> Told:
+    robot = _linked(speaker, "release", "there is none to release")
+    robot.release(session)
+    return Told({"holder": robot.holder()})
+
+
+def _stop(speaker: Speaker, given: Given, session: Session) -> Later:
+    robot = _linked(speaker, "stop", "there is nothing to stop")
+    robot.stops += 1  # at once: what is being checked does not begin any more
+    return Later(lambda _: robot.stop(), lambda _: Told({"link": finite(dict(robot.link.state()))}), "stop")
+
+
+MOVING: Mapping[str, Callable[[Speaker, Given, Session], Told | Later]] = {
+    "move": _move,
+    "moved": _moved,
+    "robot": _robot,
+    "hold": _hold,
+    "release": _release,
+    "stop": _stop,
+}
+"""What answers these requests."""

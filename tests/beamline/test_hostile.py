@@ -1,0 +1,156 @@
+"""Hostile input to each listener: no crash, no motion, bounded memory, and good requests between are answered."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import psutil
+import pytest
+from memory_link import MemoryLink
+from peers import free_port, free_udp_and_tcp, peer
+from server_lines import hostile
+from serving_thread import Serving
+
+from offline_ik.client import Limits
+from offline_ik.detector import Detector
+
+GOOD = b"robot id=good\n"
+COUNTS = [pytest.param(3000, id="some"), pytest.param(100_000, id="all", marks=pytest.mark.slow)]
+
+KNOCKS = [pytest.param(150, id="some"), pytest.param(10_000, id="all", marks=pytest.mark.slow)]
+
+
+def megabytes(process: int | None = None) -> float:
+    return float(psutil.Process(process or os.getpid()).memory_info().rss / 1e6)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_hostile_lines_move_nothing(count: int, detector: Detector) -> None:
+    """Without hello, and with it: what moves is a good move only, and there is none among these."""
+    link, rng = MemoryLink(), np.random.default_rng(0)
+    with Serving(detector, link, limits=Limits(patience=1.0)) as serving, contextlib.ExitStack() as stack:
+        half_open = [stack.enter_context(socket.create_connection(serving.at)) for _ in range(20)]
+        for k, one in enumerate(half_open):
+            one.sendall(b"move gamma=0.3 delta=0.2 r=0.8"[: k + 1])  # no end
+        before = None
+        for greets in (False, True):
+            with serving.client(hello=greets) as client:
+                sent = good = 0
+                while sent < count // 2:
+                    lines = [GOOD if k == 25 else hostile(rng) + b"\n" for k in range(50)]
+                    client.socket.sendall(b"".join(lines))
+                    good += sum(b'"id":"good"' in client.lines.readline() for _ in range(50))
+                    sent += 50
+                assert good == sent // 50
+            before = megabytes() if before is None else before
+        assert megabytes() - before < 50
+        assert not link.sent
+        assert not serving.server.failures
+        with serving.client() as client:
+            assert client.ask("move gamma=0.35 delta=0.2 r=0.8")["moving"]
+
+
+def knocks(rng: np.random.Generator) -> bytes:
+    """What no CORBA and no Channel Access client sends."""
+    match rng.integers(5):
+        case 0:
+            return bytes(rng.integers(0, 256, rng.integers(1, 2000), dtype=np.uint8))
+        case 1:  # GIOP with a length that is not there
+            size = int(rng.integers(1, 2**31))
+            return b"GIOP\x01\x02\x01\x00" + struct.pack("<I", size) + bytes(rng.integers(0, 99))
+        case 2:  # Channel Access: a command with a payload that is not there
+            return struct.pack(">HHHHII", int(rng.integers(0, 40)), 65535, 6, 1, 1, 1) + b"\0" * int(
+                rng.integers(0, 99)
+            )
+        case 3:
+            return b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"
+        case _:
+            return b"move gamma=0.3 delta=0.2 r=0.8\n" * 20
+
+
+@pytest.fixture(scope="module")
+def link() -> MemoryLink:
+    return MemoryLink()
+
+
+@pytest.fixture(scope="module")
+def serving(detector: Detector, link: MemoryLink) -> Iterator[Serving]:
+    with Serving(detector, link) as found:
+        yield found
+
+
+def knock(port: int, count: int) -> None:
+    rng = np.random.default_rng(1)
+    waiting: list[socket.socket] = []
+    for _ in range(count):
+        with contextlib.suppress(OSError):  # hung up on is what it may be
+            one = socket.create_connection(("127.0.0.1", port), timeout=5)
+            one.sendall(knocks(rng))
+            waiting.append(one)
+            if len(waiting) > 20:
+                waiting.pop(0).close()
+    for one in waiting:
+        one.close()
+
+
+@pytest.mark.parametrize(
+    "count", [pytest.param(150, id="some"), pytest.param(10_000, id="all", marks=pytest.mark.slow)]
+)
+def test_hostile_bytes_to_the_tango_port_move_nothing(count: int, serving: Serving, link: MemoryLink) -> None:
+    pytest.importorskip("tango")
+    port = free_port()
+    with _process("tango_device", "a/b", serving, port) as (process, at), peer("contrast_client.py", at) as client:
+        assert client.ask("State")["ok"] == "ON"
+        before = megabytes(process)
+        knock(port, count)
+        assert client.ask("State")["ok"] == "ON"
+        assert megabytes(process) - before < 60
+    assert not link.sent
+
+
+@pytest.mark.parametrize(
+    "count", [pytest.param(150, id="some"), pytest.param(10_000, id="all", marks=pytest.mark.slow)]
+)
+def test_hostile_bytes_to_the_epics_port_move_nothing(count: int, serving: Serving, link: MemoryLink) -> None:
+    pytest.importorskip("caproto")
+    port = free_udp_and_tcp()
+    rng = np.random.default_rng(2)
+    searching = {"EPICS_CA_ADDR_LIST": f"127.0.0.1:{port}", "EPICS_CA_AUTO_ADDR_LIST": "NO"}
+    with (
+        _process("epics_records", "X:", serving, port) as (process, _),
+        peer("epics_client.py", "X:", **searching) as client,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
+    ):
+        assert client.ask("read gamma.DMOV")["ok"] == [1]
+        before = megabytes(process)
+        for _ in range(count):
+            udp.sendto(knocks(rng)[:1400], ("127.0.0.1", port))
+        knock(port, count)
+        time.sleep(0.3)
+        assert client.ask("read gamma.DMOV")["ok"] == [1]
+        assert megabytes(process) - before < 60
+    assert not link.sent
+
+
+@contextlib.contextmanager
+def _process(module: str, name: str, serving: Serving, port: int) -> Iterator[tuple[int, str]]:
+    """A side whose complaints about what it is sent are not shown."""
+    command = [sys.executable, "-m", f"offline_ik.beamline.{module}", name, "--server", serving.address]
+    with subprocess.Popen(
+        [*command, "--listen", f"127.0.0.1:{port}"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout is not None
+            yield process.pid, process.stdout.readline().split()[-1]
+            assert process.poll() is None
+        finally:
+            process.kill()
