@@ -28,6 +28,7 @@ WORDS = {
     "robot": (),
     "hold": (),
     "release": (),
+    "confirm": (),
     "sample": (
         "q", "gamma", "delta", "r", "roll", "dir", "x", "y", "two_theta", "spacing", "wavelength", "std", "std_xy",
         "near", "repeatability",
@@ -39,10 +40,10 @@ WORDS = {
 }  # fmt: skip
 """The requests and their keys; every one may have those of :data:`EVERY` too."""
 
-GREETED = frozenset({"move", "hold", "temperature", "start", "stream"})
+GREETED = frozenset({"move", "hold", "confirm", "temperature", "start", "stream"})
 """Requests that change something or move: a connection says `hello` before. `stop` is always obeyed."""
 
-MOVES = frozenset({"move", "hold", "temperature"})
+MOVES = frozenset({"move", "hold", "confirm", "temperature"})
 """Requests that a server refuses which a network reaches and which has no token: it only answers."""
 
 EVERY = ("id", "robot")

@@ -1,4 +1,4 @@
-"""Requests about the linked robot: `move`, `moved`, `robot`, `hold`, `release` and `stop`."""
+"""Requests about the linked robot: `move`, `moved`, `robot`, `hold`, `release`, `confirm` and `stop`."""
 
 from __future__ import annotations
 
@@ -133,6 +133,17 @@ def _release(speaker: Speaker, given: Given, session: Session) -> Told:
     return Told({"holder": robot.holder()})
 
 
+def _confirm(speaker: Speaker, given: Given, session: Session) -> Later:
+    """A person has looked at the robot: what the link asks about is settled."""
+    robot = _linked(speaker, "confirm", "there is nothing to confirm")
+    confirm = getattr(robot.link, "confirm", None)
+    if confirm is None:
+        raise RequestError("confirm: this link never asks")
+    if robot.refresh():
+        raise RequestError("confirm: the robot moves; look at it when it stands")
+    return Later(lambda _: confirm(), lambda _: Told({"link": finite(dict(robot.link.state()))}), "link")
+
+
 def _stop(speaker: Speaker, given: Given, session: Session) -> Later:
     robot = _linked(speaker, "stop", "there is nothing to stop")
     robot.stops += 1  # at once: what is being checked does not begin any more
@@ -145,6 +156,7 @@ MOVING: Mapping[str, Callable[[Speaker, Given, Session], Told | Later]] = {
     "robot": _robot,
     "hold": _hold,
     "release": _release,
+    "confirm": _confirm,
     "stop": _stop,
 }
 """What answers these requests."""

@@ -191,3 +191,20 @@ def test_without_a_robot_it_is_said(word: str, detector: Detector) -> None:
 def test_a_timeout_that_is_none_is_refused(timeout: str, serving: Serving) -> None:
     with serving.client() as one:
         assert "timeout: expected" in one.ask(f"moved timeout={timeout}")["error"]
+
+
+def test_a_person_confirms_what_the_link_asks(
+    serving: Serving, link: MemoryLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with serving.client("person") as person, serving.client(hello=False) as stranger:
+        assert person.ask("confirm")["error"] == "confirm: this link never asks"
+        confirmed: list[bool] = []
+        monkeypatch.setattr(link, "confirm", lambda: confirmed.append(True), raising=False)
+        assert "hello" in stranger.ask("confirm")["error"]
+        assert not confirmed
+        assert person.ask("confirm")["ok"] is True
+        assert confirmed == [True]
+        link.seconds = 1.0
+        assert person.ask(MOVE)["moving"] is True
+        assert "the robot moves" in person.ask("confirm")["error"]
+        person.ask("stop")
