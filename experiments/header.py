@@ -20,7 +20,7 @@ from kinematics.description import DescriptionError, RobotDescription, load_robo
 from kinematics.section import Section, shown
 from kinematics.typing_ import frozen_array
 
-__all__ = ["FORMAT", "Header", "Instrument", "Tool", "header_in", "parse_header", "read_header"]
+__all__ = ["FORMAT", "Header", "Instrument", "Tool", "header_in", "parse_header", "read_header", "robot_in"]
 
 FORMAT = "clampid-campaign/1"
 HEADER_FILE = "campaign.toml"
@@ -223,7 +223,7 @@ def header_in(root: Section, folder: Path) -> Header:
     CampaignError
         A key is missing, misspelt or in a wrong unit.
     """
-    robot, gravity = _robot(root, folder), root.vector("gravity_m_s2")
+    robot, gravity = robot_in(root, folder), root.vector("gravity_m_s2")
     size = float(np.linalg.norm(gravity))
     low, high = GRAVITY_RANGE
     if not low <= size <= high:
@@ -234,7 +234,8 @@ def header_in(root: Section, folder: Path) -> Header:
     return Header(robot, gravity, tool, targets, instrument, {}, MappingProxyType(dict(root.content)), stated)
 
 
-def _robot(root: Section, folder: Path) -> RobotDescription:
+def robot_in(root: Section, folder: Path) -> RobotDescription:
+    """The robot that a file names: a bundled one, or a description's path from ``folder``."""
     expected = f"a bundled robot ({', '.join(robot_names())}) or the path of a description"
     name = root.value("robot", expected)
     if not isinstance(name, str) or len(name) > LONGEST_PATH:
