@@ -75,6 +75,18 @@ EXTRAS = re.search(r"^EXTRAS := (\S+)$", (ROOT / "Makefile").read_text(), re.MUL
 """Extras that ``make`` installs for development."""
 
 
+def extras() -> list[str]:
+    """What the extras for development need; one that names extras of the project itself stands for those."""
+    assert EXTRAS is not None
+    found, left = [], EXTRAS[1].split(",")
+    while left:
+        for line in PROJECT["optional-dependencies"][left.pop()]:
+            own = plain(line) == PROJECT["name"]
+            left += sorted(Requirement(line).extras) if own else []
+            found += [] if own else [line]
+    return found
+
+
 def needed(names: list[str]) -> set[str]:
     """Distributions that these need here, themselves among them, as what is installed says."""
     found: dict[str, set[str]] = {}
@@ -111,12 +123,10 @@ def test_a_change_of_what_is_needed_or_pinned_needs_new_locks() -> None:
     lock = ci_script("lock")
     run, develop = lock.pins(LOCKS["run"]), lock.pins(LOCKS["develop"])
     builds = tomllib.loads((ROOT / "pyproject.toml").read_text())["build-system"]["requires"]
-    assert EXTRAS is not None
-    extras = [line for extra in EXTRAS[1].split(",") for line in PROJECT["optional-dependencies"][extra]]
     declared = [*PROJECT["dependencies"], *builds]
     assert not {plain(line) for line in declared} - run.keys()
-    assert not {plain(line) for line in extras} - develop.keys()
-    for line, version in [(line, develop[plain(line)]) for line in (*declared, *extras)]:
+    assert not {plain(line) for line in extras()} - develop.keys()
+    for line, version in [(line, develop[plain(line)]) for line in (*declared, *extras())]:
         assert Requirement(line).specifier.contains(version), line
     assert run.items() <= develop.items()
     assert lock.pins((ROOT / "constraints.txt").read_text()) == develop
@@ -132,6 +142,7 @@ def test_nothing_is_installed_that_nothing_imported_needs() -> None:
     assert not always - needed(lines) - builds
 
 
+FOLDERS = ("tests", "docs", "benchmarks", *OWN)  # an extra may be for a part of the program
 TOOLS = {
     "pytest-xdist": ("Makefile", "--dist worksteal"), "pytest-timeout": ("pyproject.toml", "timeout = 900"),
     "ruff": ("Makefile", "/ruff"), "mypy": ("Makefile", "/mypy"), "import-linter": ("Makefile", "/lint-imports"),
@@ -142,11 +153,10 @@ TOOLS = {
 
 
 def test_nothing_is_installed_for_development_that_is_not_used() -> None:
-    assert EXTRAS is not None
-    text = "\n".join(p.read_text() for folder in ("tests", "docs", "benchmarks") for p in (ROOT / folder).rglob("*.py"))
+    text = "\n".join(p.read_text() for folder in FOLDERS for p in (ROOT / folder).rglob("*.py"))
     modules = set(re.findall(r"^\s*(?:(?:from|import) |.*importorskip\(\")(\w+)", text, re.MULTILINE))
     used = {plain(name) for module in modules for name in distributions().get(module, ())}
-    for line in (line for extra in EXTRAS[1].split(",") for line in PROJECT["optional-dependencies"][extra]):
+    for line in extras():
         file, words = TOOLS.get(plain(line), ("", ""))
         assert plain(line) in used or (file and words in (ROOT / file).read_text()), line
 
