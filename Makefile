@@ -90,7 +90,7 @@ audit: | $(BIN)/python
 	@$(PYTHON) -m venv build/audit 2>/dev/null && build/audit/bin/python -m pip --disable-pip-version-check install -qq pip-audit 2>/dev/null || true
 	@$(BIN)/python .ci/audit.py build/audit/bin/python constraints.txt
 
-# After a change of constraints.txt, or of what pyproject.toml needs. Says what constraints.txt lacks or has too much of.
+# After a change of constraints.txt, or of what pyproject.toml needs. Adds to constraints.txt what it lacks, and removes the rest.
 lock: | $(BIN)/python
 	@$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip --disable-pip-version-check install -qq uv
 	@$(BIN)/python .ci/lock.py build/lock/bin/uv $(EXTRAS)

@@ -1,8 +1,8 @@
 """Writes ``lock/*.txt``: what is installed, with the SHA-256 of every file that the index has of each pinned version.
 
 ``constraints.txt`` says the versions, ``pyproject.toml`` what is needed; uv resolves for every system and every Python
-from the oldest that the project names. A package that is needed and not pinned is an error that prints the line to add;
-so is one that is pinned and not needed. No host stands in a lock: any index serves that has the same files.
+from the oldest that the project names. What is needed and not pinned is pinned there at its newest version, and what is
+pinned and not needed goes; both are printed. No host stands in a lock: any index serves that has the same files.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -45,21 +45,28 @@ def locked(uv: str, extras: Sequence[str], root: Path = ROOT) -> str:
     return HEAD + ran.stdout
 
 
+def tidied(text: str, needed: Mapping[str, str]) -> str:
+    """``constraints.txt`` with every pin that is needed, and no other; names as they stand there."""
+    lines = text.splitlines()
+    kept = {next(iter(pins(line))): line for line in lines if pins(line)}
+    new = [kept.get(name, f"{name}=={version}") for name, version in needed.items()]
+    return "\n".join([*(line for line in lines if line.startswith("#")), *sorted(new, key=str.lower), ""])
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Write both locks; 1 where constraints.txt is not what they need."""
+    """Write both locks, and ``constraints.txt`` where it is not what they need."""
     uv, extras = arguments
-    run, develop = locked(uv, ()), locked(uv, extras.split(","))
+    pinned, before = ROOT / "constraints.txt", (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    locks = {"run": locked(uv, ()), "develop": locked(uv, extras.split(","))}
     (ROOT / "lock").mkdir(exist_ok=True)
-    (ROOT / "lock" / "run.txt").write_text(run, encoding="utf-8")
-    (ROOT / "lock" / "develop.txt").write_text(develop, encoding="utf-8")
-    needed, pinned = pins(develop) | pins(run), pins((ROOT / "constraints.txt").read_text(encoding="utf-8"))
-    lacking = [f"{name}=={version}" for name, version in needed.items() if name not in pinned]
-    unneeded = [name for name in pinned if name not in needed]
-    if lacking:
-        print("needed and not pinned; add to constraints.txt:", *lacking, sep="\n", file=sys.stderr)
-    if unneeded:
-        print("pinned and not needed; remove from constraints.txt:", *unneeded, sep="\n", file=sys.stderr)
-    return 1 if lacking or unneeded else 0
+    for name, text in locks.items():
+        (ROOT / "lock" / f"{name}.txt").write_text(text, encoding="utf-8")
+    after = tidied(before, pins(locks["develop"]) | pins(locks["run"]))
+    for sign, lines, others in (("+", after, before), ("-", before, after)):
+        changed = [line for line in lines.splitlines() if line and line not in others.splitlines()]
+        print(*(f"constraints.txt: {sign}{line}" for line in changed), sep="\n", end="\n" if changed else "")
+    pinned.write_text(after, encoding="utf-8")
+    return 0
 
 
 if __name__ == "__main__":

@@ -132,6 +132,13 @@ def test_a_change_of_what_is_needed_or_pinned_needs_new_locks() -> None:
     assert lock.pins((ROOT / "constraints.txt").read_text()) == develop
 
 
+def test_pins_are_added_and_removed_and_the_rest_stays() -> None:
+    lock = ci_script("lock")
+    text = "# Head\nB_b==2\na==1\ngone==3\n"
+    assert lock.tidied(text, {"a": "1", "b-b": "2", "Zz": "5"}) == "# Head\na==1\nB_b==2\nZz==5\n"
+    assert lock.pins(text) == {"b-b": "2", "a": "1", "gone": "3"}
+
+
 def test_nothing_is_installed_that_nothing_imported_needs() -> None:
     of, modules = distributions(), imported()
     brought = sorted({plain(name) for module in modules for name in of.get(module, ())})
