@@ -24,6 +24,7 @@ Migration = Callable[[dict[str, Any]], dict[str, Any]]
 """Makes of the content of one version that of the next one."""
 
 LONGEST = 200  # characters of a text that names something
+LARGEST = 1e100  # of a vector: its length is finite
 SHOWN = 80  # characters of what was found
 _MISTAKEN = {"m": "millimetres", "rad": "degrees", "rad/s": "degrees per second", "°C": "kelvin", "kg": "grams"}
 """The unit that a number too large is probably in."""
@@ -207,7 +208,7 @@ class Section:
         for one in value:
             if infinite and isinstance(one, float) and math.isinf(one):
                 continue
-            self._check(key, one, value, expected, lower, upper, unit, above)
+            self._check(key, one, value, expected, max(lower, -LARGEST), min(upper, LARGEST), unit, above)
         return frozen_array(value)
 
     def three(self, key: str, upper: float, unit: str, *, infinite: bool = False) -> Array:
