@@ -4,6 +4,7 @@
 #   make test            the suite (SLOW=yes: with the statistical runs of minutes)
 #   make lint            formatting, types, import contracts
 #   make audit           the pinned versions against the databases of known vulnerabilities
+#   make lock            lock/*.txt of constraints.txt: the SHA-256 of every file that may be installed
 #   make docs            the documentation, into site/
 
 PYTHON ?= python3
@@ -11,29 +12,34 @@ SEED ?= 1
 OUT ?= demo
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install -qq -c constraints.txt
+PIP := $(BIN)/python -m pip --disable-pip-version-check install -qq
+# Extras of pyproject.toml that development needs. What is installed has a hash in lock/; the project itself comes last.
+EXTRAS := test,lint,docs
+LOCKED := $(PIP) --require-hashes -r
 
 # Two workers, and one thread each: BLAS threads that fight cost a small fit a factor of ten.
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help venv demo wheel test test-slow test-studies test-all lint audit format docs figures clean
+.PHONY: help venv demo wheel test test-slow test-studies test-all lint audit lock format docs figures clean
 
 help:
-	@sed -n '3,7s/^# *//p' Makefile
+	@sed -n '3,8s/^# *//p' Makefile
 
 venv: $(VENV)/.run
 
 # The stamps are older than what they depend on only when the installation has to be renewed.
-$(VENV)/.run: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/.run: pyproject.toml lock/run.txt | $(BIN)/python
 	@echo "installing clampid into $(VENV) (once; takes a minute or two)"
-	@$(PIP) -e .
+	@$(LOCKED) lock/run.txt
+	@$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
-$(VENV)/.develop: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/.develop: pyproject.toml lock/develop.txt | $(BIN)/python
 	@echo "installing clampid with its development tools into $(VENV) (once; takes a minute or two)"
-	@$(PIP) -e '.[test,lint,docs]'
+	@$(LOCKED) lock/develop.txt
+	@$(PIP) --no-deps --no-build-isolation -e .
 	@touch $@ $(VENV)/.run
 
 # A machine may have venv without ensurepip (Debian splits them): then a pip from outside installs into it.
@@ -55,10 +61,10 @@ demo: $(VENV)/.run
 # What a user gets who installs the package: the wheel in an environment of its own, away from this folder.
 wheel: $(VENV)/.run
 	rm -rf build/wheel
-	$(PIP) pip
-	$(BIN)/python -m pip wheel -q --no-deps --wheel-dir build/wheel .
+	$(BIN)/python -m pip wheel -q --no-deps --no-build-isolation --wheel-dir build/wheel .
 	$(MAKE) VENV=build/wheel/venv build/wheel/venv/bin/python
-	cd build/wheel && env -u PYTHONPATH venv/bin/python -m pip --disable-pip-version-check install -qq -c ../../constraints.txt *.whl
+	build/wheel/venv/bin/python -m pip --disable-pip-version-check install -qq --require-hashes -r lock/run.txt
+	cd build/wheel && env -u PYTHONPATH venv/bin/python -m pip --disable-pip-version-check install -qq --no-deps *.whl
 	cd build/wheel && env -u PYTHONPATH venv/bin/clampid demo --seed $(SEED) --out demo
 
 test: $(VENV)/.develop
@@ -83,6 +89,11 @@ lint: $(VENV)/.develop
 audit: | $(BIN)/python
 	@$(PYTHON) -m venv build/audit 2>/dev/null && build/audit/bin/python -m pip --disable-pip-version-check install -qq pip-audit 2>/dev/null || true
 	@$(BIN)/python .ci/audit.py build/audit/bin/python constraints.txt
+
+# After a change of constraints.txt, or of what pyproject.toml needs. Adds to constraints.txt what it lacks, and removes the rest.
+lock: | $(BIN)/python
+	@$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip --disable-pip-version-check install -qq uv
+	@$(BIN)/python .ci/lock.py build/lock/bin/uv $(EXTRAS)
 
 format: $(VENV)/.develop
 	$(BIN)/ruff check --fix .

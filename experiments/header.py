@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -13,16 +12,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from experiments.columns import LOGS, TABLES, lookalike
-from experiments.errors import CampaignError, fault
-from experiments.keys import frozen, missing, number, refuse_unknown, section_of, vector
-from experiments.stated import SECTIONS, UNREAD, Stated, parse_stated
+from experiments.columns import LOGS, TABLES
+from experiments.errors import fault
+from experiments.stated import UNREAD, Stated, stated_in
+from experiments.toml_file import read_toml, root_of
 from kinematics.description import DescriptionError, RobotDescription, load_robot, robot_names
-from kinematics.escaping import has_controls
-from kinematics.reading import read_text, toml_of
-from kinematics.section import migrated
+from kinematics.section import Section, shown
+from kinematics.typing_ import frozen_array
 
-__all__ = ["FORMAT", "Header", "Instrument", "Tool", "parse_header", "read_header"]
+__all__ = ["FORMAT", "Header", "Instrument", "Tool", "header_in", "parse_header", "read_header", "robot_in"]
 
 FORMAT = "clampid-campaign/1"
 HEADER_FILE = "campaign.toml"
@@ -32,6 +30,7 @@ FloatArray = npt.NDArray[np.float64]
 GRAVITY_RANGE = (9.7, 9.9)
 # The strongest serial robots carry 2.3 t, and no tool reaches 5 m from its flange: beyond, grams or millimetres.
 LONGEST_NAME = 100  # characters, of a target
+LONGEST_PATH = 4096
 LARGEST_MASS_KG = 3000.0
 FARTHEST_POINT_M = 5.0
 # A robot's own errors are of the order of 1 mm and 1 mrad. An instrument five (a hundred) times worse sees none of
@@ -45,8 +44,6 @@ _STATED = {
 }
 """Keys of one sigma each, with the worst that an instrument may have."""
 
-KEYS = ("format", "robot", "gravity_m_s2", "tool", "targets_m", "instrument", "tables", *SECTIONS)
-"""The keys and sections of ``campaign.toml``; any other is refused, because it would be ignored in silence."""
 SIDES = ("motor", "joint")
 """Where torques are measured: at the motor shaft, or at the joint, behind the gear."""
 _TRACKER = {
@@ -172,25 +169,13 @@ def read_header(folder: Path) -> Header:
     CampaignError
         If the folder or file is missing, not TOML, or a key is missing, misspelt, unknown or in a wrong unit.
     """
-    if not folder.exists():
-        raise fault(folder, expected="a campaign folder", found="no such folder")
     if not folder.is_dir():
-        raise fault(folder, expected="a campaign folder", found="a file")
+        raise fault(folder, expected="a campaign folder", found="a file" if folder.exists() else "no such folder")
     path = folder / HEADER_FILE
-    if not path.is_file():
-        raise fault(path, expected=f"a campaign folder with {HEADER_FILE}", found="no such file")
-    try:
-        raw = toml_of(read_text(path))
-    except UnicodeDecodeError as error:
-        raise fault(path, expected="UTF-8 text", found=f"a byte that is not, at offset {error.start}") from error
-    except OSError as error:
-        raise fault(path, expected="TOML", found=error.strerror or str(error)) from error
-    except tomllib.TOMLDecodeError as error:
-        raise fault(path, expected="TOML", found=str(error)) from error
-    return parse_header(raw, path)
+    return _whole(read_toml(path, f"a campaign folder with {HEADER_FILE}", FORMAT, needed=True), folder)
 
 
-def parse_header(raw: Mapping[str, Any], path: Path, also: Sequence[str] = ()) -> Header:
+def parse_header(raw: Mapping[str, Any], path: Path) -> Header:
     """Check the content of a ``campaign.toml``.
 
     Parameters
@@ -199,8 +184,6 @@ def parse_header(raw: Mapping[str, Any], path: Path, also: Sequence[str] = ()) -
         The file's content.
     path
         The file, for messages, and because a robot's path is relative to it.
-    also
-        Keys that the caller reads itself.
 
     Returns
     -------
@@ -212,163 +195,139 @@ def parse_header(raw: Mapping[str, Any], path: Path, also: Sequence[str] = ()) -
     CampaignError
         As `read_header`.
     """
-    if "format" not in raw:  # the contract wants it
-        raise fault(path, expected=f'"{FORMAT}"', found=missing("format", raw), column="format")
-    try:
-        raw = migrated(raw, FORMAT, {})
-    except ValueError as error:
-        raise CampaignError(f"{path}, {error}") from None
-    refuse_unknown(raw, (*KEYS, *UNREAD, *also), path)
-    robot, targets = _robot(raw, path), _targets(raw, path)
-    tables, at_joints = _tables(raw, path)
-    return Header(
-        robot=robot,
-        gravity=_gravity(raw, path),
-        tool=_tool(raw, path),
-        targets=targets,
-        instrument=_instrument(raw, path),
-        tables=tables,
-        raw=MappingProxyType(dict(raw)),
-        stated=parse_stated(raw, targets, robot.n, path),
-        at_joints=at_joints,
-    )
+    return _whole(root_of(raw, path, FORMAT, needed=True), path.parent)
 
 
-def _robot(raw: Mapping[str, Any], path: Path) -> RobotDescription:
-    name = raw.get("robot")
-    known = ", ".join(robot_names())
-    expected = f"a bundled robot ({known}) or the path of a description"
-    if not isinstance(name, str):
-        found = missing("robot", raw) if name is None else repr(name)
-        raise fault(path, expected=expected, found=found, column="robot")
-    try:
-        return load_robot(name, relative_to=path.parent)
-    except DescriptionError as error:
-        near = get_close_matches(name, robot_names(), n=1, cutoff=0.5)
-        reason = f" ({error})" if Path(name).suffix else f"; {near[0]} is probably meant" if near else ""
-        raise fault(path, expected=expected, found=f"{name!r}{reason}", column="robot") from error
+def _whole(root: Section, folder: Path) -> Header:
+    header = header_in(root, folder)
+    for key in UNREAD:
+        if root.has(key):
+            found = f"[{key}], which belongs to the campaign format and is not supported yet"
+            raise root.fault(key, "a section that is read", found)
+    files, at_joints = _tables(root)
+    return replace(header, tables=files, at_joints=at_joints)
 
 
-def _gravity(raw: Mapping[str, Any], path: Path) -> FloatArray:
-    gravity = vector(raw, "gravity_m_s2", "gravity_m_s2", path)
+def header_in(root: Section, folder: Path) -> Header:
+    """What the keys and sections of a ``campaign.toml`` but its tables say; other keys are left to the caller.
+
+    Parameters
+    ----------
+    root
+        The file.
+    folder
+        What a robot's path is relative to.
+
+    Raises
+    ------
+    CampaignError
+        A key is missing, misspelt or in a wrong unit.
+    """
+    robot, gravity = robot_in(root, folder), root.vector("gravity_m_s2")
     size = float(np.linalg.norm(gravity))
     low, high = GRAVITY_RANGE
     if not low <= size <= high:
         expected = f"gravity in the robot base frame in m/s², of length {low} to {high}"
-        raise fault(path, expected=expected, found=f"length {size:g}", column="gravity_m_s2")
-    return gravity
+        raise root.fault("gravity_m_s2", expected, f"length {size:g}")
+    tool, targets = _tool(root), _targets(root)
+    instrument, stated = _instrument(root.section("instrument", optional=True)), stated_in(root, targets, robot.n)
+    return Header(robot, gravity, tool, targets, instrument, {}, MappingProxyType(dict(root.content)), stated)
 
 
-def _tool(raw: Mapping[str, Any], path: Path) -> Tool:
-    section = section_of(raw, "tool", path)
-    if not section:
-        return Tool(0.0, frozen(np.zeros(3)))
-    refuse_unknown(section, ("mass_kg", "com_m"), path, "tool")
-    mass = number(section, "mass_kg", "tool.mass_kg", path)
-    if not 0.0 <= mass <= LARGEST_MASS_KG:
-        expected = f"a mass in kg from 0 to {LARGEST_MASS_KG:g}"
-        raise fault(path, expected=expected, found=f"{mass:g}", column="tool.mass_kg")
-    return Tool(mass, _point(section, "com_m", "tool.com_m", path))
+def robot_in(root: Section, folder: Path) -> RobotDescription:
+    """The robot that a file names: a bundled one, or a description's path from ``folder``."""
+    expected = f"a bundled robot ({', '.join(robot_names())}) or the path of a description"
+    name = root.value("robot", expected)
+    if not isinstance(name, str) or len(name) > LONGEST_PATH:
+        raise root.fault("robot", expected, shown(name))
+    try:
+        return load_robot(name, relative_to=folder)
+    except DescriptionError as error:
+        near = get_close_matches(name, robot_names(), n=1, cutoff=0.5)
+        reason = f" ({error})" if Path(name).suffix else f"; did you mean {near[0]!r}?" if near else ""
+        raise root.fault("robot", expected, f"{name!r}{reason}") from error
 
 
-def _targets(raw: Mapping[str, Any], path: Path) -> Mapping[str, FloatArray]:
-    section = section_of(raw, "targets_m", path)
-    for name in section:
-        if has_controls(name) or not 0 < len(name) <= LONGEST_NAME:
-            expected = f"names of 1 to {LONGEST_NAME} printable characters on one line"
-            raise fault(path, expected=expected, found=repr(name[:80]), column="targets_m")
-    return MappingProxyType({name: _target(section, name, path) for name in section})
+def _tool(root: Section) -> Tool:
+    if not root.section("tool", optional=True).content:
+        return Tool(0.0, frozen_array(np.zeros(3)))
+    at = root.section("tool")
+    tool = Tool(at.number("mass_kg", 0.0, LARGEST_MASS_KG, "kg"), _point(at, "com_m"))
+    at.done()
+    return tool
 
 
-def _target(section: Mapping[str, Any], name: str, path: Path) -> FloatArray:
+def _targets(root: Section) -> Mapping[str, FloatArray]:
+    at = root.section("targets_m", optional=True)
+    return MappingProxyType({name: _target(at, name) for name in at.keys()})  # noqa: SIM118 - not a dict
+
+
+def _target(at: Section, name: str) -> FloatArray:
     """A target on the flange: three numbers, or a table that says so."""
-    where, entry = f"targets_m.{name}", section[name]
-    if not isinstance(entry, Mapping):
-        return _point(section, name, where, path)
-    refuse_unknown(entry, ("at", "position_m"), path, where)
-    if entry.get("at", "flange") != "flange":
-        raise fault(
-            path,
-            expected='a target on the flange: three numbers, or {at = "flange", position_m = …}',
-            found=f"at = {entry['at']!r}: targets that stand elsewhere are not supported yet",
-            column=f"{where}.at",
-        )
-    return _point(entry, "position_m", f"{where}.position_m", path)
+    if len(name) > LONGEST_NAME:
+        raise at.fault("", f"names of 1 to {LONGEST_NAME} characters", shown(name))
+    if not isinstance(at.content[name], Mapping):
+        return _point(at, name)
+    entry = at.section(name)
+    place = entry.value("at", "a place", "flange")
+    if place != "flange":
+        expected = 'a target on the flange: three numbers, or {at = "flange", position_m = …}'
+        raise entry.fault("at", expected, f"at = {shown(place)}: targets that stand elsewhere are not supported yet")
+    point = _point(entry, "position_m")
+    entry.done()
+    return point
 
 
-def _instrument(raw: Mapping[str, Any], path: Path) -> Instrument:
-    section = section_of(raw, "instrument", path)
-    refuse_unknown(section, ("name", *_STATED, *_TRACKER), path, "instrument")
-    name = section.get("name", "unknown")
-    if not isinstance(name, str):
-        raise fault(path, expected="text", found=repr(name), column="instrument.name")
-    sigmas: dict[str, float | None] = {}
-    for key, limit in _STATED.items():
-        sigmas[key] = number(section, key, f"instrument.{key}", path) if key in section else None
-        sigma = sigmas[key]
-        if sigma is not None and not 0.0 < sigma <= limit:
-            unit = key.rsplit("_", 1)[-1]
-            expected = f"one sigma in {unit}, above 0 and not above {limit:g} {unit} (is it in another unit?)"
-            raise fault(path, expected=expected, found=f"{sigma:g}", column=f"instrument.{key}")
-    position, orientation, distance = sigmas.values()
-    return Instrument(name, position, orientation, _tracker(section, path), distance)
+def _instrument(at: Section) -> Instrument:
+    sigmas = {
+        key: at.number(key, 0.0, worst, key.rsplit("_", 1)[-1], above=True, default=None)
+        for key, worst in _STATED.items()
+    }
+    name, tracker = at.text("name", default="unknown"), _tracker(at)
+    at.done()
+    return Instrument(name, sigmas["position_std_m"], sigmas["orientation_std_rad"], tracker, sigmas["distance_std_m"])
 
 
-def _tracker(section: Mapping[str, Any], path: Path) -> Tracker | None:
+def _tracker(at: Section) -> Tracker | None:
     """The errors of range and angles; range and angles only make sense together."""
-    if not any(key in section for key in _TRACKER):
+    given = [key for key in _TRACKER if at.has(key)]
+    if not given:
         return None
     numbers = []
-    for key, (limit, optional) in _TRACKER.items():
-        if key not in section and not optional:
-            given = ", ".join(k for k in _TRACKER if k in section)
-            raise fault(path, expected=f"instrument.{key} with {given}", found="none", column=f"instrument.{key}")
-        value = number(section, key, f"instrument.{key}", path) if key in section else 0.0
-        if not (0.0 if optional else 1e-12) <= value <= limit:
-            raise fault(
-                path,
-                expected=f"one sigma above 0 and not above {limit:g} (is it in another unit?)",
-                found=f"{value:g}",
-                column=f"instrument.{key}",
-            )
-        numbers.append(value)
+    for key, (worst, optional) in _TRACKER.items():
+        if key not in given and not optional:
+            raise at.fault(key, f"instrument.{key} with {', '.join(given)}", "none")
+        unit = "rad" if key.endswith("rad") else "m/m" if key.endswith("m_m") else "m"
+        numbers.append(at.number(key, 0.0, worst, unit, 0.0, above=not optional))
     return Tracker(*numbers)
 
 
-def _tables(raw: Mapping[str, Any], path: Path) -> tuple[Mapping[str, str], frozenset[str]]:
+def _tables(root: Section) -> tuple[Mapping[str, str], frozenset[str]]:
     """File name by table, and the tables whose torques are those at the joints."""
-    section = section_of(raw, "tables", path)
-    files: dict[str, str] = {}
-    at_joints = set()
-    for name, entry in section.items():
-        where = f"tables.{name}"
-        if name not in TABLES:
-            near = lookalike(name, TABLES)
-            hint = f"; {near} is probably meant" if near else ""
-            expected = f"one of {', '.join(TABLES)}"
-            raise fault(path, expected=expected, found=f"{name!r}{hint}", column=where)
-        known = dict(entry) if isinstance(entry, Mapping) else {"file": entry}
-        refuse_unknown(known, ("file", "side"), path, where)
-        if not isinstance(known.get("file"), str):
-            expected = 'a file name, or { file = "…", side = "joint" }'
-            raise fault(path, expected=expected, found=repr(entry), column=where)
-        files[name] = known["file"]
-        side = known.get("side", SIDES[0])
-        if side not in SIDES:
-            raise fault(path, expected=f"one of {', '.join(SIDES)}", found=repr(side), column=f"{where}.side")
-        if "side" in known and name not in LOGS:
-            expected = f"a side of the torques of {' or '.join(LOGS)} only"
-            raise fault(path, expected=expected, found=f"one of {name}", column=f"{where}.side")
-        at_joints |= {name} if side == SIDES[1] else set()
-    if not section:
-        raise fault(path, expected=f"at least one of {', '.join(TABLES)}", found="no table", column="tables")
-    return MappingProxyType(files), frozenset(at_joints)
+    at = root.section("tables", optional=True)
+    found = {name: _table(at, name) for name in TABLES if at.has(name)}
+    at.done()
+    root.done()  # a section that is meant to be this one
+    if not found:
+        raise root.fault("tables", f"at least one of {', '.join(TABLES)}", "no table")
+    files = {name: file for name, (file, _) in found.items()}
+    return MappingProxyType(files), frozenset(name for name, (_, side) in found.items() if side == SIDES[1])
 
 
-def _point(section: Mapping[str, Any], key: str, where: str, path: Path) -> FloatArray:
-    point = vector(section, key, where, path)
-    distance = float(np.linalg.norm(point))
-    if distance > FARTHEST_POINT_M:
-        expected = f"a point in the flange frame in m, within {FARTHEST_POINT_M:g} m (is it in millimetres?)"
-        raise fault(path, expected=expected, found=f"one {distance:g} away", column=where)
+def _table(at: Section, name: str) -> tuple[str, str]:
+    """Its file, and the side of its torques."""
+    entry = at.section(name) if isinstance(at.content[name], Mapping) else at.part(name, {"file": at.content[name]})
+    expected = 'a file name, or { file = "…", side = "joint" }'
+    if not isinstance(entry.value("file", expected), str):
+        raise at.fault(name, expected, shown(at.content[name]))
+    if entry.has("side") and name not in LOGS:
+        raise entry.fault("side", f"a side of the torques of {' or '.join(LOGS)} only", f"one of {name}")
+    found = entry.text("file", longest=LONGEST_PATH), entry.text("side", SIDES, SIDES[0])
+    entry.done()
+    return found
+
+
+def _point(at: Section, key: str) -> FloatArray:
+    """A point in the flange frame."""
+    point: FloatArray = at.vector(key, 3, -FARTHEST_POINT_M, FARTHEST_POINT_M, "m")
     return point

@@ -8,24 +8,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from experiments.errors import fault
-from experiments.keys import frozen, is_number, missing, number, refuse_unknown, section_of, vector
 from kinematics.screws import rotation_of
+from kinematics.section import Section, shown
+from kinematics.typing_ import frozen_array
 
-__all__ = ["SECTIONS", "UNREAD", "CertifiedDistance", "Sensor", "Stated", "StatedBase", "parse_stated"]
+__all__ = ["UNREAD", "CertifiedDistance", "Sensor", "Stated", "StatedBase", "stated_in"]
 
 FloatArray = npt.NDArray[np.float64]
 
-SECTIONS = ("base", "targets_std_m", "distance", "sensors")
 UNREAD = ("flange_sensor", "fixed_points_m", "fixed_points_std_m", "inclinometer", "displacement")
 """Sections of the campaign format whose tables are not read."""
 
@@ -117,155 +115,89 @@ class Stated:
         return out
 
 
-def parse_stated(raw: Mapping[str, Any], targets: Mapping[str, FloatArray], joints: int, path: Path) -> Stated:
-    """Check the sections of a ``campaign.toml`` that state something.
+def stated_in(root: Section, targets: Mapping[str, FloatArray], joints: int) -> Stated:
+    """What the sections of a ``campaign.toml`` state.
 
     Parameters
     ----------
-    raw
-        The file's content.
+    root
+        The file.
     targets
         Nominal targets in the flange frame, m, ``(3,)`` each.
     joints
         How many the robot has.
-    path
-        The file, for messages.
 
     Raises
     ------
     CampaignError
         A key is unknown or missing, or a number is in a wrong unit or contradicts another.
     """
-    for key in UNREAD:
-        if key in raw:
-            stated = ", ".join(f"[{name}]" for name in SECTIONS)
-            raise fault(
-                path,
-                expected=f"sections that are read; of what is known beforehand: {stated}",
-                found=f"[{key}], which belongs to the campaign format and is not supported yet",
-                column=key,
-            )
-    return Stated(
-        _base(raw, path), _targets_std(raw, targets, path), _distances(raw, targets, path), _sensors(raw, joints, path)
-    )
+    stds, sensors = root.section("targets_std_m", optional=True), root.section("sensors", optional=True)
+    known = {name: stds.three(name, WORST_TARGET_STD_M, "m") for name in targets if stds.has(name)}
+    stds.done()
+    places = {name: _sensor(sensors, name, joints) for name in sensors.keys()}  # noqa: SIM118 - not a dict
+    distances = tuple(_distance(at, targets) for at in root.sections("distance", optional=True))
+    return Stated(_base(root), MappingProxyType(known), distances, MappingProxyType(places))
 
 
-def _base(raw: Mapping[str, Any], path: Path) -> StatedBase | None:
-    if "base" not in raw:
+def _base(root: Section) -> StatedBase | None:
+    if not root.has("base"):
         return None
-    section = section_of(raw, "base", path)
-    refuse_unknown(section, ("position_m", "rpy_rad", "position_std_m", "rpy_std_rad"), path, "base")
-    place, place_std = _stated_with(section, "position_m", "position_std_m", path)
-    turn, turn_std = _stated_with(section, "rpy_rad", "rpy_std_rad", path)
+    at = root.section("base")
+    place, place_std = _with_std(at, "position", "m", FARTHEST_BASE_M, WORST_BASE_STD_M)
+    turn, turn_std = _with_std(at, "rpy", "rad", MOST_TURNED, WORST_BASE_STD_RAD)
+    at.done()
     if np.isinf(place_std).all() and np.isinf(turn_std).all():
         expected = "position_m with position_std_m, or rpy_rad with rpy_std_rad, with a finite standard deviation"
-        raise fault(path, expected=expected, found="nothing that is known", column="base")
-    for key, values, worst, unit, wrong in (
-        ("position_m", place, FARTHEST_BASE_M, "m", "millimetres"),
-        ("rpy_rad", turn, MOST_TURNED, "rad", "degrees"),
-        ("position_std_m", place_std, WORST_BASE_STD_M, "m", "millimetres"),
-        ("rpy_std_rad", turn_std, WORST_BASE_STD_RAD, "rad", "degrees"),
-    ):
-        bad = np.abs(values[np.isfinite(values)]).max(initial=0.0)
-        if bad > worst:
-            std = "; inf: not known" if "std" in key else ""
-            expected = f"numbers in {unit}, none above {worst:.4g} (is it in {wrong}?{std})"
-            raise fault(path, expected=expected, found=f"{bad:g}", column=f"base.{key}")
+        raise root.fault("base", expected, "nothing that is known")
     return StatedBase(place, turn, place_std, turn_std)
 
 
-def _stated_with(section: Mapping[str, Any], key: str, std: str, path: Path) -> tuple[FloatArray, FloatArray]:
+def _with_std(at: Section, name: str, unit: str, farthest: float, worst: float) -> tuple[FloatArray, FloatArray]:
     """A vector and its standard deviations; without either of them nothing is known of it."""
-    if key not in section and std not in section:
-        return frozen(np.zeros(3)), frozen(np.full(3, np.inf))
-    for wanted, other in ((key, std), (std, key)):
-        if wanted not in section:
-            raise fault(path, expected=f"base.{wanted} with base.{other}", found="none", column=f"base.{wanted}")
-    return vector(section, key, f"base.{key}", path), _three_std(section, std, f"base.{std}", path, infinite=True)
+    key, std = f"{name}_{unit}", f"{name}_std_{unit}"
+    given = [one for one in (key, std) if at.has(one)]
+    if not given:
+        return frozen_array(np.zeros(3)), frozen_array(np.full(3, np.inf))
+    for wanted in (key, std):
+        if wanted not in given:
+            raise at.fault(wanted, f"base.{wanted} with base.{given[0]}", "none")
+    return at.vector(key, 3, -farthest, farthest, unit), at.three(std, worst, unit, infinite=True)
 
 
-def _three_std(
-    section: Mapping[str, Any],
-    key: str,
-    where: str,
-    path: Path,
-    *,
-    infinite: bool,
-    number_of: str = "one number or three",
-) -> FloatArray:
-    value = section[key]
-    values = value if isinstance(value, list) else [value] * 3
-    good = [
-        (is_number(v) and v > 0.0) or (infinite and isinstance(v, float) and v == math.inf) for v in values
-    ]  # fmt: skip
-    if len(values) != 3 or not all(good):
-        or_inf = " or inf" if infinite else ""
-        raise fault(path, expected=f"one number or three above 0{or_inf}", found=repr(value), column=where)
-    return frozen(np.array(values, dtype=np.float64))
-
-
-def _targets_std(raw: Mapping[str, Any], targets: Mapping[str, FloatArray], path: Path) -> Mapping[str, FloatArray]:
-    section = section_of(raw, "targets_std_m", path)
-    refuse_unknown(section, tuple(targets), path, "targets_std_m")
-    out = {}
-    for name in section:
-        where = f"targets_std_m.{name}"
-        out[name] = _three_std(section, name, where, path, infinite=False)
-        if out[name].max() > WORST_TARGET_STD_M:
-            expected = f"a standard deviation in m, not above {WORST_TARGET_STD_M:g} (is it in millimetres?)"
-            raise fault(path, expected=expected, found=f"{out[name].max():g}", column=where)
-    return MappingProxyType(out)
-
-
-def _distances(raw: Mapping[str, Any], targets: Mapping[str, FloatArray], path: Path) -> tuple[CertifiedDistance, ...]:
-    listed = raw.get("distance", [])
-    if not isinstance(listed, Sequence) or not all(isinstance(d, Mapping) for d in listed):
-        raise fault(path, expected="sections [[distance]]", found=repr(listed), column="distance")
-    return tuple(_distance(d, f"distance[{k + 1}]", targets, path) for k, d in enumerate(listed))
-
-
-def _distance(
-    section: Mapping[str, Any], where: str, targets: Mapping[str, FloatArray], path: Path
-) -> CertifiedDistance:
-    refuse_unknown(section, ("between", "value_m", "std_m"), path, where)
-    between = section.get("between")
+def _distance(at: Section, targets: Mapping[str, FloatArray]) -> CertifiedDistance:
     names = ", ".join(targets) or "it declares none"
-    two = isinstance(between, list) and len(between) == 2 and between[0] != between[1]
-    if not isinstance(between, list) or not two or not all(isinstance(b, str) and b in targets for b in between):
-        found = missing("between", section) if between is None else repr(between)
-        raise fault(path, expected=f"two targets of [targets_m] ({names})", found=found, column=f"{where}.between")
-    value, std = (number(section, key, f"{where}.{key}", path) for key in ("value_m", "std_m"))
-    if not 0.0 < value <= LONGEST_M:
-        expected = f"a distance in m, above 0 and not above {LONGEST_M:g} (is it in millimetres?)"
-        raise fault(path, expected=expected, found=f"{value:g}", column=f"{where}.value_m")
-    if not 0.0 < std <= WORST_DISTANCE_STD_M:
-        expected = f"one sigma in m, above 0 and not above {WORST_DISTANCE_STD_M:g} (is it in another unit?)"
-        raise fault(path, expected=expected, found=f"{std:g}", column=f"{where}.std_m")
+    expected = f"two targets of [targets_m] ({names})"
+    between = at.value("between", expected)
+    if (
+        not isinstance(between, list)
+        or len(between) != 2
+        or between[0] == between[1]
+        or not all(isinstance(one, str) and one in targets for one in between)
+    ):
+        raise at.fault("between", expected, shown(between))
+    value = at.number("value_m", 0.0, LONGEST_M, "m", above=True)
+    std = at.number("std_m", 0.0, WORST_DISTANCE_STD_M, "m", above=True)
+    at.done()
     nominal = float(np.linalg.norm(targets[between[0]] - targets[between[1]]))
     if abs(nominal - value) > NOMINAL_OFF_M:
         expected = (
             f"a distance within {NOMINAL_OFF_M:g} m of {nominal:.6g} m, as far as {between[0]} and {between[1]} are "
             "apart in [targets_m] (is it in another unit?)"
         )
-        raise fault(path, expected=expected, found=f"{value:g}", column=f"{where}.value_m")
+        raise at.fault("value_m", expected, f"{value:g}")
     return CertifiedDistance((between[0], between[1]), value, std)
 
 
-def _sensors(raw: Mapping[str, Any], joints: int, path: Path) -> Mapping[str, Sensor]:
-    out = {}
-    for name, entry in section_of(raw, "sensors", path).items():
-        where = f"sensors.{name}"
-        if not isinstance(entry, Mapping):
-            raise fault(path, expected='a place, such as {at = "link2"}', found=repr(entry), column=where)
-        refuse_unknown(entry, ("at", "weight"), path, where)
-        at = entry.get("at")
-        numbered = re.fullmatch(r"(?:link|motor)(\d+)", at) if isinstance(at, str) else None
-        if not (at in _PLACES or (numbered and 1 <= int(numbered[1]) <= joints)):
-            expected = f"{', '.join(_PLACES)}, link1 … link{joints} or motor1 … motor{joints}"
-            found = missing("at", entry) if at is None else repr(at)
-            raise fault(path, expected=expected, found=found, column=f"{where}.at")
-        weight = number(entry, "weight", f"{where}.weight", path) if "weight" in entry else 1.0
-        if weight <= 0.0:
-            raise fault(path, expected="a weight above 0", found=f"{weight:g}", column=f"{where}.weight")
-        out[name] = Sensor(str(at), weight)
-    return MappingProxyType(out)
+def _sensor(sensors: Section, name: str, joints: int) -> Sensor:
+    if not isinstance(sensors.content[name], Mapping):
+        raise sensors.fault(name, 'a place, such as {at = "link2"}', shown(sensors.content[name]))
+    entry = sensors.section(name)
+    expected = f"{', '.join(_PLACES)}, link1 … link{joints} or motor1 … motor{joints}"
+    place = entry.value("at", expected)
+    numbered = re.fullmatch(r"(?:link|motor)([1-9]\d?)", place, re.ASCII) if isinstance(place, str) else None
+    if place not in _PLACES and not (numbered and int(numbered[1]) <= joints):
+        raise entry.fault("at", expected, shown(place))
+    sensor = Sensor(place, entry.number("weight", 0.0, default=1.0, above=True))
+    entry.done()
+    return sensor

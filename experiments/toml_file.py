@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from experiments.errors import CampaignError, fault
 from kinematics.reading import read_text, toml_of
-from kinematics.section import migrated
+from kinematics.section import Section, migrated
 
-__all__ = ["read_toml"]
+__all__ = ["read_toml", "root_of"]
 
 
-def read_toml(path: Path, what: str, stated: str) -> dict[str, Any]:
+def read_toml(path: Path, what: str, stated: str, *, needed: bool = False) -> Section:
     """Read a TOML file.
 
     Parameters
@@ -22,6 +23,8 @@ def read_toml(path: Path, what: str, stated: str) -> dict[str, Any]:
         What kind of file it is, for errors.
     stated
         Its kind and newest version, as its key ``format`` says; without the key it is version 1.
+    needed
+        The key has to be there.
 
     Raises
     ------
@@ -32,9 +35,24 @@ def read_toml(path: Path, what: str, stated: str) -> dict[str, Any]:
         raw = toml_of(read_text(path))
     except FileNotFoundError:
         raise fault(path, expected=what, found="no such file") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise fault(path, expected="TOML", found=str(error)) from error
+    except UnicodeDecodeError as error:
+        raise fault(path, expected="UTF-8 text", found=f"a byte that is not, at offset {error.start}") from error
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise fault(path, expected="TOML", found=getattr(error, "strerror", None) or str(error)) from error
+    return root_of(raw, path, stated, needed=needed)
+
+
+def root_of(raw: Mapping[str, Any], path: Path, stated: str, *, needed: bool = False) -> Section:
+    """The content of a file, of its newest version; ``format`` is read.
+
+    Raises
+    ------
+    CampaignError
+        It is of another format.
+    """
     try:
-        return migrated(raw, stated, {})
+        root = Section(migrated(raw, stated, {}, needed=needed), str(path), error=CampaignError)
     except ValueError as error:
         raise CampaignError(f"{path}, {error}") from None
+    root.has("format")
+    return root

@@ -34,7 +34,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -42,20 +42,19 @@ import pandas as pd
 
 from experiments.campaign import Campaign
 from experiments.columns import POSITION, Column, joint_columns, table_format
-from experiments.errors import CampaignError, fault
-from experiments.header import FORMAT as CAMPAIGN_FORMAT
-from experiments.header import parse_header
+from experiments.errors import CampaignError
+from experiments.header import LONGEST_PATH, header_in
 from experiments.tables import TableFile, read_table
 from experiments.toml_file import read_toml
 from experiments.validate import validate_table
 from kinematics.screws import rotation_of
+from kinematics.section import Section
 
 __all__ = ["FORMAT", "Feature", "Kind", "Touched", "read_touched"]
 
 Array = npt.NDArray[np.float64]
 Kind = Literal["plane", "sphere", "point"]
 FORMAT = "clampid-touched/1"
-OWN_KEYS = ("touches", "features", "tip_radius_m", "tip_std_m", "start_m", "start_rad")
 FARTHEST_M = 100.0  # of a cell: what is farther is in millimetres
 LARGEST_RADIUS_M = 1.0
 MOST_TURNED = 4 * np.pi  # rad: no joint of an arm turns farther from its zero
@@ -124,18 +123,17 @@ def read_touched(path: Path) -> Touched:
     CampaignError
         A file is missing or damaged, or a key, column or number is missing or cannot be meant.
     """
-    raw = read_toml(path, "a file of touches", FORMAT)
-    name = raw.get("touches")
-    if not isinstance(name, str):
-        raise fault(path, expected="the name of a table", found=repr(name), column="touches")
-    known = {"tables": {"poses": name}, "format": CAMPAIGN_FORMAT}
-    header = parse_header({**raw, **known}, path, OWN_KEYS)
+    root = read_toml(path, "a file of touches", FORMAT)
+    header = header_in(root, path.parent)
     if header.instrument.position_std is None:
-        raise fault(path, expected="one sigma of a touch in m", found="none", column="instrument.position_std_m")
+        raise root.fault("instrument.position_std_m", "one sigma of a touch in m", "none")
     if not header.targets:
-        raise fault(path, expected="the tip in the flange frame", found="none", column="targets_m")
-    features = _features(raw.get("features"), path)
-    table = _table(path.parent / name, header.robot.n, tuple(header.targets), [f.name for f in features])
+        raise root.fault("targets_m", "the tip in the flange frame", "none")
+    features = _features(root.section("features"))
+    radius, std = (root.number(key, 0.0, LARGEST_RADIUS_M, "m", 0.0) for key in ("tip_radius_m", "tip_std_m"))
+    start, file = _start(root), path.parent / root.text("touches", longest=LONGEST_PATH)
+    root.done()
+    table = _table(file, header.robot.n, tuple(header.targets), [f.name for f in features])
     names = [f.name for f in features]
     campaign = Campaign(
         path.stem, path.parent, header.robot, header.gravity, header.tool, header.targets, header.instrument,
@@ -145,70 +143,42 @@ def read_touched(path: Path) -> Touched:
         campaign,
         features,
         np.array([names.index(str(found)) for found in table["feature"]], dtype=np.int64),
-        _length(raw, "tip_radius_m", path, LARGEST_RADIUS_M),
-        _length(raw, "tip_std_m", path, LARGEST_RADIUS_M),
-        _start(raw, path),
+        radius,
+        std,
+        start,
     )
 
 
-def _features(section: Any, path: Path) -> tuple[Feature, ...]:
-    if not isinstance(section, Mapping) or not section:
-        raise fault(path, expected="sections [features.NAME]", found=repr(section), column="features")
-    return tuple(_feature(str(name), entry, path) for name, entry in section.items())
+def _features(section: Section) -> tuple[Feature, ...]:
+    names = section.keys()
+    if not names:
+        raise section.fault("", "sections [features.NAME]", "none")
+    return tuple(_feature(name, section.section(name)) for name in names)
 
 
-def _feature(name: str, entry: Any, path: Path) -> Feature:
-    where = f"features.{name}"
-    if not isinstance(entry, Mapping):
-        raise fault(path, expected=f"a section [{where}]", found=repr(entry), column=where)
-    found = entry.get("kind")
-    kind: Kind | None = next((known for known in KEYS if known == found), None)
-    if kind is None:
-        raise fault(path, expected=f"one of {', '.join(KEYS)}", found=repr(found), column=f"{where}.kind")
-    for key in entry:
-        if key not in ("kind", "std_m", *KEYS[kind]):
-            allowed = ", ".join(("kind", "std_m", *KEYS[kind]))
-            raise fault(path, expected=f"one of {allowed} of a {kind}", found="an unknown key", column=f"{where}.{key}")
-    point = _vector(entry, KEYS[kind][0], where, path)
-    if np.linalg.norm(point) > FARTHEST_M:
-        expected, away = f"a point within {FARTHEST_M:g} m", f"one {np.linalg.norm(point):g} m away (is it in mm?)"
-        raise fault(path, expected=expected, found=away, column=f"{where}.{KEYS[kind][0]}")
+def _feature(name: str, at: Section) -> Feature:
+    kind = cast(Kind, at.text("kind", tuple(KEYS)))
+    std = at.number("std_m", 0.0, LARGEST_RADIUS_M, "m", 0.0)
+    point = at.vector(KEYS[kind][0], 3, -FARTHEST_M, FARTHEST_M, "m")
     normal, radius = np.zeros(3), 0.0
     if kind == "plane":
-        normal = _vector(entry, "normal", where, path)
-        if np.linalg.norm(normal) < 1e-6:
-            raise fault(path, expected="a direction", found="no length", column=f"{where}.normal")
-        normal = normal / np.linalg.norm(normal)
+        normal = at.vector("normal", 3)
+        length = float(np.linalg.norm(normal))
+        if not 1e-6 < length < np.inf:
+            raise at.fault("normal", "a direction", f"length {length:g}")
+        normal = normal / length
     if kind == "sphere":
-        radius = _length(entry, "radius_m", path, LARGEST_RADIUS_M, where)
-        if radius == 0.0:
-            raise fault(path, expected="a radius above 0 m", found="none", column=f"{where}.radius_m")
-    return Feature(name, kind, point, normal, radius, _length(entry, "std_m", path, LARGEST_RADIUS_M, where))
+        radius = at.number("radius_m", 0.0, LARGEST_RADIUS_M, "m", above=True)
+    at.done()
+    return Feature(name, kind, point, normal, radius, std)
 
 
-def _vector(section: Mapping[str, Any], key: str, where: str, path: Path) -> Array:
-    value = section.get(key)
-    if isinstance(value, list) and len(value) == 3 and all(type(v) in (int, float) for v in value):
-        point = np.array(value, dtype=np.float64)
-        if np.isfinite(point).all():
-            return point
-    raise fault(path, expected="three finite numbers", found=repr(value), column=f"{where}.{key}".lstrip("."))
-
-
-def _length(section: Mapping[str, Any], key: str, path: Path, most: float, where: str = "") -> float:
-    value = section.get(key, 0.0)
-    if type(value) not in (int, float) or not 0.0 <= value <= most:
-        expected = f"a length in m from 0 to {most:g}"
-        raise fault(path, expected=expected, found=repr(value), column=f"{where}.{key}".lstrip("."))
-    return float(value)
-
-
-def _start(raw: Mapping[str, Any], path: Path) -> Array | None:
-    if "start_m" not in raw and "start_rad" not in raw:
+def _start(root: Section) -> Array | None:
+    if not (root.has("start_m") or root.has("start_rad")):
         return None
     out = np.eye(4)
-    out[:3, 3] = _vector(raw, "start_m", "", path)
-    out[:3, :3] = rotation_of(_vector(raw, "start_rad", "", path))
+    out[:3, 3] = root.vector("start_m", 3, -FARTHEST_M, FARTHEST_M, "m")
+    out[:3, :3] = rotation_of(root.vector("start_rad", 3, -MOST_TURNED, MOST_TURNED, "rad"))
     return out
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from kinematics.escaping import has_controls
 from kinematics.reading import fraction_of
-from kinematics.typing_ import Array
+from kinematics.typing_ import Array, frozen_array
 
 __all__ = ["Migration", "Section", "migrated", "shown"]
 
@@ -24,6 +24,7 @@ Migration = Callable[[dict[str, Any]], dict[str, Any]]
 """Makes of the content of one version that of the next one."""
 
 LONGEST = 200  # characters of a text that names something
+LARGEST = 1e100  # of a vector: its length is finite
 SHOWN = 80  # characters of what was found
 _MISTAKEN = {"m": "millimetres", "rad": "degrees", "rad/s": "degrees per second", "°C": "kelvin", "kg": "grams"}
 """The unit that a number too large is probably in."""
@@ -145,13 +146,17 @@ class Section:
             raise self.fault(key, expected, shown(value))
         return value
 
-    def texts(self, key: str, default: Any = _NEEDED, *, longest: int | None = None, once: bool = False) -> Any:
-        """Texts: a list of them."""
-        value = self.value(key, "a list of texts", default)
+    def texts(
+        self, key: str, default: Any = _NEEDED, *, longest: int | None = None, once: bool = False, alone: bool = False
+    ) -> Any:
+        """Texts: a list of them, or ``alone`` one that is no list."""
+        expected = "a text, or a list of texts" if alone else "a list of texts"
+        value = self.value(key, expected, default)
         if value is default:
             return value
+        value = [value] if alone and isinstance(value, str) else value
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise self.fault(key, "a list of texts", shown(value))
+            raise self.fault(key, expected, shown(value))
         for text in value if longest is not None else ():
             if has_controls(text) or len(text) > (longest or 0):
                 raise self.fault(key, f"printable text of at most {longest} characters", shown(text))
@@ -203,8 +208,20 @@ class Section:
         for one in value:
             if infinite and isinstance(one, float) and math.isinf(one):
                 continue
-            self._check(key, one, value, expected, lower, upper, unit, above)
-        return np.array(value, dtype=np.float64)
+            self._check(key, one, value, expected, max(lower, -LARGEST), min(upper, LARGEST), unit, above)
+        return frozen_array(value)
+
+    def three(self, key: str, upper: float, unit: str, *, infinite: bool = False) -> Array:
+        """One number for three axes, or three ``(3,)``: above 0 and not above ``upper``, or infinite."""
+        above = _range("one number or three", 0.0, upper, unit, True) + (", or inf" if infinite else "")
+        value = self.value(key, above)
+        values = value if isinstance(value, list) else [value] * 3
+        if len(values) != 3:
+            raise self.fault(key, above, f"{len(values)} of them")
+        for one in values:
+            if not (infinite and isinstance(one, float) and one == math.inf):
+                self._check(key, one, value, above, 0.0, upper, unit, True)
+        return frozen_array(values)
 
     def rows(self, key: str, default: Any = _NEEDED) -> Array:
         """A matrix of numbers, or of fractions as text."""
@@ -219,7 +236,10 @@ class Section:
 
     def section(self, key: str, *, optional: bool = False) -> "Section":
         """A table in this one; with ``optional`` an empty one where there is none."""
-        content = self.value(key, f"a table [{self.path(key)}]", {} if optional else _NEEDED)
+        return self.part(key, self.value(key, f"a table [{self.path(key)}]", {} if optional else _NEEDED))
+
+    def part(self, key: str, content: Any) -> "Section":
+        """A table that stands at ``key``, with a content made of what stands there."""
         return type(self)(content, self.file, self.path(key), self.error)
 
     def sections(self, key: str, *, optional: bool = False) -> list["Section"]:
@@ -236,6 +256,12 @@ class Section:
                 raise self.fault("", f"names of 1 to {LONGEST} printable characters on one line", shown(key))
         self._read |= dict.fromkeys(self.content)
         return tuple(self.content)
+
+    def only(self, known: Sequence[str]) -> None:
+        """Refuse keys that are none of these, before one that is misspelt is missed."""
+        unread, self._read = self._read, dict.fromkeys(known)
+        self.done()
+        self._read = unread
 
     def done(self) -> None:
         """Refuse keys that nobody asked for."""

@@ -33,6 +33,8 @@ SMALLEST = 0.01  # m: a point nearer to the axis tells nothing of where it is
 PARALLEL = 1e-6  # sine of the angle between axes that have no common normal
 FAR = 6.0  # robust standard deviations beyond which a point is wrong
 ROUNDS, SETTLED = 10, 1e-7  # rad and m: a base that moves less has been found
+MAX_STEPS = 60  # of one fit; ten are usual
+FARTHEST_OFF = 0.05  # m, rms: the deflection of the softest arm is a tenth of it
 REACH = 1e-6  # of a parameter's unit: a step of differences
 
 
@@ -139,7 +141,23 @@ def fit_circles(rows: Rows, circles: Sequence[Circle], points: Array, start: Arr
         ``(N, 3)`` m, instrument frame: where the rows' points would be if nothing gave way.
     start
         ``(4, 4)``: about where the base is.
+
+    Raises
+    ------
+    CampaignError
+        The points lie on no circles.
     """
+    found = _without_outliers(rows, circles, points, start)
+    off = float(np.sqrt(2.0 * np.mean(found.misfit**2)))
+    if not off <= FARTHEST_OFF:
+        raise CampaignError(
+            f"expected circles of joints 1 and 2, found points {1e3 * off:.0f} mm (rms) off any: are angles and points "
+            "of the same rows, in radians and metres?"
+        )
+    return found
+
+
+def _without_outliers(rows: Rows, circles: Sequence[Circle], points: Array, start: Array) -> CircleFit:
     on = np.zeros(len(rows), dtype=bool)
     on[np.concatenate([c.rows for c in circles])] = True
     found = _settled(rows, circles, points, start, on)
@@ -160,7 +178,14 @@ def _settled(rows: Rows, circles: Sequence[Circle], points: Array, start: Array,
     """The fit to some of the points, begun again from where it ends until the base stays."""
     for _ in range(ROUNDS):
         problem = _About(rows, tuple(c.joint for c in circles), tuple(c.rows[used[c.rows]] for c in circles), start)
-        found = least_squares(problem.misfit, np.zeros(8), args=(points,), jac="3-point", x_scale="jac")
+        found = least_squares(
+            problem.misfit, np.zeros(8), args=(points,), jac="3-point", x_scale="jac", max_nfev=MAX_STEPS
+        )
+        if found.status == 0:
+            raise CampaignError(
+                "expected circles of joints 1 and 2 that show the base, found points on which no base settles: "
+                "are angles and points of the same rows, in radians and metres?"
+            )
         start = start @ exp_se3(found.x[:6])
         if np.abs(found.x[:6]).max() < SETTLED:
             break

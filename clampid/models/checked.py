@@ -142,11 +142,7 @@ def _stage(at: Section, layout: Layout) -> None:
         part.number("std", 0.0)
         part.flag("identified")
         part.done()
-    covariance = at.value("covariance", "lists of finite numbers")
-    _numbers(at, "covariance")
-    for k, row in enumerate(covariance if isinstance(covariance, list) else ()):
-        if isinstance(row, list) and k < len(row) and row[k] < 0:
-            raise at.fault(f"covariance[{k + 1}]", "variances that are not negative", shown(row[k]))
+    _covariance(at, len(slots))
     for key in ("held_out", "lean_rad", "by_springs"):
         _numbers(at, key)
     at.texts("not_identifiable")
@@ -157,6 +153,21 @@ def _stage(at: Section, layout: Layout) -> None:
         at.has(key)  # what reads them says what is wrong
         _no_flags(at, key, at.content.get(key))
     at.done()
+
+
+def _covariance(at: Section, count: int) -> None:
+    """As many lists as parameters, of as many finite numbers, those on the diagonal not negative."""
+    _numbers(at, "covariance")
+    expected = f"{count} lists of {count} finite numbers"
+    rows = at.value("covariance", expected)
+    if not isinstance(rows, list) or len(rows) != count:
+        raise at.fault("covariance", expected, shown(rows))
+    for k, row in enumerate(rows):
+        whole = isinstance(row, list) and len(row) == count
+        if not whole or any(isinstance(one, list | Mapping) for one in row):
+            raise at.fault(f"covariance[{k + 1}]", f"{count} finite numbers", shown(row))
+        if row[k] < 0:
+            raise at.fault(f"covariance[{k + 1}]", "variances that are not negative", shown(row[k]))
 
 
 def _numbers(at: Section, key: str) -> None:

@@ -24,15 +24,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from experiments.columns import POSES, TABLES, lookalike, table_format
 from experiments.errors import fault
 from experiments.foreign.files import DELIMITERS, Reading
 from experiments.foreign.frames import ORIENTATIONS, POSITIONS, Orientation, Position, euler_axes
-from experiments.foreign.section import Section
+from experiments.foreign.section import columns_of, unit_of
 from experiments.foreign.units import DATE, UNITS, kind_of, units_of
 from experiments.toml_file import read_toml
+from kinematics.section import Section, shown
 
 __all__ = ["FORMAT", "Join", "Mapping", "Source", "TableMapping", "read_mapping"]
 
@@ -136,208 +135,199 @@ def read_mapping(path: Path, files: Sequence[Path] = ()) -> Mapping:
     CampaignError
         The file is missing, no TOML, or a key is missing, unknown or wrong.
     """
-    raw = read_toml(path, "a mapping file", FORMAT)
-    several = "tables" in raw
-    whole = ("format", "campaign", "tables", "units", "lost", *READING) if several else ("format", "campaign", *TABLE)
-    at = Section(path, "", raw)
-    at.only(whole)
-    if several:
-        parts, shared = raw["tables"], {k: v for k, v in raw.items() if k not in ("format", "campaign", "tables")}
-        if not isinstance(parts, list) or not all(isinstance(part, dict) for part in parts):
-            raise fault(path, expected="[[tables]], one for each table", found=repr(parts), column="tables")
-        sections = [Section(path, f"tables[{i + 1}].", {**shared, **part}) for i, part in enumerate(parts)]
+    root = read_toml(path, "a mapping file", FORMAT)
+    campaign = root.section("campaign")
+    if root.has("tables"):
+        root.only(("format", "campaign", "tables", "units", "lost", *READING))
+        parts = root.sections("tables")
+        shared = {key: root.content[key] for key in ("units", "lost", *READING) if root.has(key)}
         if files:
             raise fault(path, expected="files named in each of [[tables]]", found=f"{files[0]} in the call")
+        places = [root.part(f"tables[{i}]", {**shared, **part.content}) for i, part in enumerate(parts, 1)]
     else:
-        sections = [Section(path, "", {k: v for k, v in raw.items() if k not in ("format", "campaign")})]
-    tables = tuple(_table(section, files) for section in sections)
+        places = [root]
+    tables = tuple(_table(place, path.parent, files) for place in places)
     names = [table.table for table in tables]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
         raise fault(path, expected=f"one table {twice}, of as many files as wanted", found="two", column="tables")
-    return Mapping(path, tables, at.section("campaign"))
+    if not campaign.content:
+        raise root.fault("campaign", "a table [campaign]", "an empty one")
+    return Mapping(path, tables, dict(campaign.content))
 
 
-def _table(at: Section, files: Sequence[Path]) -> TableMapping:
+def _table(at: Section, folder: Path, files: Sequence[Path]) -> TableMapping:
     """One table."""
-    at.only(TABLE)
-    table = at.text("table", "poses", TABLES)
+    at.only(TABLE if at.place else ("format", "campaign", *TABLE))
+    table = at.text("table", TABLES, "poses")
     units = _units(at)
-    named = tuple(path for name in at.texts("files") for path in _matching(at, name))
-    if named and files:
-        at.refuse("files", "files in the mapping or in the call", "both")
-    if not named and not files:
-        at.refuse("files", "files, here or in the call", "none")
+    named = _files(at, folder)
+    if bool(named) == bool(files):
+        expected = "files in the mapping or in the call" if named else "files, here or in the call"
+        raise at.fault("files", expected, "both" if named else "none")
     stops, points = table in POSES, table in ("poses", "verification")
     for key in ("position", "orientation", "repeats", "lost", "directions"):
         fits = stops if key in ("lost", "directions") else points
-        if key in at.raw and not fits and not (key == "lost" and at.prefix):
-            at.refuse(key, f"no such key for {table}", repr(at.raw[key]))
-    at.text("repeats", "median", ("median",))
-    at.text("directions", "previous", ("previous",))
-    joins = at.raw.get("join", [])
-    joins = [joins] if isinstance(joins, dict) else joins
-    if not isinstance(joins, list) or not all(isinstance(part, dict) for part in joins):
-        at.refuse("join", "a table [join], or several [[join]]", repr(joins))
-    columns = {name: _source(at, table, name, entry, units) for name, entry in at.section("columns").items()}
+        if at.has(key) and not fits and not (key == "lost" and at.place):
+            raise at.fault(key, f"no such key for {table}", shown(at.content[key]))
+    one = at.has("join") and isinstance(at.content["join"], MappingType)
+    joins = [at.section("join")] if one else at.sections("join", optional=True)
+    columns = at.section("columns")
+    sources = {name: _source(columns, table, name, units) for name in columns.keys()}  # noqa: SIM118 - not a dict
+    if not sources:
+        raise at.fault("columns", "a table [columns]", "an empty one")
     return TableMapping(
         table=table,
         files=named or tuple(files),
         reading=_reading(at),
-        joins=tuple(_join(at, i, part) for i, part in enumerate(joins)),
-        columns=columns,
-        position=_position(at, columns, units) if "position" in at.raw else None,
-        orientation=_orientation(at, units) if "orientation" in at.raw else None,
-        repeats="repeats" in at.raw,
-        lost=at.texts("lost") if "lost" in at.raw and stops else None,
-        directions="directions" in at.raw,
-        key=at.prefix,
+        joins=tuple(_join(at, number, part, folder) for number, part in enumerate(joins, 1)),
+        columns=sources,
+        position=_position(at, sources, units) if at.has("position") else None,
+        orientation=_orientation(at.section("orientation"), units) if at.has("orientation") else None,
+        repeats=at.text("repeats", ("median",), "") != "",
+        lost=at.texts("lost", alone=True) if at.has("lost") and stops else None,
+        directions=at.text("directions", ("previous",), "") != "",
+        key=f"{at.place}." if at.place else "",
     )
 
 
-def _matching(at: Section, name: str) -> list[Path]:
-    """The files of a name beside the mapping; with * or ? all that match, in order of their names."""
-    if not set("*?") & set(name):
-        return [at.path.parent / name]
-    found = sorted(at.path.parent.glob(name))
-    if not found:
-        at.refuse("files", f"files that match {name!r}", "none")
-    return found
+def _files(at: Section, folder: Path) -> tuple[Path, ...]:
+    """The files that are named, beside the mapping; with * or ? all that match, in order of their names."""
+    found: list[Path] = []
+    for name in at.texts("files", (), alone=True):
+        several = sorted(folder.glob(name)) if set("*?") & set(name) else [folder / name]
+        if not several:
+            raise at.fault("files", f"files that match {name!r}", "none")
+        found += several
+    return tuple(found)
 
 
 def _units(at: Section) -> dict[str, str]:
     """The units that hold where a column says nothing else, by kind."""
-    if "units" not in at.raw:
-        return {}
-    section = Section(at.path, f"{at.prefix}units.", at.section("units"))
-    section.only(tuple(UNITS))
-    return {kind: section.unit(kind, kind, {}) for kind in section.raw}
+    section = at.section("units", optional=True)
+    units = {kind: unit_of(section, kind, kind, {}) for kind in UNITS if section.has(kind)}
+    section.done()
+    return units
 
 
 def _reading(at: Section) -> Reading:
-    delimiter, decimal = at.text("delimiter", ","), at.text("decimal", ".", (".", ","))
+    delimiter, decimal = at.text("delimiter", default=","), at.text("decimal", (".", ","), ".")
     if delimiter not in DELIMITERS and len(delimiter) != 1:
-        at.refuse("delimiter", "one character, 'tab' or 'space'", repr(delimiter))
+        raise at.fault("delimiter", "one character, 'tab' or 'space'", shown(delimiter))
     if decimal == delimiter:
-        at.refuse("decimal", "'.' or ',', and not the delimiter", repr(decimal))
-    thousands = at.text("thousands", "")
+        raise at.fault("decimal", "'.' or ',', and not the delimiter", shown(decimal))
+    thousands = at.text("thousands", default="")
     if len(thousands) > 1 or (thousands and thousands in (decimal, delimiter)):
-        at.refuse("thousands", "one character that is neither decimal nor delimiter", repr(thousands))
-    encoding = at.text("encoding", "") or None
+        raise at.fault("thousands", "one character that is neither decimal nor delimiter", shown(thousands))
+    encoding = at.text("encoding", default="") or None
     if encoding is not None:
         try:
             codecs.lookup(encoding)
         except (LookupError, ValueError):
-            at.refuse("encoding", "an encoding that Python knows, such as cp1252 or utf-16", repr(encoding))
-    names = at.texts("names") or None
-    return Reading(
-        encoding, DELIMITERS.get(delimiter, delimiter), decimal, thousands, at.count("skip_lines"),
-        at.count("skip_after_names"), tuple(c for c in at.texts("comment") if c), names,
-    )  # fmt: skip
+            expected = "an encoding that Python knows, such as cp1252 or utf-16"
+            raise at.fault("encoding", expected, shown(encoding)) from None
+    skipped = at.integer("skip_lines", 0, default=0), at.integer("skip_after_names", 0, default=0)
+    comments = tuple(one for one in at.texts("comment", (), alone=True) if one)
+    names = at.texts("names", (), alone=True) or None
+    return Reading(encoding, DELIMITERS.get(delimiter, delimiter), decimal, thousands, *skipped, comments, names)
 
 
-def _join(at: Section, number: int, part: dict[str, Any]) -> Join:
-    inherited: dict[str, Any] = {
-        key: at.raw[key] for key in ("encoding", "delimiter", "decimal", "thousands") if key in at.raw
-    }
-    section = Section(at.path, f"{at.prefix}join[{number + 1}].", {**inherited, **part})
-    section.only(("files", "on", "order", "prefix", *READING))
-    files = tuple(path for name in section.texts("files") for path in _matching(section, name))
+def _join(at: Section, number: int, part: Section, folder: Path) -> Join:
+    inherited = {key: at.content[key] for key in ("encoding", "delimiter", "decimal", "thousands") if at.has(key)}
+    section = at.part(f"join[{number}]", {**inherited, **part.content})
+    files = _files(section, folder)
     if not files:
-        section.refuse("files", "files", "none")
-    if ("on" in part) == ("order" in part):
-        section.refuse("on", "either on or order", "both" if "on" in part else "neither")
-    on: tuple[str | int, str | int] | None = None
-    if "on" in part:
-        found = section.columns("on", None if isinstance(part["on"], list) else 1)
-        if len(found) > 2:
-            section.refuse("on", "a column of both, or one of each", repr(part["on"]))
-        on = found[0], found[-1]
-    order = section.text("order", "") if "order" in part else None
-    return Join(files, _reading(section), on, order, section.text("prefix", ""), section.prefix.removesuffix("."))
+        raise section.fault("files", "files", "none")
+    if section.has("on") == section.has("order"):
+        raise section.fault("on", "either on or order", "both" if section.has("on") else "neither")
+    found = columns_of(section, "on", (1, 2)) if section.has("on") else ()
+    order = section.text("order", default=None)
+    join = Join(
+        files, _reading(section), (found[0], found[-1]) if found else None, order,
+        section.text("prefix", default=""), section.place,
+    )  # fmt: skip
+    section.done()
+    return join
 
 
-def _source(at: Section, table: str, name: str, entry: Any, units: dict[str, str]) -> Source:
+def _source(columns: Section, table: str, name: str, units: dict[str, str]) -> Source:
     """One entry of ``[columns]``."""
-    key = f"columns.{name}"
-    if not isinstance(entry, dict):
-        at.refuse(key, "{from, value or number, and unit, scale, pattern}", repr(entry))
-    section = Section(at.path, f"{at.prefix}{key}.", entry)
-    if set(entry) - {"from", "value", "number", "unit", "scale", "pattern"}:
-        at.refuse(key, "{from, value or number, and unit, scale, pattern}", repr(entry))
-    if sum(word in entry for word in ("from", "value", "number")) != 1:
-        at.refuse(key, "one of from, value and number", repr(entry))
-    _known_name(at, table, name)
+    expected = "{from, value or number, and unit, scale, pattern}"
+    if not isinstance(columns.content[name], MappingType):
+        raise columns.fault(name, expected, shown(columns.content[name]))
+    at = columns.section(name)
+    given = [key for key in ("from", "value", "number") if at.has(key)]
+    if len(given) != 1:
+        raise columns.fault(name, "one of from, value and number", shown(at.content))
+    _known_name(columns, table, name)
     kind = kind_of(name)
     known = units_of(kind) + (units_of("length") if kind == "angle" and name[0] == "q" else ())  # of a sliding joint
-    unit = entry.get("unit", units.get(kind, "") if "number" not in entry else known[0] if known else "")
-    if known and unit not in known:
-        at.refuse(key, f"a unit, one of {', '.join(known)}", repr(unit))
-    if not known and unit:
-        at.refuse(key, "no unit", repr(unit))
-    if "pattern" in entry and unit != DATE:
-        at.refuse(key, f'a pattern beside unit = "{DATE}" only', repr(entry))
-    scale, value, number = entry.get("scale", 1.0), entry.get("value"), entry.get("number")
-    if isinstance(scale, bool) or not isinstance(scale, int | float) or not np.isfinite(scale) or scale == 0:
-        at.refuse(key, "a factor that is not 0", repr(scale))
-    if number is not None and number not in NUMBERINGS.get(name, ()):
-        allowed = ", ".join(NUMBERINGS.get(name, ())) or "from or value"
-        at.refuse(key, allowed, repr(number))
-    if "value" in entry and kind not in ("text", "extra"):
-        finite = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
-        if unit == DATE or not finite:
-            at.refuse(key, "a number", repr(value))
-    columns = section.columns("from", None if unit == DATE else 1) if "from" in entry else ()
-    pattern = section.text("pattern", "") or None
-    return Source(columns, value, number, unit, float(scale), pattern, f"{at.prefix}{key}")
+    first = units.get(kind, "") if given != ["number"] else known[0] if known else ""
+    unit = at.value("unit", "a unit", first)
+    if unit not in (known or ("",)):
+        raise columns.fault(name, f"a unit, one of {', '.join(known)}" if known else "no unit", shown(unit))
+    if at.has("pattern") and unit != DATE:
+        raise columns.fault(name, f'a pattern beside unit = "{DATE}" only', shown(at.content))
+    scale = at.number("scale", default=1.0)
+    if scale == 0.0:
+        raise at.fault("scale", "a factor that is not 0", "0")
+    number = at.text("number", NUMBERINGS.get(name, ("from or value",)), None)
+    value = at.value("value", "a value", None)
+    if given == ["value"]:
+        if unit == DATE:
+            raise columns.fault(name, "a column of dates", shown(at.content))
+        value = at.text("value") if kind in ("text", "extra") and isinstance(value, str) else at.number("value")
+    from_ = columns_of(at, "from", () if unit == DATE else (1,)) if given == ["from"] else ()
+    source = Source(from_, value, number, unit, scale, at.text("pattern", default="") or None, columns.path(name))
+    at.done()
+    return source
 
 
-def _known_name(at: Section, table: str, name: str) -> None:
+def _known_name(columns: Section, table: str, name: str) -> None:
     """Refuse a column that looks like one of the campaign's but would be kept as an extra one."""
     if kind_of(name) != "extra":
         return
-    known = dict.fromkeys(c.removesuffix(_unit_of(c)) for c in table_format(table, MANY_JOINTS).known())
-    bare = name.removesuffix(_unit_of(name))
+    known = dict.fromkeys(c.removesuffix(_suffix_of(c)) for c in table_format(table, MANY_JOINTS).known())
+    bare = name.removesuffix(_suffix_of(name))
     near = next((k for k in known if k.lower() == bare.lower() or lookalike(k, [name])), None)
     near = "temp_<where>, such as temp_link1" if name.lower().startswith("temp") else near
     if near:
-        at.refuse(f"columns.{name}", f"{near} (no unit in the name)", repr(name))
+        raise columns.fault(name, f"{near} (no unit in the name)", shown(name))
 
 
-def _unit_of(column: str) -> str:
-    stem = next((s for s in ("_rad_s", "_rad", "_Nm", "_m", "_s", "_C") if column.endswith(s)), "")
-    return stem
+def _suffix_of(column: str) -> str:
+    return next((s for s in ("_rad_s", "_rad", "_Nm", "_m", "_s", "_C") if column.endswith(s)), "")
 
 
-def _position(at: Section, columns: dict[str, Source], units: dict[str, str]) -> Position:
-    section = Section(at.path, f"{at.prefix}position.", at.section("position"))
-    kind = section.text("kind", "spherical", POSITIONS)
-    section.only(("kind", "from", "length", "angle", "elevation", "azimuth"))
+def _position(table: Section, columns: MappingType[str, Source], units: dict[str, str]) -> Position:
+    at = table.section("position")
     both = [axis for axis in "xyz" if axis in columns]
     if both:
-        at.refuse("position", "a position here or in [columns]", f"columns.{both[0]}, too")
-    return Position(
+        raise table.fault("position", "a position here or in [columns]", f"columns.{both[0]}, too")
+    kind = at.text("kind", POSITIONS, "spherical")
+    position = Position(
         kind,
-        section.columns("from", 3),
-        section.unit("length", "length", units),
-        section.unit("angle", "angle", units) if kind == "spherical" else "",
-        section.text("elevation", "horizon", ("horizon", "zenith")) == "zenith",
-        section.text("azimuth", "counterclockwise", ("counterclockwise", "clockwise")) == "clockwise",
-        f"{at.prefix}position",
+        columns_of(at, "from", (3,)),
+        unit_of(at, "length", "length", units),
+        unit_of(at, "angle", "angle", units) if kind == "spherical" or at.has("angle") else "",
+        at.text("elevation", ("horizon", "zenith"), "horizon") == "zenith",
+        at.text("azimuth", ("counterclockwise", "clockwise"), "counterclockwise") == "clockwise",
+        at.place,
     )
+    at.done()
+    return position
 
 
 def _orientation(at: Section, units: dict[str, str]) -> Orientation:
-    section = Section(at.path, f"{at.prefix}orientation.", at.section("orientation"))
-    section.only(("kind", "from", "axes", "angle", "inverse"))
-    kind = section.text("kind", "", tuple(ORIENTATIONS))
-    axes = section.text("axes", "") or None
+    kind = at.text("kind", tuple(ORIENTATIONS))
+    axes = at.text("axes", default="") or None
     if kind == "euler" and (axes is None or not euler_axes(axes)):
-        section.refuse("axes", "three of XYZ (about the axes as turned) or xyz (about fixed axes)", repr(axes))
+        expected = "three of XYZ (about the axes as turned) or xyz (about fixed axes)"
+        raise at.fault("axes", expected, shown(axes))
     if kind != "euler" and axes is not None:
-        section.refuse("axes", 'no axes but with kind = "euler"', repr(axes))
+        raise at.fault("axes", 'no axes but with kind = "euler"', shown(axes))
     count, angular = ORIENTATIONS[kind]
-    unit = section.unit("angle", "angle", units) if angular else ""
-    return Orientation(
-        kind, section.columns("from", count), axes or "", unit, section.flag("inverse"), f"{at.prefix}orientation"
-    )
+    unit = unit_of(at, "angle", "angle", units) if angular or at.has("angle") else ""
+    columns, inverse = columns_of(at, "from", (count,)), at.flag("inverse", False)
+    at.done()
+    return Orientation(kind, columns, axes or "", unit if angular else "", inverse, at.place)

@@ -9,20 +9,19 @@ from typing import Literal, cast
 
 import numpy as np
 
-from experiments.header import FARTHEST_POINT_M, LARGEST_MASS_KG, WORST_POSITION_STD_M
+from experiments.header import FARTHEST_POINT_M, LARGEST_MASS_KG, WORST_POSITION_STD_M, robot_in
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits
 from experiments.plans.model import KINDS, Cell, Expected, ExpectedParameter, Kind, Plan, Run, Sweep, Visit
 from experiments.plans.motion import Course
 from experiments.plans.validate import validate_plan
 from experiments.plans.write import FORMAT
-from kinematics.description import DescriptionError, load_robot
 from kinematics.reading import read_text, toml_of
 from kinematics.section import Section, migrated
 
 __all__ = ["parse_plan", "read_plan"]
 
-LONGEST_PATH, LONGEST_SENTENCE = 4096, 2000  # characters
+LONGEST_SENTENCE = 2000  # characters
 STEPS = {"free_air": "run", "wrist": "run", "clamping": "sweep", "poses": "visit"}
 
 
@@ -89,11 +88,7 @@ def parse_plan(text: str, file: Path) -> Plan:
 
 
 def _cell(root: Section, file: Path) -> Cell:
-    reference = root.text("robot", longest=LONGEST_PATH)
-    try:
-        robot = load_robot(reference, relative_to=file.parent)
-    except DescriptionError as error:
-        raise root.fault("robot", "a bundled robot or the path of a description", f"{reference!r} ({error})") from error
+    robot, reference = robot_in(root, file.parent), root.content["robot"]
     if Path(reference).suffix:
         reference = str((file.parent / reference).resolve())
     tool = root.section("tool")

@@ -357,11 +357,11 @@ def test_lost_points_and_temperatures_in_fahrenheit_with_gaps(points: pd.DataFra
     ("old", "new", "words"),
     [
         ("[0.0, 0.0, -9.81]", "[0.0, 0.0, -9810.0]", "m.toml, key campaign.gravity_m_s2: expected gravity"),
-        ("mass_kg = 12.0", "mass_kg = 12000.0", "m.toml, key campaign.tool.mass_kg: expected a mass"),
+        ("mass_kg = 12.0", "mass_kg = 12000.0", "campaign.tool.mass_kg: .* of kg from 0 to 3000, .*grams"),
         ("T1 = [0.10, 0.00, 0.12], ", "", r"points.csv, row 1 \(line 2\), column SMR: expected a target"),
         ('x = {from = "X"}', 'X = {from = "X"}', r"key columns.X: expected x \(no unit in the name\), found 'X'"),
         ('x = {from = "X"}', 'x_mm = {from = "X"}', r"key columns.x_mm: expected x \(no unit in the name\)"),
-        ('z = {from = "Z"}', 'z = {value = "up"}', "key columns.z: expected a number, found 'up'"),
+        ('z = {from = "Z"}', 'z = {value = "up"}', "key columns.z.value: expected a finite number, found 'up'"),
         ('q1 = {from = "A1"}', 'q1 = {from = "A1", unit = "mm"}', "columns.q1: expected a unit of a revolute joint"),
         ('angle = "deg"', 'angle = "grad"', "key units.angle: expected a unit, one of rad, deg"),
         ("[columns]", 'encoding = "utf-9"\n[columns]', "key encoding: expected an encoding that Python knows"),

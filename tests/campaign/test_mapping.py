@@ -124,11 +124,11 @@ def test_the_scatter_of_a_sample_does_not_depend_on_how_many_there_are(tmp_path:
             "",
             r"row 2 \(line 5\): expected one row of pose 1, visit 1, target T1 \(in m.toml, repeats.*found 5",
         ),
-        ('repeats = "median"', 'repeats = "mean"', "key repeats: expected 'median', found 'mean'"),
+        ('repeats = "median"', 'repeats = "mean"', "key repeats: expected one of median, found 'mean'"),
         ("skip_lines = 2", "skip_lines = 0", "expected"),
         ('decimal = ","', 'decimal = "."', r"points.txt, row 1 \(line 4\), column t: expected a number, found '"),
         ('x = {from = "X [mm]", unit = "mm"}', "", "expected columns to say where x comes from"),
-        ("delimiter", "delimeter", "key delimeter: expected one of format, .* delimiter is probably meant"),
+        ("delimiter", "delimeter", "key delimeter: .*, found the unknown key .* did you mean 'delimiter'"),
         ('"kuka_kr20_r1810"', '"kuka_kr20"', "key campaign.robot: "),
         ('unit = "mm"}', 'unit = "m"}', "poses"),  # what a check of the campaign finds
     ],

@@ -93,14 +93,14 @@ def test_what_was_stated_is_reported(tmp_path: Path) -> None:
 
 INF = float("inf")
 FAULTS: list[tuple[dict[str, Any], str, str]] = [
-    ({"bases": BASE}, "key bases", "did you mean base?"),
+    ({"bases": BASE}, "key bases", "did you mean 'base'?"),
     ({"operator": "AB"}, "key operator", "one of format, robot, gravity_m_s2"),
     ({"tool": HEADER["tool"] | {"inertia": 3}}, "key tool.inertia", "one of mass_kg, com_m"),
-    ({"base": BASE | {"position_mm": [2500, 0, 0]}}, "key base.position_mm", "did you mean position_m?"),
+    ({"base": BASE | {"position_mm": [2500, 0, 0]}}, "key base.position_mm", "did you mean 'position_m'?"),
     ({"base": BASE | {"position_m": [2500.0, -1000.0, 300.0]}}, "key base.position_m", "millimetres"),
     ({"base": BASE | {"rpy_rad": [0.0, 1.0, 45.0]}}, "key base.rpy_rad", "degrees"),
     ({"base": BASE | {"position_std_m": 200.0}}, "key base.position_std_m", "millimetres"),
-    ({"base": BASE | {"position_std_m": 0.0}}, "key base.position_std_m", "above 0 or inf"),
+    ({"base": BASE | {"position_std_m": 0.0}}, "key base.position_std_m", "above 0 and not above 1, or inf"),
     ({"base": BASE | {"rpy_std_rad": [1e-4, 1e-4]}}, "key base.rpy_std_rad", "one number or three"),
     ({"base": BASE | {"rpy_std_rad": float("nan")}}, "key base.rpy_std_rad", "one number or three"),
     ({"base": BASE | {"position_std_m": INF, "rpy_std_rad": INF}}, "key base", "nothing that is known"),
@@ -114,8 +114,8 @@ FAULTS: list[tuple[dict[str, Any], str, str]] = [
     ({"distance": [{"between": ["T1", "T1"], "value_m": 1, "std_m": 1e-6}]}, "key distance[1].between", "two targets"),
     ({"distance": [{"between": ["T1", "T2"], "value_m": 173.3, "std_m": 1e-6}]}, "distance[1].value_m", "millimetres"),
     ({"distance": [{"between": ["T1", "T2"], "value_m": 0.3, "std_m": 1e-6}]}, "distance[1].value_m", "0.173204"),
-    ({"distance": [{"between": ["T1", "T2"], "value_m": APART, "std_m": 2.0}]}, "distance[1].std_m", "another unit"),
-    ({"distance": [{"between": ["T1", "T2"], "value": APART}]}, "key distance[1].value", "did you mean value_m?"),
+    ({"distance": [{"between": ["T1", "T2"], "value_m": APART, "std_m": 2.0}]}, "distance[1].std_m", "millimetres"),
+    ({"distance": [{"between": ["T1", "T2"], "value": APART}]}, "key distance[1].value_m", "no such key, but 'value'"),
     ({"sensors": {"link1": "link2"}}, "key sensors.link1", '{at = "link2"}'),
     ({"sensors": {"link1": {"at": "link7"}}}, "key sensors.link1.at", "link1 … link6"),
     ({"sensors": {"link1": {"at": "link2", "weight": 0}}}, "key sensors.link1.weight", "above 0"),
@@ -123,8 +123,8 @@ FAULTS: list[tuple[dict[str, Any], str, str]] = [
     ({"targets_m": {"T1": {"at": "base", "position_m": [0, 0, 0]}}}, "key targets_m.T1.at", "not supported yet"),
     (
         {"targets_m": {"T1": {"at": "flange", "position": [0, 0, 0]}}},
-        "targets_m.T1.position",
-        "did you mean position_m?",
+        "targets_m.T1.position_m",
+        "no such key, but 'position'",
     ),
     ({"flange_sensor": {"std_m": 1e-5}}, "key flange_sensor", "not supported yet"),
 ]
@@ -141,7 +141,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path, wrong: dict[str, Any], 
 def test_an_unknown_section_ends_the_program_with_2(tmp_path: Path) -> None:
     found = clampid("check", write(tmp_path / "c", poses(), HEADER | {"bases": BASE}))
     assert found.returncode == 2
-    assert "did you mean base?" in found.stderr
+    assert "did you mean 'base'?" in found.stderr
 
 
 def test_a_target_on_the_flange_may_be_a_table(tmp_path: Path) -> None:

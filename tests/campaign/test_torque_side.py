@@ -62,7 +62,7 @@ def test_stated_they_are_those_of_the_motors(folder: Path, tmp_path: Path) -> No
     ("entry", "expected"),
     [
         ('free_air = { file = "free_air.csv", side = "arm" }', "one of motor, joint"),
-        ('free_air = { file = "free_air.csv", sid = "joint" }', "did you mean side"),
+        ('free_air = { file = "free_air.csv", sid = "joint" }', "did you mean 'side'"),
         ('free_air = { side = "joint" }', "a file name"),
         ('poses = { file = "poses.csv", side = "joint" }', "of free_air or wrist only"),
     ],

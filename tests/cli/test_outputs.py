@@ -44,6 +44,12 @@ def contents(folder: Path) -> dict[str, bytes]:
         ("identify ARM -o picture.png", "expected JSON to replace, found binary data"),
         ("export dh MODEL -o other.json", "expected plain text to replace, found JSON"),
         ("effects --json notes.md", "expected JSON to replace, found plain text"),
+        ("robots ur10 --svg other.json", "expected HTML or XML to replace, found JSON"),
+        ("robots ur10 --svg x --json x", "expected two files"),
+        ("report MODEL ARM -o other.json", "expected HTML or XML to replace, found JSON"),
+        ("report MODEL ARM -o ARM/campaign.toml", "expected a file outside"),
+        ("base ARM --json ARM/poses.parquet", "expected a file outside"),
+        ("check ARM --json ARM/campaign.toml", "expected a file outside"),
     ],
 )
 def test_no_output_goes_onto_an_input_or_another_kind(

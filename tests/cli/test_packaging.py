@@ -29,7 +29,19 @@ def test_every_declared_verb_loads() -> None:
         assert callable(installed[name].load())
 
 
-@pytest.mark.parametrize("name", ["Makefile", ".ci/run", "constraints.txt", "pyproject.toml", "mkdocs.yml"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "Makefile",
+        ".ci/run",
+        "constraints.txt",
+        "pyproject.toml",
+        "mkdocs.yml",
+        "lock/run.txt",
+        "lock/develop.txt",
+        ".ci/lock.py",
+    ],
+)
 def test_nothing_is_tied_to_one_machine_or_host(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     assert not re.search(r"https?://|/home/|/work/|/opt/|/tmp/", text)

@@ -196,3 +196,15 @@ def test_what_cannot_be_is_refused() -> None:
     q = turned(arm)
     with pytest.raises(ModelError, match=r"no springs or no masses.*--rigid"):
         base_from_circles(campaign_of(arm, q, measured(arm, q)))
+
+
+def test_points_on_no_circles_are_refused_soon() -> None:
+    robot = load_robot("ur10")
+    q, rng = turned(robot), np.random.default_rng(0)
+    points = measured(robot, q)
+    flat = {name: np.c_[p[:, :2], np.full(len(p), 3.0)] for name, p in points.items()}
+    with pytest.raises(CampaignError, match="on which no base settles"):
+        base_from_circles(campaign_of(robot, q, flat), rigid=True)
+    anywhere = {name: p + rng.uniform(-0.4, 0.4, p.shape) for name, p in points.items()}
+    with pytest.raises(CampaignError, match=r"found points \d+ mm \(rms\) off any"):
+        base_from_circles(campaign_of(robot, q, anywhere), rigid=True)

@@ -115,9 +115,9 @@ def test_sessions_with_and_without_a_tracker_go_together(plain: Campaign) -> Non
     ("instrument", "words"),
     [
         ({"range_std_m": 1e-5}, "expected instrument.angle_std_rad with range_std_m, found none"),
-        ({"range_std_m": 10.0, "angle_std_rad": 1e-6}, "range_std_m: expected one sigma above 0 and not above 0.005"),
-        ({"range_std_m": 1e-5, "angle_std_rad": 0.0}, "angle_std_rad: expected one sigma above 0"),
-        ({"range_std_m": 1e-5, "angle_std_rad": 1e-6, "range_std_m_m": -1e-6}, "range_std_m_m: expected one sigma"),
+        ({"range_std_m": 10.0, "angle_std_rad": 1e-6}, "range_std_m: expected .* m above 0 and not above 0.005"),
+        ({"range_std_m": 1e-5, "angle_std_rad": 0.0}, "angle_std_rad: expected .* rad above 0"),
+        ({"range_std_m": 1e-5, "angle_std_rad": 1e-6, "range_std_m_m": -1e-6}, "range_std_m_m: expected .* m/m from 0"),
     ],
 )
 def test_a_tracker_that_cannot_be_is_refused(plain: Campaign, tmp_path: Path, instrument: dict, words: str) -> None:

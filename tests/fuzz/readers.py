@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from spoil import spoilt
+from spoil import misstated, spoilt
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 10.0
@@ -170,6 +170,12 @@ def _urdf(robot: Any) -> bytes:
     return write_urdf(robot.screws, home, robot).encode()
 
 
+def misspelt(name: str, at: str, good: bytes, seed: int) -> bytes:
+    """The file with other values, where its syntax is one that can be written."""
+    said = Path(at).suffix in (".toml", ".json", ".csv") and name not in ("points", "dh")
+    return misstated(good, seed, at) if said else spoilt(good, seed)
+
+
 def is_refusal(error: Exception) -> bool:
     """Whether an error says what is wrong with a file: exit code 2 and one line."""
     from clampid.verbs.errors import is_wrong_input
@@ -196,7 +202,7 @@ def outcomes(names: list[str], count: int, seed: int) -> Iterator[dict[str, Any]
             read(_put(folder / at, good))  # as it is, it is read
             for k in range(count):
                 number = seed * 1_000_003 + k
-                path = _put(folder / at, spoilt(good, number))
+                path = _put(folder / at, misspelt(name, at, good, number) if k % 2 else spoilt(good, number))
                 print(json.dumps({"trying": name, "seed": number}), flush=True)  # the last one, if a signal ends it
                 begun = time.monotonic()
                 signal.setitimer(signal.ITIMER_REAL, SECONDS)

@@ -33,6 +33,36 @@ def test_the_unit_that_was_probably_meant_is_said(unit: str, value: float, hint:
         read(x=-1.0).number("x", 0.0, 50.0, unit)
 
 
+def test_a_vector_has_a_length() -> None:
+    for value in ([0.0, 0.0, 1e308], [-1e200, 0.0, 0.0]):
+        with pytest.raises(ValueError, match=r"expected 3 finite numbers, found"):
+            read(x=value).vector("x")
+    assert math.isfinite(float(read(x=[1e100] * 3).vector("x") @ read(x=[1e100] * 3).vector("x")))
+    with pytest.raises(ValueError, match="read-only"):
+        read(x=[0.0] * 3).vector("x")[0] = 1.0
+
+
+def test_one_number_is_three_and_infinite_where_it_may_be() -> None:
+    at = read(a=2e-3, b=[1e-3, math.inf, 2e-3], c=[1.0, 2.0], d=True, e=0.0, f=5.0)
+    assert at.three("a", 1.0, "m").tolist() == [2e-3] * 3
+    assert at.three("b", 1.0, "m", infinite=True).tolist() == [1e-3, math.inf, 2e-3]
+    for key in "bcdef":
+        with pytest.raises(ValueError, match="one number or three of m above 0 and not above 1, found"):
+            at.three(key, 1.0, "m")
+    with pytest.raises(ValueError, match="millimetres"):
+        at.three("f", 1.0, "m")
+
+
+def test_what_is_misspelt_is_refused_before_it_is_missed() -> None:
+    at = read(delimeter=";", table="poses")
+    with pytest.raises(ValueError, match="unknown key 'delimeter'; did you mean 'delimiter'"):
+        at.only(("table", "delimiter"))
+    at = read(table="poses")
+    at.only(("table", "delimiter"))
+    with pytest.raises(ValueError, match="unknown key 'table'"):  # known and not yet read
+        at.done()
+
+
 def test_an_unknown_key_is_refused_with_the_one_that_was_meant() -> None:
     at = read(mass_kg=1.0, com_n=[0, 0, 0])
     at.number("mass_kg")

@@ -32,8 +32,9 @@ OPENS = (
     "export dh MODEL -o table.csv",
     "export urdf MODEL -o robot.urdf",
     "export angles MODEL -o angles.csv",
+    "base arm --model MODEL",
 )
-"""Calls that read the effects of a model. (``sample`` and ``base`` go the same way, with inputs of their own.)"""
+"""Calls that read the effects of a model. (``sample`` goes the same way, with peaks of its own.)"""
 
 
 @pytest.fixture(scope="module")
