@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
-import zlib
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import plotly.io
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
+from clampid.charts.style import STYLE
+from clampid.charts.svg import svg
 from clampid.identification.reopen import reopen
 from clampid.models.model import Model
 from clampid.report.angle_curves import angle_curves_section
@@ -108,15 +107,10 @@ def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Sec
         sections=sections,
         kind=lambda block: type(block).__name__,
         typeset=_typeset,
-        plot_json=_plot_json,
+        drawing=_drawing,
         choices_json=_choices_json,
-        plotly=_packed(get_plotlyjs()),
+        chart_style=Markup(STYLE),
     )
-
-
-def _packed(text: str) -> Markup:
-    """Text as base64 of a zlib stream, which browsers of 2023 and newer unpack by themselves."""
-    return Markup(b64encode(zlib.compress(text.encode(), 9)).decode())
 
 
 def _typeset(cell: str) -> str:
@@ -130,14 +124,13 @@ def _embedded(text: str) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _plot_json(figure: Figure) -> Markup:
-    return _embedded(plotly.io.to_json(figure.plot, validate=False, engine="json"))
+def _drawing(figure: Figure) -> Markup:
+    return Markup(svg(figure.plot, figure.key, figure.caption))
 
 
 def _choices_json(figure: Figure) -> Markup:
-    import json
-
-    if figure.selector is None:
-        return Markup("null")
     s = figure.selector
-    return _embedded(json.dumps({"variables": list(s.variables), "values": list(s.values), "ends": list(s.ends)}))
+    if s is None:
+        return Markup("null")
+    parts = {"choices": s.choices, "values": s.values, "ends": s.ends, "outlines": s.outlines}
+    return _embedded(json.dumps(parts, ensure_ascii=False, separators=(",", ":")))

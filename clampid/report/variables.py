@@ -52,18 +52,6 @@ class Trend:
     low: Array
     high: Array
 
-    def band(self) -> tuple[Array, Array]:
-        """Between the quartiles: a closed outline of each stretch, parted by NaN; x and y."""
-        x: list[Array] = []
-        y: list[Array] = []
-        apart = np.array([np.nan])
-        breaks = np.flatnonzero(np.isnan(self.x))
-        for own in np.split(np.arange(len(self.x)), breaks):
-            k = own[np.isfinite(self.x[own])]
-            x += [self.x[k], self.x[k][::-1], apart]
-            y += [self.high[k], self.low[k][::-1], apart]
-        return np.concatenate(x)[:-1], np.concatenate(y)[:-1]
-
 
 def variables_of(data: StageData) -> tuple[Variable, ...]:
     """The recorded variables of a stage that vary at all, in units for people."""
