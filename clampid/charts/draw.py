@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.charts.marks import Array, Band, Bars, Cells, Label, Level, Line, Mark, Points, Segments, Span
-from clampid.charts.scale import Box, Scale
+from clampid.charts.scale import MINUS, Box, Scale
 
 __all__ = ["drawn", "key_of", "pieces", "shape"]
 
@@ -222,7 +222,7 @@ def _(mark: Cells, x: Scale, y: Scale, box: Box) -> str:
                 f'<path class="f {color}" fill-opacity="{min(abs(value), 1.0) * 0.75:.2f}" d="M{_n(left + 1)} '
                 f'{_n(top + 1)}H{_n(right - 1)}V{_n(foot - 1)}H{_n(left + 1)}z">{tip}</path><text class="middle" '
                 f'pointer-events="none" x="{_n((left + right) / 2)}" y="{_n((top + foot) / 2 + 4)}">'
-                f"{escape(mark.texts[r][c])}</text>"
+                f"{escape(mark.texts[r][c].replace('-', MINUS))}</text>"
             )
     return "".join(out)
 

@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from clampid.charts.marks import Array, Axis, Band, Bars, Cells, Label, Level, Line, Mark, Panel, Points, Segments, Span
 
-__all__ = ["Box", "Scale", "number", "scales"]
+__all__ = ["MINUS", "Box", "Scale", "number", "scales"]
 
 ROOM = 0.04  # of an axis beyond its outermost mark
-APART_X, APART_Y = 70.0, 42.0  # pixels between ticks
+APART_X, APART_Y = 60.0, 32.0  # pixels between ticks
 MINUS = "−"
 
 
@@ -55,9 +55,20 @@ class Scale:
         most = max(2, int(abs(self.end - self.start) / apart))
         if self.axis.log:
             return [(v, number(v)) for v in _decades(self.low, self.high, most)]
-        step = self.axis.step or _round_up((self.high - self.low) / most)
-        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        step = self.axis.step or self._finest(most)
+        first, last = self._multiples(step)
         return [(k * step, number(k * step, step)) for k in range(first, last + 1)]
+
+    def _multiples(self, step: float) -> tuple[int, int]:
+        """The first and the last multiple of a step within the axis."""
+        return math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+
+    def _finest(self, most: int) -> float:
+        """The smallest of 1, 2, 5 times a power of ten that gives at most so many ticks."""
+        power = 10.0 ** math.floor(math.log10((self.high - self.low) / (most + 1)))
+        steps = [m * power for m in (1.0, 2.0, 5.0, 10.0, 20.0)]
+        counts = [last - first + 1 for first, last in map(self._multiples, steps)]
+        return next(step for step, count in zip(steps, counts, strict=True) if count <= most)
 
 
 def number(value: float, step: float | None = None) -> str:
@@ -67,12 +78,6 @@ def number(value: float, step: float | None = None) -> str:
     else:
         text = f"{value:.{max(0, -math.floor(math.log10(step) + 1e-9))}f}"
     return text.replace("-", MINUS) if float(text) else "0"
-
-
-def _round_up(value: float) -> float:
-    """The next of 1, 2, 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= value * (1 - 1e-9)) * power
 
 
 def _decades(low: float, high: float, most: int) -> list[float]:

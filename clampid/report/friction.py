@@ -75,8 +75,8 @@ def friction_figures(data: StageData) -> list[Figure]:
     plot = _drawn(data, (*MOTOR_SIDE, *ARM_SIDE), range(data.channels), names, "motor")
     told, untold = sorted(j for j, known in arm.items() if known), sorted(j for j, known in arm.items() if not known)
     if untold:
-        listed = ", ".join(str(j + 1) for j in untold)
-        caption += f" These data do not separate the two at joint {listed}."
+        places = ", ".join(f"joint {j + 1}" for j in untold)
+        caption += f" These data do not separate the two at {places}."
     found = [Figure("friction", plot, caption)]
     if told:
         caption = (

@@ -71,7 +71,7 @@ def robot_section(robot: RobotDescription, data: StageData, before: StageData | 
         ]
         caption = (
             f"Error vectors (measured less predicted) {when}, from the points measured (dots), drawn {scale:.0f} times "
-            "longer than they are, in the robot base frame. Black: the arm at the zero pose; grey: at poses of the "
+            "longer than they are, in the robot base frame. Thick: the arm at the zero pose; thin: at poses of the "
             f"campaign, as straight lines between points on the joints' axes.{drawn}"
         )
         figures.append(Figure(key, Chart(tuple(panels), 560), caption))
@@ -103,7 +103,7 @@ def _vectors(points: Array, vectors: Array, tips: Sequence[str]) -> tuple[float,
     tip = points + scale * vectors
     edges = np.linspace(0.0, max(float(np.quantile(size, 0.98)), 1e-12), CLASSES + 1)[1:-1]
     group = np.searchsorted(edges, size)
-    names = [f"error up to {error_text(float(e), 'm')}" for e in edges] + ["larger"]
+    names = [f"error up to {error_text(float(e), 'm')}" for e in edges] + ["error larger"]
 
     def marks(right: int, up: int) -> list[Mark]:
         view = [right, up]

@@ -119,12 +119,8 @@ def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int
     charts = [_chart(data, drawn, variable) for variable in listed]
     counted, crossed = int(data.good.any(axis=1).sum()), len(drawn.rows) - drawn.kept
     thinned = f" {drawn.kept} of {counted} rows are drawn; medians are over all." if drawn.kept < counted else ""
-    left_out = (
-        f" Crosses: the {crossed} rows rejected as outliers; those beyond the axis stand at its edge. "
-        "No line counts them."
-        if crossed
-        else ""
-    )
+    what = "1 row rejected as an outlier" if crossed == 1 else f"{crossed} rows rejected as outliers"
+    left_out = f" Crosses: {what}; those beyond the axis stand at its edge. No line counts them." if crossed else ""
     caption = (
         "Measured less predicted, against the variable chosen above the figure (sorted by what "
         f"it explains). Dashed: ± 1 σ of what noise alone leaves.{left_out}{thinned}"
