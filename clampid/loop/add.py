@@ -27,6 +27,7 @@ from clampid.identification.identify import (
 )
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model, Round, StageModel
+from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Layout, Term, fixed_slots, parse_term, unit_of
 from clampid.stages.rows import Array, Rows
@@ -206,7 +207,7 @@ def _added(opened: Reopened, steps: Mapping[Stage, Sequence[Step]], seed: int) -
     """All rounds of one stage, then those of the next: poses take loads, flanks and springs from the others."""
     mended: dict[Stage, _Mended] = {}
     stages = dict(opened.stages)
-    for stage in (s for s in stages_of(opened.campaigns) if s in opened.stages):
+    for stage in in_parts([s for s in stages_of(opened.campaigns) if s in opened.stages], str):
         asked = steps.get(stage, ())
         if asked or (stage == "poses" and any(m.rounds for m in mended.values())):
             mended[stage] = _stage_with(opened, stage, asked, stages, seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from clampid.charts.style import STYLE
 from clampid.charts.svg import svg
 from clampid.identification.reopen import reopen
 from clampid.models.model import Model
+from clampid.progress import in_parts
 from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section
@@ -58,23 +59,24 @@ def page(
     poses = stages.get("poses")
     before = stage_data(reopen(first_model, campaign, own)) if first_model is not None else {}
     sure = spreads(stages, before, model.seed)
-    sections = [
-        measured_section(model, campaign),
-        rounds_section(model, first_model, stages, sure),
-        steps_section(model, first_model),
-        verdict_section(diagnosis, comparison),
-        unknown_shape_section(diagnosis),
-        truth_and_found(truth, model, effects, campaign.robot),
-        where_section(stages, model.seed),
-        robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
-        budget_section(stages),
-        torque_section(stages),
-        drives_section(stages.get("clamped")),
-        angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
-        parameters_section(model, effects, campaign.robot),
-        dh_section(model, campaign.robot),
-        origin_section(model, campaign, effects),
+    makers: list[Callable[[], Section | None]] = [
+        lambda: measured_section(model, campaign),
+        lambda: rounds_section(model, first_model, stages, sure),
+        lambda: steps_section(model, first_model),
+        lambda: verdict_section(diagnosis, comparison),
+        lambda: unknown_shape_section(diagnosis),
+        lambda: truth_and_found(truth, model, effects, campaign.robot),
+        lambda: where_section(stages, model.seed),
+        lambda: robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
+        lambda: budget_section(stages),
+        lambda: torque_section(stages),
+        lambda: drives_section(stages.get("clamped")),
+        lambda: angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
+        lambda: parameters_section(model, effects, campaign.robot),
+        lambda: dh_section(model, campaign.robot),
+        lambda: origin_section(model, campaign, effects),
     ]
+    sections = [make() for make in in_parts(makers)]
     sentences = [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)]
     return render(
         campaign.robot.title,
