@@ -17,7 +17,8 @@ folder = Path(tempfile.mkdtemp())
 # %% [markdown]
 # ## Measure
 #
-# The virtual robot hides an effect that the standard model lacks: gear eccentricity at joint 3. Only poses are measured.
+# The virtual robot hides an effect that the standard model lacks: gear eccentricity at joint 3. Only poses are
+# measured.
 
 # %%
 made = clampid.simulate(
@@ -50,8 +51,8 @@ diagnosis.to_frame()
 # %% [markdown]
 # ## Act on the verdict
 #
-# `missing`: the candidates are added. `ambiguous`: several effects explain the data equally well. Whatever is confirmed is
-# added first. Of the rest none is added, because these poses cannot tell which one it is. The diagnosis says what to
+# `missing`: the candidates are added. `ambiguous`: several effects explain the data equally well. Whatever is confirmed
+# is added first. Of the rest none is added, because these poses cannot tell which one it is. The diagnosis says what to
 # measure instead. `unknown` and `adequate`: there is nothing to add.
 
 # %%
@@ -72,8 +73,8 @@ else:
 # %% [markdown]
 # ## Measure what decides
 #
-# A log of torques in free air shows a balancer's torque, and does not show a gear's error. So the same arm is measured again,
-# with such a log. What poses alone had confirmed is tested again, too, with loads and friction from the log.
+# A log of torques in free air shows a balancer's torque, and does not show a gear's error. So the same arm is measured
+# again, with such a log. What poses alone had confirmed is tested again, too, with loads and friction from the log.
 
 # %%
 if poses.verdict == "ambiguous":
