@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from clampid.comparison.compare import compare
     from clampid.diagnosis.diagnose import diagnose
     from clampid.diagnosis.effect_new import effect_new
-    from clampid.exports.export import dh_export, dh_table, urdf_export
+    from clampid.exports.dh_export import dh_export, dh_table
+    from clampid.exports.urdf_export import urdf_export
     from clampid.identification.identify import identify
     from clampid.loop.add import add
     from clampid.loop.auto import auto
@@ -54,8 +55,8 @@ _HOME = {
     "calibrated_chain": "clampid.models.calibrated",
     "check_campaign": "experiments.check",
     "compare": "clampid.comparison.compare",
-    "dh_export": "clampid.exports.export",
-    "dh_table": "clampid.exports.export",
+    "dh_export": "clampid.exports.dh_export",
+    "dh_table": "clampid.exports.dh_export",
     "diagnose": "clampid.diagnosis.diagnose",
     "effect_new": "clampid.diagnosis.effect_new",
     "identify": "clampid.identification.identify",
@@ -64,7 +65,7 @@ _HOME = {
     "save_model": "clampid.models.model",
     "simulate": "experiments.simulate",
     "undo": "clampid.loop.undo",
-    "urdf_export": "clampid.exports.export",
+    "urdf_export": "clampid.exports.urdf_export",
 }
 
 

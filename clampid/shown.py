@@ -13,12 +13,13 @@ from clampid.display import error_text
 
 if TYPE_CHECKING:
     import pandas as pd
-    from plotly.graph_objects import Figure
+
+    from clampid.charts import Chart
 
 __all__ = ["Shown"]
 
 SHOWN_ROWS = 20  # of a table in a notebook; to_frame() has all
-COLORS = ("#0072B2", "#E69F00", "#999999")  # told apart by the colour-blind (Okabe and Ito)
+COLORS = ("blue", "orange", "grey")
 
 
 class Shown:
@@ -57,21 +58,22 @@ class Shown:
 
         return pd.DataFrame([dict(record) for record in self.records()])
 
-    def plot(self) -> Figure:
-        """Errors as bars, one group for each stage or table; µm, or multiples of the noise."""
-        from plotly.graph_objects import Bar
-        from plotly.subplots import make_subplots
+    def plot(self) -> Chart:
+        """Errors as bars, one panel for each stage or table; µm, or multiples of the noise."""
+        import numpy as np
 
-        errors = self.errors()
-        figure: Figure = make_subplots(rows=1, cols=max(1, len(errors)), subplot_titles=list(errors))
-        for column, (unit, values) in enumerate(errors.values(), 1):
+        from clampid.charts import Axis, Bars, Chart, Panel
+
+        panels = []
+        for title, (unit, values) in self.errors().items():
             factor, symbol = (1e6, "µm") if unit == "m" else (1.0, "σ")
             known = {name: factor * value for name, value in values.items() if value is not None}
             colors = [COLORS[min(k, len(COLORS) - 1)] for k in range(len(known))]
-            bars = Bar(x=list(known), y=list(known.values()), marker={"color": colors}, showlegend=False)
-            figure.add_trace(bars, row=1, col=column)
-            figure.update_yaxes(title_text=f"error, rms [{symbol}]", row=1, col=column)
-        return figure
+            tips = [f"{name}: {error_text(value / factor, unit)}" for name, value in known.items()]
+            names = tuple((float(k), name) for k, name in enumerate(known))
+            bars = Bars(np.array(list(known.values())), colors, "", tips)
+            panels.append(Panel((bars,), Axis(f"error, rms [{symbol}]", 0.0), Axis(flipped=True, ticks=names), title))
+        return Chart(tuple(panels), 80.0 + 110.0 * len(panels), across=1, left=150)
 
     def _repr_html_(self) -> str:
         """The summary and the first rows of the table, for a notebook."""

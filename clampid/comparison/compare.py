@@ -22,6 +22,7 @@ from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.ranges import beyond_rows
+from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Prior, Slot, unit_of
 from clampid.stages.experiment import experiment
@@ -127,7 +128,7 @@ def compare(
         raise ValueError(f"refit_fraction: expected a share between 0 and 1, found {refit_fraction}")
     opened = reopen(model, campaign, user_effects)
     tables: dict[str, dict[str, Any]] = {}
-    for stage in opened.stages:
+    for stage in in_parts(opened.stages, str):
         if not any(t in campaign.tables for t in TABLES_OF[stage]):
             continue
         if stage == "poses" and (refit or opened.session is None):

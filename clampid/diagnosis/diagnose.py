@@ -25,6 +25,7 @@ from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import TABLES_OF, session_of
 from clampid.identification.reopen import Reopened, reopen
 from clampid.models.model import Model
+from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Slot, Term
 from clampid.threads import single_threaded
@@ -121,7 +122,7 @@ def diagnose(
     posed = "poses" in opened.stages and (stages is None or "poses" in stages)
     right = None if several or compensation is None or not posed else put_right(opened, compensation)
     found: dict[Stage, StageDiagnosis] = {}
-    for stage in opened.stages:
+    for stage in in_parts(opened.stages, str, lambda stage: 3.0 if stage == "poses" else 1.0):
         wanted = stages is None or stage in stages
         if wanted and opened.has(TABLES_OF[stage]):
             if stage == "poses" and right is not None:  # else what a compensation did would go by other names

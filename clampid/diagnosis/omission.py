@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from clampid.display import with_error
-from clampid.exports.export import FRAME_COLUMNS, ROW_COLUMNS, static_table
+from clampid.exports.dh_export import FRAME_COLUMNS, ROW_COLUMNS, static_table
 from clampid.models.model import Model, ModelError
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription

@@ -37,6 +37,7 @@ from clampid.evidence.score import Scored, canonical
 from clampid.fitting.accuracy import Floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
+from clampid.progress import substep
 from clampid.slots import Term
 from clampid.stages.rows import Rows
 
@@ -94,6 +95,7 @@ class Bench:
     folds: Folds | None = None
     elsewhere: frozenset[Stage] = frozenset()
 
+    @substep("scoring the candidates")
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
         found = look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
@@ -110,6 +112,7 @@ class Bench:
             return None
         return held_out(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
 
+    @substep("trying the best candidates")
     def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
 

@@ -51,6 +51,11 @@ SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding 
 SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
 ORTHOGONAL = 1e-3  # how near to the identity the second factor must be, for its columns to be exact
 NOTHING = 1e-100  # of whitened columns: the inverse square of less is no number
+UNSEEN = 1e-6
+"""Of the noise: what moves all rows together by less, at the parameter's plausible size, is rounding and no lever.
+
+The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
+"""
 TINY = 1e-290  # a smaller tail than this may have underflowed
 
 
@@ -336,6 +341,8 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     left = np.sqrt(np.maximum(np.diag(Z2), 0.0))
     unit_limit = np.where(left > 0, space.scale / np.where(left > 0, left, 1.0), np.inf)
     seen = length > NOTHING
+    if c.reasonable is not None:
+        seen &= length * c.reasonable > UNSEEN * space.scale
     none = np.zeros((k, 0))
 
     def nothing(retained: float, state: str) -> Scored:

@@ -82,7 +82,7 @@ def best_table(
     model
         With what the data do not determine at its nominal value (:func:`clampid.exports.determined.hold_undetermined`).
     session, temperature, campaign, user_effects
-        As of `clampid.exports.export.dh_export`.
+        As of `clampid.exports.dh_export.dh_export`.
 
     Raises
     ------

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from clampid.exports.export import FRAME_COLUMNS, ROW_COLUMNS, ExportedTable, read_dh, table_text
+from clampid.exports.dh_export import FRAME_COLUMNS, ROW_COLUMNS, ExportedTable, read_dh, table_text
 from clampid.exports.form_error import POSTURES, postures
 from kinematics.dh import DHRow, forward
 from kinematics.dh_conversion import hayati_from_poe, standard_from_poe

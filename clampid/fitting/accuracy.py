@@ -25,6 +25,7 @@ __all__ = [
     "parts_of_rows",
     "predicted",
     "stage_errors",
+    "unseen",
 ]
 
 FOLDS = 5
@@ -241,6 +242,24 @@ def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]
     return rows.points, residual[~rows.ranged]
 
 
+def unseen(
+    estimate: Estimate, rows: Rows, held: Sequence[Sequence[int]], verification: Rows | None, seed: int
+) -> tuple[Rows, Array]:
+    """Rows that no fit has seen, with their residuals.
+
+    Those of a verification table, else those kept out, else all, each predicted by a fit without it.
+    """
+    fitted, left = counted(estimate, verification)
+    count = len(estimate.slots)
+    if verification is not None:
+        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
+        return without_outlying(verification, residual, fitted, left), residual
+    if held and any(held):
+        test = rows.take(np.flatnonzero(rows.in_folds(held)))
+        return test, predicted(estimate.experiment.with_rows(test), estimate.theta[:count])
+    return cross_validated(estimate, fitted, seed)
+
+
 def stage_errors(
     estimate: Estimate,
     rows: Rows,
@@ -258,15 +277,7 @@ def stage_errors(
     fitted, left = counted(estimate, verification)
     if floor is None or len(left) < len(estimate.residual):
         floor = noise_floor(fitted, left)
-    count = len(estimate.slots)
-    if verification is not None:
-        residual = predicted(estimate.experiment.with_rows(verification), estimate.theta[:count])
-        test = without_outlying(verification, residual, fitted, left)
-    elif held and any(held):
-        test = rows.take(np.flatnonzero(rows.in_folds(held)))
-        residual = predicted(estimate.experiment.with_rows(test), estimate.theta[:count])
-    else:
-        test, residual = cross_validated(estimate, fitted, seed)
+    test, residual = unseen(estimate, rows, held, verification, seed)
     level = floor.norm if rows.stage == "poses" else 1.0
     return StageErrors(
         rms=rms_of(fitted, left, floor),

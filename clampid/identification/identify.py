@@ -17,6 +17,7 @@ from clampid.identification.fitted_stage import Cost, FittedStage, fit_stage
 from clampid.identification.identify_log import LogStage
 from clampid.identification.joint import JointPart, fit_jointly, shared_slots
 from clampid.models.model import Model, Round, Session, StageModel
+from clampid.progress import in_parts
 from clampid.slots import Layout, Term, parse_term
 from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.layout import layout_of
@@ -217,7 +218,7 @@ def identify(
         raise FitError("cost mean-norm: expected a table poses, and neither a joint fit nor a bootstrap")
     parts: list[JointPart] = []
     before: dict[Stage, StageModel] = {}
-    for stage, wanted in terms.items():
+    for stage, wanted in in_parts(terms.items(), lambda item: f"fitting {item[0]}"):
         accelerating, resting = has_inertia(wanted, catalogue), has_friction_state(wanted, catalogue)
         log = None
         if stage == "free_air" and not resting:

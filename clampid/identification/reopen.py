@@ -15,6 +15,7 @@ from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import has_friction_state, has_inertia, stage_rows, stages_of
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.own_effects import effects_of
+from clampid.progress import substep
 from clampid.slots import Layout, Slot
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
@@ -93,6 +94,7 @@ class Reopened:
             return ()
         return (kept[self.session],) if len(kept) > self.session else ()
 
+    @substep("fitting the effects again", 0.3)
     def refit(self, stage: Stage, rows: Rows | None = None) -> FittedStage:
         """Fit the stage's active effects to the campaigns (or their rows already read), from the model's values."""
         before = {s: m for s, m in self.stages.items() if s != stage}

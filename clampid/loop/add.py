@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,9 @@ from clampid.identification.identify import (
     verification_rows,
 )
 from clampid.identification.reopen import Reopened, reopen
+from clampid.loop.change import Change, change_between
 from clampid.models.model import Model, Round, StageModel
+from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Layout, Term, fixed_slots, parse_term, unit_of
 from clampid.stages.rows import Array, Rows
@@ -35,22 +39,19 @@ from experiments.campaign import Campaign
 
 __all__ = ["Addition", "add", "add_steps"]
 
-ROUNDING = 1e-6  # of an error: two fits of the same model differ by less
-
 
 @dataclass(frozen=True)
 class StageAddition:
-    """What was added in one stage, the errors before and after, and what its lack had done to the exported table."""
+    """What was added in one stage, the errors before and after, and what its lack had done to the exported table.
+
+    ``change`` is that of the held-out error, with its standard error.
+    """
 
     added: tuple[dict[str, Any], ...]
     before: StageErrors
     after: StageErrors
+    change: Change
     shift: tuple[dict[str, Any], ...] = ()
-
-    @property
-    def worse(self) -> bool:
-        """Whether the held-out error has risen, beyond rounding."""
-        return self.after.heldout_rms > self.before.heldout_rms * (1.0 + ROUNDING)
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +67,9 @@ class Addition(Shown):
 
     def findings(self) -> list[str]:
         """Where the error has risen."""
-        return [f"{name}: the held-out error has risen." for name in self.worse]
+        risen = [f"{name}: the held-out error has risen by more than its standard error." for name in self.worse]
+        same = [name for name, s in self.stages.items() if s.change.within_noise]
+        return [*risen, *(f"{name}: the held-out error has not changed within its standard error." for name in same)]
 
     def records(self) -> list[dict[str, Any]]:
         """The parameters that were added."""
@@ -89,8 +92,8 @@ class Addition(Shown):
 
     @property
     def worse(self) -> tuple[Stage, ...]:
-        """Stages whose held-out error has risen."""
-        return tuple(name for name, s in self.stages.items() if s.worse)
+        """Stages whose held-out error has risen by more than its standard error."""
+        return tuple(name for name, s in self.stages.items() if s.change.worse)
 
     def to_json(self) -> dict[str, Any]:
         """For programs: INTERFACE's JSON of ``add``."""
@@ -102,6 +105,8 @@ class Addition(Shown):
                     "noise_floor": s.after.noise_floor,
                     "heldout_rms_before": s.before.heldout_rms,
                     "heldout_rms_after": s.after.heldout_rms,
+                    "heldout_rise": s.change.rise,
+                    "heldout_rise_std": s.change.std if math.isfinite(s.change.std) else None,
                     "rms_before": s.before.rms,
                     "rms_after": s.after.rms,
                     "exported_shift": list(s.shift),
@@ -195,18 +200,19 @@ class _Mended:
     after: StageErrors
     rounds: tuple[Round, ...]
     left_out: tuple[Step, ...]
+    change: Callable[[], Change]
 
     def addition(self, effects: Mapping[str, Effect]) -> StageAddition:
         """What was added, and the errors before the first round and after the last."""
         terms = [t for t in self.fitted.model.terms if t not in self.unmended.model.terms]
-        return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after)
+        return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after, self.change())
 
 
 def _added(opened: Reopened, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
     """All rounds of one stage, then those of the next: poses take loads, flanks and springs from the others."""
     mended: dict[Stage, _Mended] = {}
     stages = dict(opened.stages)
-    for stage in (s for s in stages_of(opened.campaigns) if s in opened.stages):
+    for stage in in_parts([s for s in stages_of(opened.campaigns) if s in opened.stages], str):
         asked = steps.get(stage, ())
         if asked or (stage == "poses" and any(m.rounds for m in mended.values())):
             mended[stage] = _stage_with(opened, stage, asked, stages, seed)
@@ -243,6 +249,7 @@ def _stage_with(
     kind = acting((*model.terms, *(steps[0].terms if steps else ())))
     fitted, verification, errors = begin(model, kind)
     unmended, first, floor = fitted, errors, fitted.floor
+    compared = fitted  # the first fit of the rows by which the last one is judged
     rounds: list[Round] = []
     left_out: list[Step] = []
     for step in steps:
@@ -250,7 +257,8 @@ def _stage_with(
         wanted = acting((*fitted.model.terms, *step.terms))
         if wanted != kind:
             kind = wanted
-            fitted, verification, errors = begin(fitted.model, kind)
+            compared, verification, errors = begin(fitted.model, kind)
+            fitted = compared
         new_terms, shapes = _resolved(step.terms, fitted, effects)
         if not new_terms:
             left_out.append(step)
@@ -266,7 +274,8 @@ def _stage_with(
         errors = fitted.errors(verification, seed, floor)
         known = {**rounds[-1].evidence, "heldout_rms_after": errors.heldout_rms, **fitted.evidence}
         rounds[-1] = replace(rounds[-1], rms=errors.rms, heldout_rms=errors.heldout_rms, evidence=known)
-    return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out))
+    change = partial(change_between, compared, fitted, held, verification, seed, floor)
+    return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out), change)
 
 
 def _round(

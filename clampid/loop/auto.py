@@ -13,6 +13,7 @@ from clampid.effect import Stage
 from clampid.identification.identify import identify
 from clampid.loop.add import add_steps
 from clampid.models.model import Model
+from clampid.progress import substep
 from clampid.slots import Term
 from experiments.campaign import Campaign
 
@@ -63,7 +64,8 @@ def mend(
         The mended model with its ledger, and what was found.
     """
     progress("diagnosing")
-    found = diagnose(model, campaigns, seed=seed, user_effects=user_effects)
+    with substep("diagnosing", 0.8):
+        found = diagnose(model, campaigns, seed=seed, user_effects=user_effects)
     steps: dict[Stage, list[Step]] = {}
     for stage, part in found.stages.items():
         progress(f"{stage}: {headline({stage: part.to_json()})}")
@@ -73,7 +75,8 @@ def mend(
         for step in part.alike:
             others = ", ".join(dict.fromkeys(c["effect"] for c in step.evidence["confusable_with"]))
             progress(f"{stage}: added {step.label}; here it is the same model as with {others} instead")
-    mended, left_out = add_steps(model, campaigns, steps, seed=seed, user_effects=user_effects)
+    with substep("adding", 1.0):
+        mended, left_out = add_steps(model, campaigns, steps, seed=seed, user_effects=user_effects)
     for stage, step in left_out:
         progress(f"{stage}: {step.label} is left out: beside the effects added before it is not identifiable")
     return mended, found

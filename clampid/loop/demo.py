@@ -145,7 +145,7 @@ def demo(
     named = MISSED not in outcomes
     report = folder / "report.html"
     with step("writing the report"):
-        from clampid.report import write_report  # plotly takes a while, and only the last step needs it
+        from clampid.report import write_report  # only the last step needs it
 
         write_report(report, mended, campaign, comparison=after, diagnosis=found, first_model=model, truth=hidden)
     say(f"Report: {report}")
@@ -168,7 +168,8 @@ def terms_to_add(
     alternatives: dict[tuple[str, int], list[list[str]]] = {}
     for stage, part in diagnosis["stages"].items():
         for candidate in part["candidates"]:
-            terms = [f"{stage}={candidate['effect']}@{place}" for place in candidate["where"]]
+            effect = f"{stage}={candidate['effect']}"  # without a place: wherever it can be tested
+            terms = [f"{effect}@{place}" for place in candidate["where"]] or [effect]
             if candidate["alternative"]:
                 alternatives.setdefault((stage, candidate["group"]), []).append(terms)
             else:

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
+from clampid.charts import Axis, Band, Chart, Line, Mark, Panel, Points
+from clampid.charts.marks import COLORS
 from clampid.display import Scale, with_std
 from clampid.effect import Effect
 from clampid.models.curves import AngleErrors, SharedCurve, angle_errors, shared_curve
 from clampid.models.model import Model
-from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import StageData
-from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout
+from clampid.report.style import Figure, Section, Table, as_table
 from clampid.stages.poses import evaluate, predict
 from clampid.stages.rows import Array
 from kinematics.description import RobotDescription
@@ -23,9 +23,7 @@ __all__ = ["angle_curves_section"]
 
 STEPS = 720
 FEW = 3  # poses in a degree, of which a mean is drawn
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DEGREES = Scale(1.0, "°")
-BAND = "rgba(0,114,178,0.25)"
 
 
 def angle_curves_section(
@@ -53,18 +51,24 @@ def angle_curves_section(
     if not found.active.any():
         return None
     joints = np.flatnonzero(found.active).tolist()
-    plot = grid(len(joints), [f"joint {j + 1}" for j in joints])
-    for k, j in enumerate(joints):
-        for trace in _traces(found, np.degrees(angle), j, first=k == 0):
-            plot.add_trace(trace, *place_of(k, len(joints)))
+    up = "arm less controller, µrad"
+    turn = Axis("", -180.0, 180.0, step=90.0)
+    panels = [
+        Panel(
+            _marks(found, np.degrees(angle), j),
+            turn,
+            Axis("" if k % 3 else up),
+            f"joint {j + 1}",
+        )
+        for k, j in enumerate(joints)
+    ]
     height = 240 * (-(-len(joints) // 3)) + 90
-    plot = finish(plot, len(joints), height, "joint angle, degrees", "arm less controller, µrad")
-    plot.update_xaxes(range=[-180, 180], dtick=90)
+    plot = Chart(tuple(panels), height, below="joint angle, degrees")
     caption = (
         "Error of each joint's angle over one turn, with a band of two standard errors. Where no pose came near, the "
         "curve is drawn grey: there nothing is known but the error's usual size, and the model takes it for zero."
     )
-    blocks: list[str | Table | Figure] = [Figure("angles", plot, caption, height)]
+    blocks: list[str | Table | Figure] = [Figure("angles", plot, caption)]
     one = shared_curve(stage, effects, np.linspace(0.0, 2 * np.pi, STEPS + 1))
     if one is not None:
         blocks = [_turns(one), _one_curve(one, points_on(one, poses)), *blocks]
@@ -124,55 +128,30 @@ def points_on(one: SharedCurve, poses: StageData | None) -> list[tuple[int, Arra
 
 def _one_curve(one: SharedCurve, points: list[tuple[int, Array, Array]]) -> Figure:
     """The shared curve with its band, and each joint's poses on it."""
-    plot = go.Figure()
-    degrees, error, two = np.degrees(one.angle).astype(np.float32), 1e6 * one.error, 2e6 * one.std
-    for j, angle, value in points:
-        plot.add_trace(
-            go.Scatter(
-                x=np.degrees(angle).astype(np.float32), y=(1e6 * value).astype(np.float32), mode="markers",
-                marker={"size": 4, "color": COLOURS[j % len(COLOURS)]}, name=f"joint {j + 1}",
-            )
-        )  # fmt: skip
-    edge = {"x": np.r_[degrees, degrees[::-1]], "y": np.r_[error + two, (error - two)[::-1]].astype(np.float32)}
-    plot.add_trace(
-        go.Scatter(**edge, fill="toself", fillcolor=BAND, line={"width": 0}, mode="lines", name="two standard errors",
-                   hoverinfo="skip")
-    )  # fmt: skip
-    for name, y, color in (
-        ("the curve", np.where(one.extrapolated, np.nan, error), "black"),
-        ("no pose near", np.where(one.extrapolated, error, np.nan), GREY),
-    ):
-        line = {"color": color, "width": 1.8}
-        plot.add_trace(go.Scatter(x=degrees, y=y.astype(np.float32), mode="lines", line=line, name=name))
-    plot.update_xaxes(axes(title="angle on the curve, s q - phase, degrees", range=[0, 360], dtick=30))
-    plot.update_yaxes(axes(title="arm less controller, µrad"))
-    plot.update_layout(layout(420, margin={"l": 64, "r": 16, "t": 40, "b": 52}))
+    degrees, error, two = np.degrees(one.angle), 1e6 * one.error, 2e6 * one.std
+    marks: list[Mark] = [
+        Points(np.degrees(angle), 1e6 * value, f"joint {j + 1}", COLORS[j % len(COLORS)]) for j, angle, value in points
+    ]
+    marks += [
+        Band(degrees, error - two, error + two, "two standard errors"),
+        Line(degrees, np.where(one.extrapolated, np.nan, error), "the curve", "ink"),
+        Line(degrees, np.where(one.extrapolated, error, np.nan), "no pose near", "grey"),
+    ]
+    x = Axis("angle on the curve, s q - phase, degrees", 0.0, 360.0, step=30.0)
+    plot = Chart((Panel(tuple(marks), x, Axis("arm less controller, µrad")),), 420)
     caption = (
         "The one curve of all these joints, with a band of two standard errors, and what the fitted poses say of it at "
         "each joint, means over a degree."
     )
-    return Figure("one_curve", plot, caption, 420)
+    return Figure("one_curve", plot, caption)
 
 
-def _traces(found: AngleErrors, degrees: np.ndarray, j: int, first: bool) -> list[go.Scatter]:
+def _marks(found: AngleErrors, degrees: Array, j: int) -> tuple[Mark, ...]:
     """The band, the curve, and the part of it that is not known, in µrad."""
     error, two = 1e6 * found.error[:, j], 2e6 * found.std[:, j]
     far = found.extrapolated[:, j]
-    x = degrees.astype(np.float32)
-
-    def line(y: np.ndarray, name: str, color: str) -> go.Scatter:
-        style = {"color": color, "width": 1.8}
-        return go.Scatter(
-            x=x, y=y.astype(np.float32), mode="lines", line=style, name=name, legendgroup=name, showlegend=first
-        )
-
-    edge = {"x": np.r_[x, x[::-1]], "y": np.r_[error + two, (error - two)[::-1]].astype(np.float32)}
-    band = go.Scatter(
-        **edge, fill="toself", fillcolor=BAND, line={"width": 0}, mode="lines", name="two standard errors",
-        legendgroup="band", showlegend=first, hoverinfo="skip",
-    )  # fmt: skip
-    return [
-        band,
-        line(np.where(far, np.nan, error), "measured", BLUE),
-        line(np.where(far, error, np.nan), "no pose near", GREY),
-    ]
+    return (
+        Band(degrees, error - two, error + two, "two standard errors"),
+        Line(degrees, np.where(far, np.nan, error), "measured", "blue"),
+        Line(degrees, np.where(far, error, np.nan), "no pose near", "grey"),
+    )

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clampid.charts import thin
 from clampid.fitting.accuracy import predicted
 from clampid.report.stage_data import StageData
-from clampid.report.style import thin
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array
 

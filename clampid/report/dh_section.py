@@ -24,7 +24,7 @@ def dh_section(model: Model, robot: RobotDescription) -> Section | None:
     if "poses" not in model.stages:
         return None
     try:
-        export = importlib.import_module("clampid.exports.export")
+        export = importlib.import_module("clampid.exports.dh_export")
     except ModuleNotFoundError:
         return None
     blocks: list[Table] = []

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from clampid.charts import Axis, Cells, Chart, Line, Mark, Panel, Points, thin
 from clampid.display import Scale, number, with_std
 from clampid.fitting.solve import clamping_offsets
 from clampid.models.drives import Drives, drives_of
 from clampid.report.stage_data import StageData
-from clampid.report.style import BLUE, GREY, Figure, Section, Table, as_table, axes, layout, thin
+from clampid.report.style import Figure, Section, Table, as_table
 from clampid.stages.clamped import fixture_motion
 from clampid.stages.rows import Array
 
@@ -22,7 +21,6 @@ __all__ = ["drives_section"]
 AXES = ("x", "y", "z")
 WATCHED = tuple(f"fixture_{a}_m" for a in AXES) + tuple(f"fixture_r{a}_rad" for a in AXES)
 MOST_ROWS = 1600
-SCALE = [[0.0, "#E69F00"], [0.5, "#ffffff"], [1.0, "#56B4E9"]]  # Okabe and Ito's; white is no coupling
 
 
 def drives_section(clamped: StageData | None) -> Section | None:
@@ -69,20 +67,23 @@ def _matrix(d: Drives) -> Figure:
     coupling = d.compliance / np.outer(own, own)
     value, std = 1e6 * d.compliance, 1e6 * d.compliance_std
     text = [[_pair(value[a, b], std[a, b]) if value[a, b] else "0" for b in range(n)] for a in range(n)]
-    names = [f"joint {j + 1}" for j in range(n)]
-    cells = {"z": coupling.tolist(), "x": names, "y": names, "text": text, "texttemplate": "%{text}"}
-    colours = {"zmin": -1, "zmax": 1, "colorscale": SCALE, "colorbar": {"title": "coupling", "thickness": 12}}
-    hover = "%{y} by torque at %{x}: %{text} µrad/Nm<extra></extra>"
-    plot = go.Figure(go.Heatmap(**cells, **colours, xgap=2, ygap=2, hovertemplate=hover))
-    plot.update_xaxes(axes(title="torque at", showgrid=False))
-    plot.update_yaxes(axes(title="deflection of", showgrid=False, autorange="reversed"))
-    plot.update_layout(layout(430))
+    tips = [
+        [
+            f"joint {a + 1} by torque at joint {b + 1}: {text[a][b]} µrad/Nm, coupling {coupling[a, b]:.2f}"
+            for b in range(n)
+        ]
+        for a in range(n)
+    ]
+    names = tuple((float(j), f"joint {j + 1}") for j in range(n))
+    across, down = Axis("torque at", -0.5, n - 0.5, ticks=names), Axis("", -0.5, n - 0.5, flipped=True, ticks=names)
+    panel = Panel((Cells(coupling, text, tips),), across, down, "deflection of a joint, µrad, by 1 Nm at another")
+    plot = Chart((panel,), 430)
     caption = (
         "Compliance at the joints, Tᵀ·diag(1/k)·T and cross springs where the model has them, µrad/Nm ± one standard"
-        " error. Colours are couplings: ±1 where two joints yield as one. In a coupled wrist a torque at one joint "
-        "turns the others too."
+        " error. Colours are couplings (blue positive, orange negative): ±1 where two joints yield as one. In a "
+        "coupled wrist a torque at one joint turns the others too."
     )
-    return Figure("compliance", plot, caption, 430)
+    return Figure("compliance", plot, caption)
 
 
 def _fixture(data: StageData) -> Figure | None:
@@ -93,27 +94,19 @@ def _fixture(data: StageData) -> Figure | None:
     rows = data.first.rows
     seen = thin(len(rows), MOST_ROWS)
     titles = [f"along {a}" for a in AXES] + [f"about {a}" for a in AXES]
-    plot = make_subplots(rows=2, cols=3, subplot_titles=titles, horizontal_spacing=0.07, vertical_spacing=0.16)
     sensor, model = _from_mean(_sensor(frame), rows.constants["run"]), _modelled(data)
+    panels = []
     for k in range(6):
-        place = (k // 3 + 1, k % 3 + 1)
-        style = {"legendgroup": "s", "name": "sensor", "showlegend": k == 0, "mode": "markers"}
-        y = (1e6 * sensor[seen, k]).astype(np.float32)
-        plot.add_trace(go.Scatter(x=seen, y=y, marker={"size": 2.5, "color": GREY}, **style), *place)
+        marks: list[Mark] = [Points(seen.astype(float), 1e6 * sensor[seen, k], "sensor", "grey", 2.5)]
         if model is not None:
-            style = {"legendgroup": "m", "name": "model", "showlegend": k == 0, "mode": "lines"}
-            y = (1e6 * model[seen, k]).astype(np.float32)
-            plot.add_trace(go.Scatter(x=seen, y=y, line={"color": BLUE, "width": 1.2}, **style), *place)
-    plot.update_xaxes(axes())
-    plot.update_yaxes(axes())
-    plot.update_xaxes(title="row of the table clamped", row=2)
-    plot.update_yaxes(title="µm", row=1, col=1)
-    plot.update_yaxes(title="µrad", row=2, col=1)
-    plot.update_layout(layout(460, margin={"l": 64, "r": 16, "t": 74, "b": 52}))
+            marks.append(Line(seen.astype(float), 1e6 * model[seen, k], "model", "blue", 1.2))
+        unit = "" if k % 3 else ("motion, µm" if k == 0 else "rotation, µrad")
+        panels.append(Panel(tuple(marks), Axis(), Axis(unit), titles[k]))
+    plot = Chart(tuple(panels), 480, below="row of the table clamped")
     caption = "Motion of the clamped flange by the sensor on its fixture, from the mean of each sweep, base axes" + (
         ", and as the model has it." if model is not None else ". The model has a fixture that does not move."
     )
-    return Figure("fixture", plot, caption, 460)
+    return Figure("fixture", plot, caption)
 
 
 def _sensor(frame: pd.DataFrame) -> Array:

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import plotly.graph_objects as go
 
-from clampid.report.panels import finish, grid, place_of
+from clampid.charts import Axis, Band, Chart, Line, Mark, Panel, Points, thin
 from clampid.report.stage_data import StageData
-from clampid.report.style import BLUE, GREY, INK, Figure, thin
+from clampid.report.style import Figure
 from clampid.report.variables import groups_of
 from clampid.slots import find_parameter
 from clampid.stages.experiment import Experiment
@@ -22,7 +21,6 @@ MOST_POINTS = 900
 GRID = 40  # points of a curve on each side of standstill
 TWO_SIDED_95 = 1.96
 TOLD = 2.0  # standard errors from zero, beyond which a friction is told
-PALE = "rgba(0,114,178,0.22)"
 FEWEST = 4  # blocks of a log that a mean's interval is taken from
 OUTER = 0.995  # of the points are inside the axes
 MOTOR_SIDE = (
@@ -77,33 +75,32 @@ def friction_figures(data: StageData) -> list[Figure]:
     plot = _drawn(data, (*MOTOR_SIDE, *ARM_SIDE), range(data.channels), names, "motor")
     told, untold = sorted(j for j, known in arm.items() if known), sorted(j for j, known in arm.items() if not known)
     if untold:
-        listed = ", ".join(str(j + 1) for j in untold)
-        caption += f" These data do not separate the two at joint {listed}."
-    found = [Figure("friction", plot, caption, 520)]
+        places = ", ".join(f"joint {j + 1}" for j in untold)
+        caption += f" These data do not separate the two at {places}."
+    found = [Figure("friction", plot, caption)]
     if told:
         caption = (
             f"Of it, the friction on the arm's side of coupled joints, at the joint, where it differs from zero.{reach}"
         )
         plot = _drawn(data, ARM_SIDE, told, [f"joint {j + 1}" for j in told], "joint")
-        found.append(Figure("friction-arm", plot, caption, 520 if len(told) > 3 else 340))
+        found.append(Figure("friction-arm", plot, caption))
     return found
 
 
-def _drawn(data: StageData, effects: Sequence[str], places: Sequence[int], names: list[str], side: str) -> go.Figure:
-    plot = grid(len(places), names)
+def _drawn(data: StageData, effects: Sequence[str], places: Sequence[int], names: list[str], side: str) -> Chart:
+    panels = []
     for k, place in enumerate(places):
         cloud = _cloud(data, effects, place, side)
-        where = place_of(k, len(places))
+        up = "" if k % 3 else f"friction at the {side}, Nm"
         if not len(cloud.speed):
+            panels.append(Panel((), Axis(), Axis(up), names[k]))
             continue
-        _points(plot, cloud, where, k == 0)
         curve = _curve(data, effects, place, side, cloud)
-        _band(plot, curve, where, k == 0)
-        _marks(plot, cloud, where, k == 0)
         reach = 1.15 * max(float(np.quantile(np.abs(cloud.left), OUTER)), float(np.abs(curve.friction).max()))
-        plot.update_yaxes(range=[-reach, reach], row=where[0], col=where[1])
+        marks = (_points(cloud), *_band(curve), _marks(cloud))
+        panels.append(Panel(marks, Axis(), Axis(up, -reach, reach), names[k]))
     height = 520 if len(places) > 3 else 340
-    return finish(plot, len(places), height, f"speed of the {side}, rad/s", f"friction at the {side}, Nm")
+    return Chart(tuple(panels), height, below=f"speed of the {side}, rad/s")
 
 
 def _without(experiment: Experiment, theta: Array, effects: Sequence[str]) -> Array:
@@ -192,59 +189,20 @@ def _means(cloud: _Cloud) -> tuple[Array, Array, Array]:
     return x, y, half
 
 
-def _points(plot: go.Figure, cloud: _Cloud, where: tuple[int, int], show: bool) -> None:
-    drawn = thin(len(cloud.speed), MOST_POINTS)
-    points = go.Scatter(
-        x=cloud.speed[drawn].astype(np.float32),
-        y=cloud.left[drawn].astype(np.float32),
-        mode="markers",
-        marker={"size": 3, "color": GREY, "opacity": 0.35},
-        name="model and residual",
-        legendgroup="m",
-        showlegend=show,
-    )
-    plot.add_trace(points, *where)
+def _points(cloud: _Cloud) -> Points:
+    seen = thin(len(cloud.speed), MOST_POINTS)
+    return Points(cloud.speed[seen], cloud.left[seen], "model and residual", "grey", 3, 0.5)
 
 
-def _marks(plot: go.Figure, cloud: _Cloud, where: tuple[int, int], show: bool) -> None:
+def _marks(cloud: _Cloud) -> Points:
     x, y, half = _means(cloud)
-    means = go.Scatter(
-        x=x,
-        y=y,
-        error_y={"type": "data", "array": half, "color": INK, "thickness": 1, "width": 3},
-        mode="markers",
-        marker={"size": 5, "color": INK},
-        name="its mean",
-        legendgroup="mean",
-        showlegend=show,
-    )
-    plot.add_trace(means, *where)
+    return Points(x, y, "its mean with 95 % interval", "ink", 5, error=half)
 
 
-def _band(plot: go.Figure, curve: _Curve, where: tuple[int, int], show: bool) -> None:
+def _band(curve: _Curve) -> list[Mark]:
     """A curve with its interval, on either side of standstill, where friction jumps."""
+    marks: list[Mark] = []
     for side in (curve.speed < 0, curve.speed > 0):
         x, y, half = curve.speed[side], curve.friction[side], TWO_SIDED_95 * curve.std[side]
-        band = go.Scatter(
-            x=np.r_[x, x[::-1]],
-            y=np.r_[y + half, (y - half)[::-1]],
-            fill="toself",
-            fillcolor=PALE,
-            line={"width": 0},
-            mode="lines",
-            legendgroup="interval",
-            name="its 95 % interval",
-            hoverinfo="skip",
-            showlegend=show and bool(x[0] < 0),
-        )
-        line = go.Scatter(
-            x=x,
-            y=y,
-            mode="lines",
-            line={"color": BLUE, "width": 2},
-            name="model",
-            legendgroup="model",
-            showlegend=show and bool(x[0] < 0),
-        )
-        plot.add_trace(band, *where)
-        plot.add_trace(line, *where)
+        marks += [Band(x, y - half, y + half, "its 95 % interval"), Line(x, y, "model", "blue", 2.0)]
+    return marks

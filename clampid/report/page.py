@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import re
-import zlib
-from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import plotly.io
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
+from clampid.charts.style import STYLE
+from clampid.charts.svg import svg
 from clampid.identification.reopen import reopen
 from clampid.models.model import Model
+from clampid.progress import in_parts
 from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section
@@ -59,23 +59,24 @@ def page(
     poses = stages.get("poses")
     before = stage_data(reopen(first_model, campaign, own)) if first_model is not None else {}
     sure = spreads(stages, before, model.seed)
-    sections = [
-        measured_section(model, campaign),
-        rounds_section(model, first_model, stages, sure),
-        steps_section(model, first_model),
-        verdict_section(diagnosis, comparison),
-        unknown_shape_section(diagnosis),
-        truth_and_found(truth, model, effects, campaign.robot),
-        where_section(stages, model.seed),
-        robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
-        budget_section(stages),
-        torque_section(stages),
-        drives_section(stages.get("clamped")),
-        angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
-        parameters_section(model, effects, campaign.robot),
-        dh_section(model, campaign.robot),
-        origin_section(model, campaign, effects),
+    makers: list[Callable[[], Section | None]] = [
+        lambda: measured_section(model, campaign),
+        lambda: rounds_section(model, first_model, stages, sure),
+        lambda: steps_section(model, first_model),
+        lambda: verdict_section(diagnosis, comparison),
+        lambda: unknown_shape_section(diagnosis),
+        lambda: truth_and_found(truth, model, effects, campaign.robot),
+        lambda: where_section(stages, model.seed),
+        lambda: robot_section(campaign.robot, poses, before.get("poses")) if poses is not None else None,
+        lambda: budget_section(stages),
+        lambda: torque_section(stages),
+        lambda: drives_section(stages.get("clamped")),
+        lambda: angle_curves_section(model, effects, campaign.robot, poses, diagnosis),
+        lambda: parameters_section(model, effects, campaign.robot),
+        lambda: dh_section(model, campaign.robot),
+        lambda: origin_section(model, campaign, effects),
     ]
+    sections = [make() for make in in_parts(makers)]
     sentences = [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)]
     return render(
         campaign.robot.title,
@@ -108,15 +109,10 @@ def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Sec
         sections=sections,
         kind=lambda block: type(block).__name__,
         typeset=_typeset,
-        plot_json=_plot_json,
+        drawing=_drawing,
         choices_json=_choices_json,
-        plotly=_packed(get_plotlyjs()),
+        chart_style=Markup(STYLE),
     )
-
-
-def _packed(text: str) -> Markup:
-    """Text as base64 of a zlib stream, which browsers of 2023 and newer unpack by themselves."""
-    return Markup(b64encode(zlib.compress(text.encode(), 9)).decode())
 
 
 def _typeset(cell: str) -> str:
@@ -130,14 +126,13 @@ def _embedded(text: str) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _plot_json(figure: Figure) -> Markup:
-    return _embedded(plotly.io.to_json(figure.plot, validate=False, engine="json"))
+def _drawing(figure: Figure) -> Markup:
+    return Markup(svg(figure.plot, figure.key, figure.caption))
 
 
 def _choices_json(figure: Figure) -> Markup:
-    import json
-
-    if figure.selector is None:
-        return Markup("null")
     s = figure.selector
-    return _embedded(json.dumps({"variables": list(s.variables), "values": list(s.values), "ends": list(s.ends)}))
+    if s is None:
+        return Markup("null")
+    parts = {"choices": s.choices, "values": s.values, "ends": s.ends, "outlines": s.outlines}
+    return _embedded(json.dumps(parts, ensure_ascii=False, separators=(",", ":")))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
-import plotly.graph_objects as go
 
+from clampid.charts import Axis, Chart, Line, Mark, Panel, Points, Segments, thin
 from clampid.display import error_text
 from clampid.report.stage_data import StageData
-from clampid.report.style import BLUE, GREY, INK, Figure, Section, layout, thin
+from clampid.report.style import Figure, Section
 from clampid.stages.rows import Array, Integers
 from kinematics.description import RobotDescription
 from kinematics.poe import joint_transforms
@@ -19,6 +20,10 @@ __all__ = ["arm_points", "base_pose", "robot_section"]
 
 MOST_VECTORS = 400  # more of them hide the arm
 POSES_DRAWN = 3
+VIEWS = (("from the side", 0, 2), ("from above", 0, 1))
+"""Title, and the base frame's axes to the right and upwards."""
+AXES = (Axis("x, m"), Axis("y, m"), Axis("z, m"))
+CLASSES = 5  # of size, each a colour
 REACH = 0.08  # of the workspace: how long the 95th percentile of the errors is drawn
 
 
@@ -53,67 +58,24 @@ def robot_section(robot: RobotDescription, data: StageData, before: StageData | 
         return None
     points = (data.stacked("position")[pick] - p) @ R  # R' (x - p), row by row
     after = data.residual[pick] @ R
-    shown = [("now", after)] if before is None else [("before", before.residual[pick] @ R), ("now", after)]
-    extent = float(np.ptp(points, axis=0).max()) or 1.0
-    plot = go.Figure()
-    hover = _hover(data, pick)
-    longer = []
-    for k, (name, vectors) in enumerate(shown):
-        visible = k == len(shown) - 1
-        size = np.linalg.norm(vectors, axis=1)
-        longer.append(_nice(REACH * extent / max(float(np.quantile(size, 0.95)), 1e-12)))
-        for trace in _vectors(points, vectors, longer[-1], hover, name):
-            trace.visible = visible
-            plot.add_trace(trace)
-    for trace in _arms(robot, data.stacked("q")[pick]):
-        plot.add_trace(trace)
-    axis = {"backgroundcolor": "white", "gridcolor": "#e4e4e4", "zerolinecolor": GREY, "showbackground": False}
-    scene = {f"{a}axis": {**axis, "title": f"{a}, m"} for a in "xyz"}
-    eye = {"x": 1.3, "y": -1.3, "z": 0.7}
-    menu = []
-    if len(shown) > 1:
-        arms = len(plot.data) - 4
-        buttons = [
-            {
-                "label": f"Errors {name} (×{longer[k]:.0f})",
-                "method": "restyle",
-                "args": [{"visible": [j // 2 == k for j in range(4)] + [True] * arms}],
-            }
-            for k, (name, _) in enumerate(shown)
-        ]
-        menu = [
-            {
-                "type": "buttons",
-                "direction": "right",
-                "buttons": buttons,
-                "active": 1,
-                "x": 0,
-                "y": 1.06,
-                "xanchor": "left",
-            }
-        ]
-    plot.update_layout(
-        layout(
-            640,
-            scene={**scene, "aspectmode": "data", "camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.22}}},
-            updatemenus=menu,
-            showlegend=False,
-        ),
-        margin={"l": 0, "r": 0, "t": 40, "b": 0},
-    )
+    shown = [("robot", "now", after)]
+    if before is not None:
+        shown.append(("robot-before", "before anything was added", before.residual[pick] @ R))
+    arms = _arms(robot, data.stacked("q")[pick])
     drawn = "" if len(pick) == good.sum() else f" {len(pick)} of {int(good.sum())} points are drawn."
-    caption = (
-        f"Error vectors (measured less predicted) from the points measured (dots), drawn {longer[-1]:.0f} times longer "
-        "than they are, in the robot base frame. Black: the arm at the zero pose; grey: at poses of the campaign, as "
-        f"straight lines between points on the joints' axes.{drawn}"
-        + (
-            " The buttons change between the errors before anything was added and now; length and colour have a scale "
-            "of their own in each."
-            if len(shown) > 1
-            else ""
+    figures = []
+    for key, when, vectors in shown:
+        scale, marks = _vectors(points, vectors, _tips(data, pick, vectors) if key == "robot" else ())
+        panels = [
+            Panel((*_arm_lines(arms, r, u), *marks(r, u)), AXES[r], AXES[u], title, equal=True) for title, r, u in VIEWS
+        ]
+        caption = (
+            f"Error vectors (measured less predicted) {when}, from the points measured (dots), drawn {scale:.0f} times "
+            "longer than they are, in the robot base frame. Thick: the arm at the zero pose; thin: at poses of the "
+            f"campaign, as straight lines between points on the joints' axes.{drawn}"
         )
-    )
-    return Section("robot", "The errors in space", (), (Figure("robot", plot, caption, 640),))
+        figures.append(Figure(key, Chart(tuple(panels), 560), caption))
+    return Section("robot", "The errors in space", (), tuple(figures))
 
 
 def _nice(value: float) -> float:
@@ -122,67 +84,53 @@ def _nice(value: float) -> float:
     return next(m for m in (5.0, 2.0, 1.0) if m * power <= value * (1 + 1e-9)) * power
 
 
-def _hover(data: StageData, pick: Integers) -> list[str]:
+def _tips(data: StageData, pick: Integers, vectors: Array) -> list[str]:
+    """Which row a point is, and how large its error."""
     columns = {name: data.column(name) for name in ("pose", "visit", "target")}
     tables = np.concatenate([p.rows.table for p in data.pieces])
     out = []
-    for i in pick.tolist():
+    for i, size in zip(pick.tolist(), np.linalg.norm(vectors, axis=1).tolist(), strict=True):
         words = [f"{name} {series.iloc[i]}" for name, series in columns.items() if series is not None]
-        out.append(f"{tables[i]}: {', '.join(words)}")
+        out.append(f"{tables[i]}: {', '.join([*words, error_text(size, 'm')])}")
     return out
 
 
-def _vectors(
-    points: Array, vectors: Array, scale: float, hover: list[str], name: str
-) -> tuple[go.Scatter3d, go.Scatter3d]:
-    size = 1e6 * np.linalg.norm(vectors, axis=1)
+def _vectors(points: Array, vectors: Array, tips: Sequence[str]) -> tuple[float, Callable[[int, int], list[Mark]]]:
+    """How much longer the errors are drawn, and their marks in a view of two axes: a colour for each class of size."""
+    size = np.linalg.norm(vectors, axis=1)
+    extent = float(np.ptp(points, axis=0).max()) or 1.0
+    scale = _nice(REACH * extent / max(float(np.quantile(size, 0.95)), 1e-12))
     tip = points + scale * vectors
-    gap = np.full(len(points), np.nan)
-    lines = [np.c_[points[:, k], tip[:, k], gap].ravel().astype(np.float32) for k in range(3)]
-    color = np.repeat(size, 3).astype(np.float32)
-    bar = {"title": {"text": f"error {name}, µm"}, "thickness": 14, "len": 0.6, "x": 1.0}
-    colors = {"colorscale": "Viridis", "reversescale": True, "cmin": 0, "cmax": float(np.quantile(size, 0.98))}
-    strokes = go.Scatter3d(
-        x=lines[0],
-        y=lines[1],
-        z=lines[2],
-        mode="lines",
-        hoverinfo="skip",
-        line={"color": color, "width": 5, "showscale": True, "colorbar": bar, **colors},
-    )
-    dots = go.Scatter3d(
-        x=points[:, 0].astype(np.float32),
-        y=points[:, 1].astype(np.float32),
-        z=points[:, 2].astype(np.float32),
-        mode="markers",
-        name=name,
-        text=[f"{h}<br>{error_text(1e-6 * s, 'm')}" for h, s in zip(hover, size, strict=True)],
-        hovertemplate="%{text}<extra></extra>",
-        marker={"size": 1.6, "color": GREY},
-    )
-    return strokes, dots
+    edges = np.linspace(0.0, max(float(np.quantile(size, 0.98)), 1e-12), CLASSES + 1)[1:-1]
+    group = np.searchsorted(edges, size)
+    names = [f"error up to {error_text(float(e), 'm')}" for e in edges] + ["error larger"]
+
+    def marks(right: int, up: int) -> list[Mark]:
+        view = [right, up]
+        out: list[Mark] = [
+            Segments(points[group == k][:, view], tip[group == k][:, view], name, f"size{k + 1}")
+            for k, name in enumerate(names)
+            if np.any(group == k)
+        ]
+        return [*out, Points(points[:, right], points[:, up], "", "grey", 3.0, tips=tips)]
+
+    return scale, marks
 
 
-def _arms(robot: RobotDescription, q: Array) -> list[go.Scatter3d]:
-    """The zero pose, and poses of the campaign that are far from each other."""
+def _arms(robot: RobotDescription, q: Array) -> Array:
+    """Arm points at the zero pose, and at poses of the campaign that are far from each other."""
     scale = np.ptp(q, axis=0) + 1e-9
     chosen = [int(np.argmin(np.linalg.norm((q - q.mean(axis=0)) / scale, axis=1)))]
     while len(chosen) < min(POSES_DRAWN, len(q)):
         gap = np.min([np.linalg.norm((q - q[k]) / scale, axis=1) for k in chosen], axis=0)
         chosen.append(int(np.argmax(gap)))
-    out = []
-    for k, arm in enumerate(arm_points(robot, np.concatenate([np.zeros((1, robot.n)), q[chosen]]))):
-        zero = k == 0
-        color = INK if zero else "#a8a8a8"
-        out.append(
-            go.Scatter3d(
-                x=arm[:, 0],
-                y=arm[:, 1],
-                z=arm[:, 2],
-                mode="lines+markers",
-                line={"color": color, "width": 10 if zero else 5},
-                marker={"size": 4 if zero else 2.5, "color": BLUE if zero else color},
-                hovertemplate=("zero pose" if zero else "a pose of the campaign") + "<extra></extra>",
-            )
-        )
+    return arm_points(robot, np.concatenate([np.zeros((1, robot.n)), q[chosen]]))
+
+
+def _arm_lines(arms: Array, right: int, up: int) -> list[Mark]:
+    """The arms in a view of two axes; the zero pose on top."""
+    out: list[Mark] = []
+    for k in reversed(range(len(arms))):
+        name, color, width = ("zero pose", "ink", 5.0) if k == 0 else ("poses of the campaign", "faint", 3.0)
+        out.append(Line(arms[k, :, right], arms[k, :, up], name, color, width, symbol="circle"))
     return out

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
+import numpy.typing as npt
 
+from clampid.charts import Axis, Chart, Line, Mark, Panel
 from clampid.comparison.nominal import nominal_points
 from clampid.display import error_text
 from clampid.effect import Stage
 from clampid.models.model import Model, Round
 from clampid.report.spread import Spread, spread_table
 from clampid.report.stage_data import StageData, in_order, stage_title
-from clampid.report.style import BLUE, GREEN, GREY, ORANGE, Figure, Section, as_table, axes, layout
+from clampid.report.style import Figure, Section, as_table
+
+Array = npt.NDArray[np.float64]
+MOST_LONG_TICKS = 4
 
 __all__ = ["rounds_of", "rounds_section", "unit_of"]
 
@@ -50,103 +53,74 @@ def rounds_section(
     listed = [(s, r) for s, r in listed if r]
     if not listed:
         return None
-    plot = make_subplots(
-        rows=1, cols=len(listed), subplot_titles=[stage_title(s) for s, _ in listed], horizontal_spacing=0.09
-    )
+    panels = []
     rows = []
-    for column, (stage, rounds) in enumerate(listed, 1):
-        factor = 1e6 if stage == "poses" else 1.0
+    for stage, rounds in listed:
         nominal = nominal_error(stages[stage]) if stage in stages else None
-        labels = [_label(r, k) for k, r in enumerate(rounds)]
-        position = list(range(len(rounds)))
-        unit = unit_of(stage)
-        if nominal is not None:
-            x = [-1, 0]
-            y = [nominal * factor, rounds[0].rms * factor]
-            plot.add_trace(
-                _line(
-                    x[:1],
-                    y[:1],
-                    "robot as described, base and targets fitted",
-                    GREY,
-                    "diamond-open",
-                    column == len(listed),
-                ),
-                1,
-                column,
-            )
-            rows.append(
-                (stage_title(stage), "robot as described, base and targets fitted", error_text(nominal, unit), "–", "–")
-            )
-        show = column == 1
-        fit, held = [r.rms * factor for r in rounds], [r.heldout_rms * factor for r in rounds]
-        floor = [r.noise_floor * factor for r in rounds]
-        plot.add_trace(_line(position, fit, "rows fitted", BLUE, "circle", show), 1, column)
-        plot.add_trace(_line(position, held, "rows held out", ORANGE, "square", show), 1, column)
-        start = -1 if nominal is not None else 0
-        ends = {"x": [start - 0.3, *position, position[-1] + 0.3], "y": [floor[0], *floor, floor[-1]]}
-        line = {"color": GREEN, "dash": "dash", "width": 2}
-        plot.add_trace(go.Scatter(**ends, mode="lines", name="noise alone", line=line, showlegend=show), 1, column)
-        ticks = ([-1] if nominal is not None else []) + position
-        texts = (["as described"] if nominal is not None else []) + labels
-        plot.update_xaxes(
-            axes(
-                tickvals=ticks,
-                ticktext=texts,
-                tickangle=-35 if any(len(t) > 16 for t in labels) else 0,
-                range=[start - 0.4, position[-1] + 0.4],
-            ),
-            row=1,
-            col=column,
-        )
-        values = [v for v in (*fit, *held, *floor, *([nominal * factor] if nominal else [])) if np.isfinite(v)]
-        wide = values and max(values) > 8 * min(values) > 0
-        title = "RMS error, µm" if stage == "poses" else "RMS error, units of noise (σ)"
-        upper = None if wide else [0, 1.15 * max(values)]
-        plot.update_yaxes(axes(title=title, type="log" if wide else "linear", range=upper, nticks=7), row=1, col=column)
-        if wide:
-            plot.update_yaxes(dtick="D2", row=1, col=column)
-        rows += [
-            (
-                stage_title(stage),
-                labels[k].replace("<br>", " ") if k else f"{labels[k].replace('<br>', ' ')}: {', '.join(r.effects)}",
-                error_text(r.rms, unit),
-                error_text(r.heldout_rms, unit),
-                error_text(r.noise_floor, unit),
-            )
-            for k, r in enumerate(rounds)
-        ]
-    plot.update_layout(layout(430))
-    for note in plot.layout.annotations:
-        note.font = {"size": 13}
-    plot.update_layout(margin={"l": 64, "r": 16, "t": 76, "b": 100})
+        panels.append(_panel(stage, rounds, nominal))
+        rows += _table_rows(stage, rounds, nominal)
+    plot = Chart(tuple(panels), 440)
     table = as_table(("Stage", "Round", "Fitted#", "Held out#", "Noise alone#"), rows)
     norms = ["Poses: norm of the position error."] if any(s == "poses" for s, _ in listed) else []
     if any(s != "poses" for s, _ in listed):
         norms.append("Torques: in units of each motor's noise, so that the floor is 1.")
     caption = f"Root mean square error after each round. {' '.join(norms)} The floor has the same norm."
     sure = spread_table(spreads or {})
-    blocks = (Figure("rounds", plot, caption, 430), table, *(() if sure is None else (sure,)))
+    blocks = (Figure("rounds", plot, caption), table, *(() if sure is None else (sure,)))
     return Section("rounds", "The error, round by round", (), blocks)
 
 
-def _label(entry: Round, index: int) -> str:
-    if entry.added:
-        return "+ " + "<br>+ ".join(entry.added)
-    return "first model" if index == 0 else f"round {index + 1}"
+NOMINAL = "robot as described, base and targets fitted"
 
 
-def _line(x: list[int], y: list[float], name: str, color: str, symbol: str, show: bool) -> go.Scatter:
-    marker = {"color": color, "size": 9, "symbol": symbol}
-    hover = f"%{{y:.4g}}<extra>{name}</extra>"
-    return go.Scatter(
-        x=x,
-        y=y,
-        mode="lines+markers",
-        name=name,
-        line={"color": color, "width": 2},
-        marker=marker,
-        legendgroup=name,
-        showlegend=show,
-        hovertemplate=hover,
+def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Panel:
+    """One stage: error on rows fitted and held out, round by round, above what noise alone leaves."""
+    factor, unit = (1e6, "m") if stage == "poses" else (1.0, "sigma")
+    at = np.arange(len(rounds), dtype=float)
+    fit, held, floor = (
+        factor * np.array([getattr(r, name) for r in rounds]) for name in ("rms", "heldout_rms", "noise_floor")
     )
+    start = -1.0 if nominal is not None else 0.0
+    marks: list[Mark] = [
+        Line(np.r_[start - 0.3, at, at[-1] + 0.3], np.r_[floor[0], floor, floor[-1]], "noise alone", "green", 2, "6 4"),
+        _line(at, fit, "rows fitted", "blue", "circle", [error_text(v / factor, unit) for v in fit.tolist()]),
+        _line(at, held, "rows held out", "orange", "square", [error_text(v / factor, unit) for v in held.tolist()]),
+    ]
+    values = np.r_[fit, held, floor]
+    ticks = [(float(k), f"round {k}" if k else "first model") for k in range(len(rounds))]
+    if nominal is not None:
+        values = np.r_[values, factor * nominal]
+        ticks.insert(0, (-1.0, "as described"))
+        place = np.array([-1.0]), np.array([factor * nominal])
+        marks.append(_line(*place, NOMINAL, "grey", "diamond", [error_text(nominal, unit)]))
+    values = values[np.isfinite(values)]
+    wide = bool(values.size and values.min() > 0 and values.max() > 8 * values.min())
+    title = "RMS error, µm" if stage == "poses" else "RMS error, units of noise (σ)"
+    low, high = (None, None) if wide or not values.size else (0.0, 1.15 * float(values.max()))
+    x = Axis("", start - 0.4, float(at[-1]) + 0.4, ticks=_spaced(ticks))
+    return Panel(tuple(marks), x, Axis(title, low, high, log=wide), stage_title(stage))
+
+
+def _spaced(ticks: list[tuple[float, str]]) -> tuple[tuple[float, str], ...]:
+    """Ticks with short texts where there are many: the table beneath says what each round added."""
+    short = ticks if len(ticks) <= MOST_LONG_TICKS else [(at, text.removeprefix("round ")) for at, text in ticks]
+    return tuple((at, "0" if text == "first model" and short is not ticks else text) for at, text in short)
+
+
+def _table_rows(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> list[tuple[str, ...]]:
+    """The same in numbers, with what each round added."""
+    unit, title = unit_of(stage), stage_title(stage)
+    rows: list[tuple[str, ...]] = [] if nominal is None else [(title, NOMINAL, error_text(nominal, unit), "–", "–")]
+    for k, r in enumerate(rounds):
+        errors = (error_text(value, unit) for value in (r.rms, r.heldout_rms, r.noise_floor))
+        label = f"first model: {', '.join(r.effects)}" if k == 0 else f"round {k}: {_added(r)}"
+        rows.append((title, label, *errors))
+    return rows
+
+
+def _added(entry: Round) -> str:
+    return "+ " + " + ".join(entry.added) if entry.added else "fitted again"
+
+
+def _line(x: Array, y: Array, name: str, color: str, symbol: str, tips: Sequence[str]) -> Line:
+    return Line(x, y, name, color, 2.0, symbol=symbol, tips=[f"{name}: {tip}" for tip in tips])

@@ -1,41 +1,18 @@
-"""How the report looks: figures, tables and colours that a colour-blind reader and a printer can follow."""
+"""What a report's sections hold: text, tables and figures."""
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-import plotly.graph_objects as go
+from clampid.charts import Chart
 
-__all__ = [
-    "BLUE",
-    "GREEN",
-    "GREY",
-    "INK",
-    "LIGHT",
-    "ORANGE",
-    "Figure",
-    "Section",
-    "Selector",
-    "Table",
-    "Weak",
-    "axes",
-    "layout",
-    "packed",
-    "thin",
-]
-
-# Okabe and Ito's colours.
-BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
-INK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
-FONT = "Inter, 'Helvetica Neue', Helvetica, Arial, sans-serif"
+__all__ = ["Figure", "Section", "Selector", "Table", "Weak", "as_table"]
 
 
 class Weak(str):
-    """A cell whose number is not told from zero, set in grey."""
+    """A cell whose number does not differ significantly from zero, set in grey."""
 
 
 @dataclass(frozen=True)
@@ -63,29 +40,31 @@ class Selector:
     Attributes
     ----------
     names
-        What can be chosen.
-    variables
-        For each name what the page's script needs: axis title, packed x per channel, medians and bands.
+        What can be chosen; the first is drawn.
+    choices
+        For each name what the page's script puts into the drawing, as :mod:`clampid.report.choices` packs it.
     values
-        For each panel its residuals, packed.
+        For each panel the heights of its points, packed.
     ends
         Where the points that were fitted end, and those held out; the rest was rejected.
+    outlines
+        The outline of a point of each of these three.
     """
 
     names: tuple[str, ...]
-    variables: tuple[Mapping[str, Any], ...]
-    values: tuple[Mapping[str, str], ...]
+    choices: tuple[Mapping[str, Any], ...]
+    values: tuple[str, ...]
     ends: tuple[int, int]
+    outlines: tuple[str, str, str]
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A plotly figure with a caption, and perhaps a variable to choose."""
+    """A chart with a caption, and perhaps a variable to choose."""
 
     key: str
-    plot: Any
+    plot: Chart
     caption: str
-    height: int = 420
     selector: Selector | None = None
 
 
@@ -99,40 +78,6 @@ class Section:
     blocks: tuple[str | Table | Figure, ...] = ()
     notes: tuple[str, ...] = ()
     notes_title: str = ""
-
-
-def axes(**extra: Any) -> dict[str, Any]:
-    """An axis with a thin frame and a light grid."""
-    line = {"showline": True, "linecolor": GREY, "linewidth": 1, "ticks": "outside", "ticklen": 4, "tickcolor": GREY}
-    return {**line, "gridcolor": "#ececec", "zeroline": False, "automargin": True, **extra}
-
-
-def layout(height: int, **extra: Any) -> dict[str, Any]:
-    """A figure's layout: white, small type, legend above."""
-    legend = {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.0, "yanchor": "bottom", "yref": "container"}
-    return {
-        "template": go.layout.Template(),
-        "height": height,
-        "font": {"family": FONT, "size": 12, "color": INK},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
-        "margin": {"l": 64, "r": 16, "t": 44, "b": 52},
-        "legend": {**legend, "y": 0.995, "yanchor": "top"},
-        "hoverlabel": {"font": {"family": FONT}},
-        **extra,
-    }
-
-
-def packed(values: Any) -> str:
-    """Numbers as base64 of little-endian float32: the page's script unpacks them."""
-    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
-
-
-def thin(count: int, limit: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """At most ``limit`` of ``count`` indices, evenly spread, ends included."""
-    if count <= limit:
-        return np.arange(count, dtype=np.int64)
-    return np.unique(np.linspace(0, count - 1, limit).round().astype(np.int64))
 
 
 def as_table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> Table:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from clampid.charts import Axis, Chart, Level, Line, Panel, Points, thin
 from clampid.effect import Stage
 from clampid.report.friction import friction_figures
 from clampid.report.loops import loops_figure
 from clampid.report.stage_data import StageData
-from clampid.report.style import BLUE, GREEN, GREY, Figure, Section, axes, layout, thin
-from clampid.stages.rows import Array, Integers
+from clampid.report.style import Figure, Section
+from clampid.stages.rows import Integers
 
 __all__ = ["torque_section"]
 
@@ -58,49 +56,33 @@ def _stretch(data: StageData) -> Figure:
     time = piece.rows.constants["time"][rows]
     across = min(motors, 3)
     down = int(np.ceil(motors / across))
-    titles = [f"motor {k + 1}" for k in range(motors)]
-    spread = [titles[across * r + c] if across * r + c < motors else "" for r in range(down) for c in range(across)]
-    plot = make_subplots(
-        rows=2 * down,
-        cols=across,
-        row_heights=[3.0, 1.4] * down,
-        subplot_titles=[t for r in range(down) for t in (*spread[across * r : across * (r + 1)], *[""] * across)],
-        shared_xaxes=True,
-        horizontal_spacing=0.07,
-        vertical_spacing=0.05,
-    )
     measured, residual = piece.rows.measured[rows], piece.residual[rows]
-    good = piece.good[rows]
-    for k in range(motors):
-        torque, below = (2 * (k // across) + 1, k % across + 1), (2 * (k // across) + 2, k % across + 1)
-        dots = {"size": 3.5, "color": GREY}
-        pale = {"color": BLUE, "width": 1.0, "dash": "dot"}
-        predicted = measured[:, k] - residual[:, k]
-        left = np.where(good[:, k], residual[:, k], np.nan)
-        plot.add_trace(_trace(time, measured[:, k], "measured", k == 0, mode="markers", marker=dots), *torque)
-        plot.add_trace(_trace(time, predicted, "model where rows do not count", k == 0, line=pale), *torque)
-        solid = np.where(good[:, k], predicted, np.nan)
-        plot.add_trace(_trace(time, solid, "model", k == 0, line={"color": BLUE, "width": 1.8}), *torque)
-        small = {"size": 2.5, "color": GREY}
-        plot.add_trace(_trace(time, left, "residual", k == 0, mode="markers", marker=small), *below)
-        level = float(data.floor.sigma[k])
-        for sign in (-1, 1):
-            plot.add_hline(
-                y=sign * level, line={"color": GREEN, "width": 1, "dash": "dash"}, row=below[0], col=below[1]
-            )
-        reach = max(4.0 * level, 1.1 * float(np.nanmax(np.abs(left))) if np.isfinite(left).any() else 0.0)
-        plot.update_yaxes(range=[-reach, reach], row=below[0], col=below[1])
-    plot.update_xaxes(axes())
-    plot.update_yaxes(axes())
+    good, seconds = piece.good[rows], time - time[0]
+    panels = []
     for r in range(down):
-        plot.update_yaxes(title="torque, Nm", row=2 * r + 1, col=1)
-        plot.update_yaxes(title="residual, Nm", row=2 * r + 2, col=1)
-        plot.update_yaxes(nticks=4, row=2 * r + 2)
-    plot.update_xaxes(title="time, s", row=2 * down)
-    height = 300 * down + 80
-    plot.update_layout(layout(height, margin={"l": 64, "r": 16, "t": 74, "b": 52}))
-    for note in plot.layout.annotations:
-        note.font = {"size": 12}
+        row = range(across * r, min(across * (r + 1), motors))
+        for k in row:
+            predicted = measured[:, k] - residual[:, k]
+            marks = (
+                Points(seconds, measured[:, k], "measured", "grey", 3.5),
+                Line(seconds, predicted, "model where rows do not count", "blue", 1.0, dash="2 3"),
+                Line(seconds, np.where(good[:, k], predicted, np.nan), "model", "blue"),
+            )
+            up = Axis("torque, Nm" if k == row[0] else "")
+            panels.append(Panel(marks, Axis(ticks=()), up, f"motor {k + 1}"))
+        panels += [Panel(())] * (across - len(row))
+        for k in row:
+            left, level = np.where(good[:, k], residual[:, k], np.nan), float(data.floor.sigma[k])
+            reach = max(4.0 * level, 1.1 * float(np.nanmax(np.abs(left))) if np.isfinite(left).any() else 0.0)
+            below = (
+                Points(seconds, left, "residual", "grey", 2.5),
+                Level(-level, name="± 1 σ of the noise"),
+                Level(level, name="± 1 σ of the noise"),
+            )
+            up = Axis("residual, Nm" if k == row[0] else "", -reach, reach)
+            panels.append(Panel(below, Axis(), up))
+        panels += [Panel(())] * (across - len(row)) if r < down - 1 else []
+    plot = Chart(tuple(panels), 310 * down + 40, across, (3.0, 1.4) * down, below="time, s")
     table, run = str(piece.rows.table[rows[0]]), int(piece.rows.constants["run"][rows[0]]) + 1
     kind = "held out" if piece.held[rows].all() else "fitted"
     caption = (
@@ -108,10 +90,4 @@ def _stretch(data: StageData) -> Figure:
         f"{time[0]:.0f} s; rows {kind}), and below them what the model leaves, with ± 1 σ of the noise (dashed). Where "
         "a motor rests, or accelerates harder than the model accounts for, rows do not count (dotted)."
     )
-    return Figure("stretch", plot, caption, height)
-
-
-def _trace(time: Array, values: Array, name: str, show: bool, **looks: Any) -> go.Scatter:
-    style = {"mode": "lines", "connectgaps": False, **looks}
-    x, y = (time - time[0]).astype(np.float32), values.astype(np.float32)
-    return go.Scatter(x=x, y=y, name=name, legendgroup=name, showlegend=show, **style)
+    return Figure("stretch", plot, caption)

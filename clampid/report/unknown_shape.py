@@ -6,18 +6,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
+from clampid.charts import Axis, Band, Chart, Line, Mark, Panel
+from clampid.charts.marks import COLORS
 from clampid.display import Scale, number, scale_for
-from clampid.report.panels import finish, grid, place_of
 from clampid.report.stage_data import in_order, stage_title
-from clampid.report.style import BLUE, GREEN, ORANGE, Figure, Section
+from clampid.report.style import Figure, Section
 
 __all__ = ["unknown_shape_section"]
 
 Json = Mapping[str, Any]
-COLORS = (BLUE, ORANGE, GREEN)
-BANDS = ("rgba(0,114,178,0.22)", "rgba(213,94,0,0.22)", "rgba(0,158,115,0.22)")
 DEGREES = Scale(180.0 / np.pi, "degrees")
 
 
@@ -46,23 +44,26 @@ def _figure(stage: str, shape: Json) -> Figure:
     axes = list(dict.fromkeys(str(c["axis"]) for c in curves))
     scales = {axis: _scale([c for c in curves if c["axis"] == axis]) for axis in axes}
     titles = [f"{axis}, {scales[axis].unit}" if len(axes) > 1 else "" for axis in axes]
-    plot = grid(len(axes), titles)
-    for k, axis in enumerate(axes):
-        own = [c for c in curves if c["axis"] == axis]
-        for i, curve in enumerate(own):
-            for trace in _traces(curve, scales[axis], i, first=k == 0):
-                plot.add_trace(trace, *place_of(k, len(axes)))
     across = _scale_of_variable(str(curves[0]["variable"]), str(curves[0]["variable_unit"]))
     height = 240 * (-(-len(axes) // 3)) + (90 if len(axes) > 1 else 160)
     up = "" if len(axes) > 1 else f"{'angle' if axes[0] == 'dq' else 'torque'} at {shape['at']}, {scales[axes[0]].unit}"
     title = f"{curves[0]['variable']}{f', {across.unit}' if across.unit else ''}"
-    plot = finish(plot, len(axes), height, title, up)
+    panels = [
+        Panel(
+            tuple(m for i, c in enumerate(c for c in curves if c["axis"] == axis) for m in _marks(c, scales[axis], i)),
+            Axis(),
+            Axis("" if k % 3 else up),
+            titles[k],
+        )
+        for k, axis in enumerate(axes)
+    ]
+    plot = Chart(tuple(panels), height, below=title)
     caption = (
         f"What acts at {shape['at']} as a function of {' and '.join(shape['depends_on'])}, with a band that holds the "
         f"whole curve with 95 % probability (simultaneous). It explains {number(100 * float(shape['share']), 2)} % of "
         "the squares of what is left."
     )
-    return Figure(f"shape-{stage}", plot, caption, height)
+    return Figure(f"shape-{stage}", plot, caption)
 
 
 def _scale(curves: Sequence[Json]) -> Scale:
@@ -93,17 +94,10 @@ def _given(curve: Json) -> str:
     return ", ".join(parts) or "shape"
 
 
-def _traces(curve: Json, scale: Scale, index: int, first: bool) -> list[go.Scatter]:
+def _marks(curve: Json, scale: Scale, index: int) -> tuple[Mark, ...]:
     across = _scale_of_variable(str(curve["variable"]), str(curve["variable_unit"]))
-    x = np.asarray(curve["x"]) * across.factor
+    x = np.asarray(curve["x"], dtype=float) * across.factor
     value, low, high = (np.asarray(curve[k], dtype=float) * scale.factor for k in ("value", "low", "high"))
-    name, color = _given(curve), COLORS[index % len(COLORS)]
-    band = go.Scatter(
-        x=np.r_[x, x[::-1]], y=np.r_[high, low[::-1]], fill="toself", fillcolor=BANDS[index % len(BANDS)],
-        line={"width": 0}, mode="lines", hoverinfo="skip", showlegend=False, legendgroup=name,
-    )  # fmt: skip
-    mode = "lines" if len(x) > 2 else "lines+markers"
-    line = go.Scatter(
-        x=x, y=value, mode=mode, line={"color": color, "width": 2}, name=name, legendgroup=name, showlegend=first
-    )
-    return [band, line]
+    color = COLORS[index % 3]
+    symbol = "" if len(x) > 2 else "square"
+    return Band(x, low, high, "", color), Line(x, value, _given(curve), color, 2.0, symbol=symbol)

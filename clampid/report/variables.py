@@ -52,18 +52,6 @@ class Trend:
     low: Array
     high: Array
 
-    def band(self) -> tuple[Array, Array]:
-        """Between the quartiles: a closed outline of each stretch, parted by NaN; x and y."""
-        x: list[Array] = []
-        y: list[Array] = []
-        apart = np.array([np.nan])
-        breaks = np.flatnonzero(np.isnan(self.x))
-        for own in np.split(np.arange(len(self.x)), breaks):
-            k = own[np.isfinite(self.x[own])]
-            x += [self.x[k], self.x[k][::-1], apart]
-            y += [self.high[k], self.low[k][::-1], apart]
-        return np.concatenate(x)[:-1], np.concatenate(y)[:-1]
-
 
 def variables_of(data: StageData) -> tuple[Variable, ...]:
     """The recorded variables of a stage that vary at all, in units for people."""
@@ -84,7 +72,7 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
         found.append(Variable("torque", "torque predicted at the same motor, Nm", predicted))
     joints("q", "joint angle q{}, deg", np.degrees(data.stacked("q")))
     if data.stage == "poses":
-        joints("dir", "direction of the last motion of joint {}", data.stacked("direction"))
+        joints("dir", "direction of the last motion of joint {}, ±1", data.stacked("direction"))
         joints("load", "gravity torque at joint {}, Nm", data.stacked("gravity_torque"))
     if data.stage == "free_air":
         joints("qd", "speed of joint {}, rad/s", data.stacked("joint_speed"))
@@ -93,8 +81,8 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
     if data.stage == "clamped":
         found.append(_category("joint driven", "joint driven", data.first.rows.constants["driven"] + 1))
         found.append(_category("sweep", "sweep", data.first.rows.constants["run"] + 1))
-        found.append(Variable("sweep_fraction", "how far the sweep has come", data.stacked("sweep_fraction")))
-        joints("dir", "direction of motor {}", data.stacked("motor_motion"))
+        found.append(Variable("sweep_fraction", "fraction of the sweep, 0 to 1", data.stacked("sweep_fraction")))
+        joints("dir", "direction of motor {}, ±1", data.stacked("motor_motion"))
     time = np.concatenate([p.rows.constants["time"] for p in data.pieces])
     factor, unit = (60.0, "min") if np.ptp(time) > 600.0 else (1.0, "s")
     found.append(Variable("time", f"time, {unit}", (time - time.min()) / factor))

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
+from clampid.charts import Axis, Band, Chart, Level, Line, Mark, Panel, Points
 from clampid.display import number
 from clampid.effect import Stage
+from clampid.report.choices import selector
 from clampid.report.sizes import sizes_figure
 from clampid.report.stage_data import StageData, stage_title
-from clampid.report.style import (
-    BLUE,
-    GREEN,
-    INK,
-    ORANGE,
-    Figure,
-    Section,
-    Selector,
-    as_table,
-    axes,
-    layout,
-    packed,
-)
+from clampid.report.style import Figure, Section, as_table
 from clampid.report.variables import Variable, explained, trend, variables_of
 from clampid.stages.rows import Array, Integers
 
@@ -97,126 +86,69 @@ def _panels(data: StageData) -> tuple[list[str], float, str]:
     return [f"motor {k + 1}" for k in range(data.channels)], 1.0, "Nm"
 
 
-def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int]) -> Figure:
-    titles, factor, unit = _panels(data)
-    across = 3
-    down = int(np.ceil(len(titles) / across))
-    plot = make_subplots(rows=down, cols=across, subplot_titles=titles, horizontal_spacing=0.07, vertical_spacing=0.16)
+@dataclass(frozen=True)
+class _Drawn:
+    """The rows of a figure: those fitted, held out and rejected, with residuals ``(N, channels)`` as they are drawn."""
+
+    rows: Integers
+    fitted: int
+    kept: int
+    residual: Array
+    limits: Array
+
+
+def _drawn(data: StageData, factor: float) -> _Drawn:
+    """Residuals in the figure's unit; rejected ones beyond the axis stand at its edge."""
     kinds = _chosen(data)
-    drawn, ends = np.concatenate(kinds), np.cumsum([len(rows) for rows in kinds])
+    rows, ends = np.concatenate(kinds), np.cumsum([len(part) for part in kinds])
     fitted, kept = int(ends[0]), int(ends[1])
-    residual, good = data.residual * factor, data.good
-    rejected = data.rejected[drawn]
-    first = variables[order[0]]
-    values: list[dict[str, str]] = []
-    for c in range(len(titles)):
-        row, column = c // across + 1, c % across + 1
-        y = np.where(good[drawn, c] | rejected[:, c], residual[drawn, c], np.nan)
-        level = float(data.floor.sigma[c]) * factor
-        shown = y[:kept]
-        spread = float(np.nanquantile(np.abs(shown), 0.995)) if np.isfinite(shown).any() else level
-        limit = 1.15 * max(spread, 1.5 * level)
-        y[kept:] = np.clip(y[kept:], -EDGE * limit, EDGE * limit)  # far off, they stand at the edge
-        values.append({"y": packed(y)})
-        line = trend(first.of(c), residual[:, c], good[:, c])
-        around = line.band()
-        band = go.Scatter(
-            x=around[0],
-            y=around[1],
-            fill="toself",
-            fillcolor="rgba(90,90,90,0.28)",
-            line={"width": 0},
-            mode="lines",
-            name="middle half",
-            hoverinfo="skip",
-            showlegend=c == 0,
-            legendgroup="band",
-        )
-        median = go.Scatter(
-            x=line.x,
-            y=line.median,
-            mode="lines+markers",
-            line={"color": INK, "width": 2},
-            marker={"size": 4},
-            name="running median",
-            showlegend=c == 0,
-            legendgroup="median",
-            hoverinfo="skip",
-        )
-        x = first.of(c)[drawn]
-        points = [
-            _points(x[:fitted], y[:fitted], "rows fitted", BLUE, c == 0),
-            _points(x[fitted:kept], y[fitted:kept], "rows held out", ORANGE, c == 0 and fitted < kept),
-            _points(x[kept:], y[kept:], "rows rejected", INK, c == 0 and kept < len(drawn), "x"),
-        ]
-        for trace in (*points, band, median):
-            plot.add_trace(trace, row, column)
-        for sign in (-1, 1):
-            line_style = {"color": GREEN, "width": 1, "dash": "dash"}
-            plot.add_hline(y=sign * level, line=line_style, row=row, col=column)
-        plot.update_yaxes(
-            axes(range=[-limit, limit], title=f"residual, {unit}" if column == 1 else None), row=row, col=column
-        )
-    plot.update_xaxes(axes())
-    for column in range(1, across + 1):
-        plot.update_xaxes(title=first.title, row=down, col=column)
-    height = 360 if down == 1 else 560
-    plot.update_layout(layout(height, margin={"l": 64, "r": 16, "t": 74, "b": 52}))
-    for note in plot.layout.annotations:
-        note.font = {"size": 12}
+    shown = data.good[rows] | data.rejected[rows]
+    y = np.where(shown, factor * data.residual[rows], np.nan)
+    limits = np.zeros(data.channels)
+    for c in range(data.channels):
+        level, used = factor * float(data.floor.sigma[c]), y[:kept, c]
+        spread = float(np.nanquantile(np.abs(used), 0.995)) if np.isfinite(used).any() else level
+        limits[c] = 1.15 * max(spread, 1.5 * level)
+        y[kept:, c] = np.clip(y[kept:, c], -EDGE * limits[c], EDGE * limits[c])
+    return _Drawn(rows, fitted, kept, y, limits)
+
+
+def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int]) -> Figure:
+    drawn = _drawn(data, _panels(data)[1])
     listed = [variables[k] for k in order]
-    selector = Selector(
-        tuple(v.title for v in listed),
-        tuple(_choice(v, data, residual, drawn, len(titles)) for v in listed),
-        tuple(values),
-        (fitted, kept),
-    )
-    thinned = (
-        f" {kept} of {int(good.any(axis=1).sum())} rows are drawn; medians are over all."
-        if kept < good.any(axis=1).sum()
-        else ""
-    )
-    crossed = len(drawn) - kept
-    left_out = (
-        f" Crosses: the {crossed} rows rejected as outliers; those beyond the axis stand at its edge. "
-        "No line counts them."
-        if crossed
-        else ""
-    )
+    charts = [_chart(data, drawn, variable) for variable in listed]
+    counted, crossed = int(data.good.any(axis=1).sum()), len(drawn.rows) - drawn.kept
+    thinned = f" {drawn.kept} of {counted} rows are drawn; medians are over all." if drawn.kept < counted else ""
+    what = "1 row rejected as an outlier" if crossed == 1 else f"{crossed} rows rejected as outliers"
+    left_out = f" Crosses: {what}; those beyond the axis stand at its edge. No line counts them." if crossed else ""
     caption = (
         "Measured less predicted, against the variable chosen above the figure (sorted by what "
         f"it explains). Dashed: ± 1 σ of what noise alone leaves.{left_out}{thinned}"
     )
-    return Figure(f"against-{data.stage}", plot, caption, height, selector)
+    return Figure(f"against-{data.stage}", charts[0], caption, selector([v.title for v in listed], charts))
 
 
-def _points(x: Array, y: Array, name: str, color: str, show: bool, symbol: str = "circle") -> go.Scatter:
-    wide = {"size": 7, "opacity": 0.9} if symbol != "circle" else {"size": 4, "opacity": 0.45}
-    marker = {"color": color, "symbol": symbol, **wide}
-    return go.Scatter(
-        x=np.asarray(x, dtype=np.float32),
-        y=np.asarray(y, dtype=np.float32),
-        mode="markers",
-        marker=marker,
-        name=name,
-        legendgroup=name,
-        showlegend=show,
-        hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>",
-    )
-
-
-def _choice(variable: Variable, data: StageData, residual: Array, drawn: Integers, channels: int) -> Mapping[str, Any]:
-    """What the page's script needs to draw one variable."""
-    several = variable.values.ndim == 2
-    rng = np.random.default_rng(0)
+def _chart(data: StageData, drawn: _Drawn, variable: Variable) -> Chart:
+    """Residuals against one variable, channel by channel."""
+    titles, factor, unit = _panels(data)
     few = len(np.unique(variable.values[np.isfinite(variable.values)])) <= 8
-    shake = rng.uniform(-0.12, 0.12, len(drawn)) if few else np.zeros(len(drawn))
-    lines = [trend(variable.of(c), residual[:, c], data.good[:, c]) for c in range(channels)]
-    return {
-        "title": variable.title,
-        "labels": list(variable.labels),
-        "x": [packed(variable.of(c)[drawn] + shake) for c in range(channels if several else 1)],
-        "trend": [
-            {"x": packed(t.x), "y": packed(t.median), "around": [packed(side) for side in t.band()]} for t in lines
-        ],
-    }
+    shake = np.random.default_rng(0).uniform(-0.12, 0.12, len(drawn.rows)) if few else np.zeros(len(drawn.rows))
+    a, b = drawn.fitted, drawn.kept
+    labels = tuple((float(k), text) for k, text in enumerate(variable.labels)) or None
+    panels = []
+    for c, title in enumerate(titles):
+        x, y, limit = variable.of(c)[drawn.rows] + shake, drawn.residual[:, c], float(drawn.limits[c])
+        line = trend(variable.of(c), factor * data.residual[:, c], data.good[:, c])
+        level = factor * float(data.floor.sigma[c])
+        marks: tuple[Mark, ...] = (
+            Level(-level),
+            Level(level, name="± 1 σ of noise alone"),
+            Points(x[:a], y[:a], "rows fitted", "blue", 4, 0.45),
+            Points(x[a:b], y[a:b], "rows held out", "orange", 4, 0.45),
+            Points(x[b:], y[b:], "rows rejected", "ink", 7, symbol="cross"),
+            Band(line.x, line.low, line.high, "middle half", "grey"),
+            Line(line.x, line.median, "running median", "ink", 2.0, symbol="circle", symbol_size=4.0),
+        )
+        up = Axis(f"residual, {unit}" if c % 3 == 0 else "", -limit, limit)
+        panels.append(Panel(marks, Axis(ticks=labels), up, title))
+    return Chart(tuple(panels), 360 if len(titles) <= 3 else 560, across=3, below=variable.title)

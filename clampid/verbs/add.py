@@ -27,7 +27,10 @@ def add(
     campaigns: Campaigns,
     output: OutputFile,
     accept_worse: Annotated[
-        bool, typer.Option("--accept-worse", help="Write the model even if the held-out error has risen.")
+        bool,
+        typer.Option(
+            "--accept-worse", help="Write the model even if the held-out error rises by more than its standard error."
+        ),
     ] = False,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
@@ -69,6 +72,8 @@ def _risen(data: Mapping[str, Any], stages: Sequence[str]) -> str:
     for stage in stages:
         part = data["stages"][stage]
         before, after = (error_text(part[f"heldout_rms_{when}"], part["unit"]) for when in ("before", "after"))
-        rise = 100.0 * (part["heldout_rms_after"] / part["heldout_rms_before"] - 1.0)
-        said.append(f"{stage}: the held-out error would rise from {before} to {after} (by {rise:.2g} %)")
+        rise = error_text(part["heldout_rise"], part["unit"])
+        std = part["heldout_rise_std"]
+        known = "" if std is None else f" ± {error_text(std, part['unit'])}"
+        said.append(f"{stage}: the held-out error would rise from {before} to {after} (by {rise}{known})")
     return f"{'; '.join(said)}; nothing is written. To go on all the same: --accept-worse"

@@ -31,6 +31,7 @@ def compare(
         str | None,
         typer.Option(metavar="X,Y,Z", help="Split errors about this point, m, base frame.", show_default=False),
     ] = None,
+    mm: Annotated[bool, typer.Option("--mm", help="--sample is given in millimetres, not metres.")] = False,
     seed: Seed = 0,
     effects_from: EffectsFrom = None,
     json: Json = None,
@@ -47,7 +48,11 @@ def compare(
         raise CallError(f"--refit-fraction: expected a share between 0 and 1, found {refit_fraction:g}")
     centre = numbers_of("--sample", sample)
     if centre is not None and len(centre) != 3:
-        raise CallError(f"--sample: expected x, y, z in m, found {sample!r}")
+        raise CallError(f"--sample: expected x, y, z in {'mm' if mm else 'm'}, found {sample!r}")
+    if mm and centre is None:
+        raise CallError("--mm is the unit of --sample: expected --sample X,Y,Z with it")
+    if centre is not None and mm:
+        centre = tuple(value / 1000.0 for value in centre)
     if report is not None:
         output_file(report, "markup")
 

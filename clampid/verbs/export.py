@@ -14,7 +14,7 @@ from clampid.verbs.output import Output, output_file
 from clampid.verbs.streams import write_result
 
 if TYPE_CHECKING:
-    from clampid.exports.export import Exported
+    from clampid.exports.exported import Exported
     from clampid.models.model import Model
     from experiments.campaign import Campaign
     from experiments.targets import Kind
@@ -74,8 +74,8 @@ def dh(
     out = Output(quiet, json)
     _writable(output, "text")
 
+    from clampid.exports.dh_export import dh_export
     from clampid.exports.dh_layout import thesis_layout
-    from clampid.exports.export import dh_export
     from clampid.models.described import robot_of
     from clampid.models.model import load_model
 
@@ -112,7 +112,8 @@ def angles(
     out = Output(quiet)
     _writable(output, "text")
 
-    from clampid.exports.export import angle_table, table_text
+    from clampid.exports.angle_export import angle_table
+    from clampid.exports.dh_export import table_text
     from clampid.models.model import load_model
 
     text = table_text(angle_table(load_model(model), robot=_robot(robot), effects_from=effects_from))
@@ -137,7 +138,7 @@ def urdf(
     out = Output(quiet, json)
     _writable(output, "markup")
 
-    from clampid.exports.export import urdf_export
+    from clampid.exports.urdf_export import urdf_export
     from clampid.models.model import load_model
 
     loaded = load_model(model)

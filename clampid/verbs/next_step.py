@@ -38,7 +38,8 @@ def next_steps(
         for candidate in part["candidates"]:
             name = candidate.get("name", candidate["effect"])  # ``effect`` is the family, of which it may be a variant
             # A stage holds for the terms after it, too.
-            term = f"{stage}=" + ",".join(f"{name}@{place}" for place in candidate["where"])
+            places = [f"{name}@{place}" for place in candidate["where"]] or [name]  # none: wherever it can be tested
+            term = f"{stage}=" + ",".join(places)
             if not candidate["alternative"]:
                 confirmed.append(term)
             elif candidate in offered:
@@ -54,7 +55,8 @@ def next_steps(
         return [Next("Next, add it:", adding(",".join(confirmed))), Next("Then diagnose again:", again)]
     # Of each group any one; what is left open of a second group is said after the next diagnosis.
     first = next(iter(either.values()), [])
-    return [Next("Or:" if k else "Next, add one of these:", adding(terms)) for k, terms in enumerate(first)]
+    head = "Next, add one of these:" if len(first) > 1 else "Next, add it:"
+    return [Next("Or:" if k else head, adding(terms)) for k, terms in enumerate(first)]
 
 
 def after_diagnosis(

@@ -9,7 +9,7 @@ import json as json_module
 import math
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Output", "finite", "output_file"]
 
+LINES_APART = 5.0  # seconds
 WIDTH = 120  # of details that go to a file or a pipe, where neither a terminal nor COLUMNS says
 STYLES = {"good": "bold green", "open": "bold yellow", "bad": "bold red", "title": "bold", "quiet": "dim"}
 
@@ -84,22 +85,23 @@ class Output:
 
     @contextmanager
     def working(self, text: str) -> Iterator[None]:
-        """Progress of one long step: a moving bar with the time on a terminal, else plain lines."""
+        """Progress of one long step, with its parts and the time left: a bar on a terminal, else plain lines."""
         if self.quiet:
             yield
             return
-        start = time.monotonic()
-        if self.errors.is_terminal:
-            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from clampid.progress import listen
 
-            columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-            with Progress(*columns, console=self.errors, transient=True) as progress:
-                progress.add_task(text, total=None)  # how long a fit takes nobody knows before: the bar only moves
+        if self.errors.is_terminal:
+            from clampid.verbs.progress_bar import ProgressBar
+
+            with ProgressBar(self.errors, text) as bar, listen(bar.heard):
                 yield
-        else:
-            self.step(f"{text} …")
+            return
+        lines = _ProgressLines(self.step, text)
+        self.step(f"{text} …")
+        with listen(lines.heard):
             yield
-            self.step(f"{text}: {time.monotonic() - start:.1f} s")
+        self.step(f"{text}: {lines.elapsed:.1f} s")
 
     def table(self, title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> None:
         """A detail for people as a table; the first ``left`` columns are text, the others numbers."""
@@ -123,6 +125,28 @@ class Output:
             from experiments.outputs import write_text
 
             write_text(self.json, text)
+
+
+class _ProgressLines:
+    """Plain lines about the parts of a long step, at most one every :data:`LINES_APART` seconds."""
+
+    def __init__(self, say: Callable[[str], None], text: str) -> None:
+        self.say, self.text = say, text
+        self.start = self.last = time.monotonic()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the step began."""
+        return time.monotonic() - self.start
+
+    def heard(self, done: float, names: str) -> None:
+        """A part begins."""
+        from clampid.progress import left_in_words
+
+        now = time.monotonic()
+        if now - self.last >= LINES_APART:
+            self.last = now
+            self.say(f"  {self.text}: {names}; {now - self.start:.0f} s so far{left_in_words(done, now - self.start)}")
 
 
 def finite(data: Any) -> Any:

@@ -237,7 +237,7 @@ def _grouped(added: Sequence[tuple[str, str]]) -> str:
 
 def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
     """What ``add`` did to the held-out error."""
-    rows, worse, facts = [], [], []
+    rows, worse, same, facts = [], [], [], []
     for name, part in data["stages"].items():
         rows.append((name, tuple(error_text(part[key], part["unit"]) for key in KEYS), ""))
         places = [
@@ -246,15 +246,23 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
             for place in ([a["where"]] if isinstance(a["where"], str) else a["where"] or [""])
         ]
         facts.append((f"{name}:", f"added {_grouped(places)}"))
-        if part["heldout_rms_after"] > part["heldout_rms_before"]:
+        rise, std = part["heldout_rise"], part["heldout_rise_std"]
+        if std is not None and abs(rise) <= std:
+            same.append(name)
+        elif rise > 0:
             worse.append(name)
+        if std is not None:
+            size, error = error_text(abs(rise), part["unit"]), error_text(std, part["unit"])
+            facts.append((f"{name}:", f"held-out error {'+' if rise > 0 else '−'}{size} ± {error} (standard error)"))
     first = next(iter(data["stages"].values()))
     ends = [error_text(first[key], first["unit"]) for key in KEYS]
     if worse:
         verdict, tone = f"{listed(worse)}: the held-out error rose, so what was added does not help.", "bad"
+    elif len(same) == len(data["stages"]):
+        verdict, tone = "No change of the held-out error within its standard error.", "open"
     else:
         verdict, tone = f"The held-out error fell from {ends[0]} to {ends[1]}; the noise floor is {ends[2]}.", "good"
-    shown: Tone = "bad" if tone == "bad" else "good"
+    shown: Tone = "bad" if tone == "bad" else "open" if tone == "open" else "good"
     return Screen(
         done,
         Errors(_title(list(data["stages"])), ("before", "after", "noise floor"), tuple(rows)),

@@ -12,6 +12,7 @@ import typer
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
+from offline_ik.verbs.units import Degrees, Millimetres, Units
 
 if TYPE_CHECKING:
     from offline_ik.peaks import SampleFound
@@ -41,6 +42,8 @@ def sample(
     repeatability: Annotated[
         float, typer.Option(metavar="M", help="The robot's repeatability, a standard deviation in each direction.")
     ] = 0.0,
+    deg: Degrees = False,
+    mm: Millimetres = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
     quiet: Quiet = False,
@@ -52,34 +55,39 @@ def sample(
     from offline_ik.peak_table import read_peaks, wavelength_of
     from offline_ik.peaks import sample_from_peaks
 
-    of_photons, before = wavelength_of(energy, wavelength), numbers("--near", near)
+    units = Units(deg, mm)
+    of_photons, given = wavelength_of(energy, wavelength), numbers("--near", near)
+    before = None if given is None else [units.radians(angle) for angle in given]
     detector = opened(model, cell, robot, effects_from, running)
     found = read_peaks(peaks, detector.arm.n, detector.cell.pixel, of_photons)
     with out.working("solving"):
         try:
-            result = sample_from_peaks(detector, found, near=before, repeatability=repeatability)
+            result = sample_from_peaks(detector, found, near=before, repeatability=units.metres(repeatability))
         except TargetError as error:
             raise TargetError(f"{peaks}: {error}") from None
     say_assumed(detector, out)
     for note in result.notes:
         out.warn(f"note: {note}")
-    _show(result, out)
+    _show(result, units, out)
     out.result(result.to_json())
 
 
-def _show(result: SampleFound, out: Output) -> None:
+def _show(result: SampleFound, units: Units, out: Output) -> None:
     from offline_ik.peak_wording import LAB
 
     position, convention = result.position, result.convention
     out.say(f"scattering point, found from {len(result.points)} reflections; the cell's is {convention['sample_m']} m")
     shift = [value - given for value, given in zip(position.sample.tolist(), convention["sample_m"], strict=True)]
     found = [*zip("xyz", position.sample.tolist(), shift, position.std.tolist(), strict=True)]
-    rows = [(axis, f"{at:.7f}", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}") for axis, at, moved, std in found]
+    rows = [
+        (axis, f"{1e3 * at:.4f}" if units.millimetres else f"{at:.7f}", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}")
+        for axis, at, moved, std in found
+    ]
     rows += [
         (axis, "", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}")
         for axis, moved, std in zip(LAB, result.shift.tolist(), result.std.tolist(), strict=True)
     ]
-    out.table("", (f"frame {convention['frame']}", "m", "from the cell's / mm", "std / mm"), rows)
+    out.table("", (f"frame {convention['frame']}", units.distance_unit, "from the cell's / mm", "std / mm"), rows)
     shown = zip(
         result.names, position.residuals.tolist(), position.stated.tolist(), position.checks.tolist(), strict=True
     )

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
+from cli_runner import Clampid
 
 from clampid.display import error_text, quantity, readable, with_error
 from clampid.effect import UNITS
@@ -67,3 +69,16 @@ def test_json_has_no_numbers_that_json_lacks() -> None:
 
     data = {"a": float("nan"), "b": (1, 2.5), "c": np.float64(3.0), "d": np.array([1.0, np.inf]), "e": True, "f": None}
     assert finite(data) == {"a": None, "b": [1, 2.5], "c": 3.0, "d": [1.0, None], "e": True, "f": None}
+
+
+def test_a_point_in_millimetres_is_the_same_point(poses_only: Path, tmp_path: Path, clampid: Clampid) -> None:
+    model = tmp_path / "m.json"
+    assert clampid("identify", poses_only, "-o", model, "--effects", "geometry", "-q").code == 0
+    asked = ("compare", model, poses_only, "-q", "--json", "-")
+    metres = clampid(*asked, "--sample", "1.2,0,0.4")
+    millimetres = clampid(*asked, "--sample", "1200,0,400", "--mm")
+    assert metres.code == millimetres.code == 0, millimetres.err
+    assert metres.json == millimetres.json
+    ran = clampid(*asked, "--mm")
+    assert ran.code == 2
+    assert "--mm is the unit of --sample" in ran.complaint

@@ -40,6 +40,16 @@ def test_a_variant_is_added_by_its_own_name_and_not_its_familys() -> None:
     assert add.command == "clampid add poses=motor_eccentricity@joint2 m.json arm -o mended.json"
 
 
+def test_an_effect_without_a_place_is_added_by_its_name_alone() -> None:
+    add, _ = next_steps(told(candidate("backlash", "joint1"), candidate("gravity")), Path("m.json"), [Path("arm")])
+    assert add.command == "clampid add poses=backlash@joint1,poses=gravity m.json arm -o mended.json"
+
+
+def test_a_single_alternative_is_not_one_of_several() -> None:
+    (step,) = next_steps(told(candidate("backlash", "joint1", alternative=True)), Path("m.json"), [Path("arm")])
+    assert step.purpose == "Next, add it:"
+
+
 def test_of_what_cannot_be_told_apart_any_one() -> None:
     found = told(
         *(candidate(name, "joint2", alternative=True) for name in ("gear_eccentricity", "gravity_compensator"))

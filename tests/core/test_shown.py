@@ -41,8 +41,10 @@ def test_results_show_themselves(results: dict[str, Shown], name: str):
     assert "<table" in html
     assert len(html) < 50_000
     figure = found.plot()
-    assert len(figure.data) == len(found.errors()) > 0
-    assert all(value > 0.0 for bars in figure.data for value in bars.y)
+    assert len(figure.panels) == len(found.errors()) > 0
+    assert all(value > 0.0 for panel in figure.panels for bars in panel.marks for value in bars.lengths)
+    assert all(panel.x.title in {"error, rms [µm]", "error, rms [σ]"} for panel in figure.panels)
+    assert figure._repr_svg_().startswith("<svg xmlns=")
 
 
 def test_stages_print_short_too(results):

@@ -37,7 +37,7 @@ def gravity(simulated) -> tuple[Scored, float]:
 
 def test_a_candidate_that_was_not_fitted_has_no_value_beyond_what_is_reasonable(gravity):
     best, scale = gravity
-    assert np.abs(best.value).max() > 1e6, "the score's plain estimate of what is not determined is large"
+    assert np.abs(best.value).max() < 1e6  # columns of rounding are no directions
     entry = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 1.0, None, scale=scale)
     size = dict(zip([s.label for s in best.candidate.slots], best.candidate.reasonable, strict=True))
     assert all(p["identified"] == (p["std"] < size[p["name"]]) for p in entry["parameters"])

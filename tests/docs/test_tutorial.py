@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -46,3 +47,15 @@ def test_the_mapping_of_the_public_file_gives_poses_in_si(tmp_path: Path) -> Non
     turns = Rotation.from_quat(table[["qx", "qy", "qz", "qw"]].to_numpy())
     difference = (turns.inv() * Rotation.from_matrix(poses[:, :3, :3])).magnitude()
     assert difference.max() < 1e-7
+
+
+def test_the_notebook_runs_and_acts_on_its_own_verdict(capsys) -> None:
+    """Poses alone leave two explanations; the notebook adds neither, measures what decides, and then finds the one."""
+    found = runpy.run_path(str(TUTORIAL.with_name("the_loop.py")))
+    printed = capsys.readouterr().out
+    assert found["poses"].verdict == "ambiguous"
+    assert {"gear_eccentricity", "gravity_compensator"} <= set(found["alternatives"])
+    assert not any("gear_eccentricity" in term or "gravity_compensator" in term for term in found["confirmed"])
+    assert "These data do not distinguish gear_eccentricity and gravity_compensator." in printed
+    assert "gear_eccentricity@joint3" in {term.label for term in found["mended"].stages["poses"].terms}
+    assert found["diagnosis"].stages["poses"].verdict == "missing"

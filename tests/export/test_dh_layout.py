@@ -9,8 +9,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from clampid.exports.dh_export import dh_export, postures, read_dh
 from clampid.exports.dh_layout import thesis_layout
-from clampid.exports.export import dh_export, postures, read_dh
 from clampid.models.model import Model
 from kinematics.description import load_robot
 from kinematics.dh import Convention, DHRow, DHTable, forward

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from clampid.chain.chain import Deviations
-from clampid.exports.export import COLUMNS, angle_table, calibrated_chain, dh_table, read_dh, table_text, urdf_text
-from clampid.exports.export import _numbers as numbers
+from clampid.exports.angle_export import angle_table
+from clampid.exports.dh_export import COLUMNS, calibrated_chain, dh_table, read_dh, table_text
+from clampid.exports.dh_export import _numbers as numbers
+from clampid.exports.urdf_export import urdf_text
 from clampid.models.model import Model, ModelError, save_model
 from clampid.models.ranges import Ranges
 from clampid.slots import Slot, Term

@@ -15,8 +15,9 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.effect import Effect
-from clampid.exports.export import calibrated_chain, dh_export, read_dh, urdf_export
+from clampid.exports.dh_export import calibrated_chain, dh_export, read_dh
 from clampid.exports.form_error import CHECKED, LeftOut, form_error, left_out, postures
+from clampid.exports.urdf_export import urdf_export
 from clampid.models.model import Model, ModelError
 from clampid.slots import Layout, Slot, Term, find_parameter, slots_of
 from clampid.stages.rows import Array

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clampid.exports.export import calibrated_chain, postures
+from clampid.exports.dh_export import calibrated_chain, postures
 from clampid.exports.kuka_export import FITTED, LEVER, kuka_machine_data
 from clampid.exports.kuka_export import _Fit as Fit
 from clampid.exports.kuka_export import _nearest as nearest

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clampid.cli import run
-from clampid.exports.export import table_text
+from clampid.exports.dh_export import table_text
 from clampid.verbs.output import Output
 from experiments.campaign import CampaignError, read_campaign, write_campaign
 from experiments.simulate import simulate

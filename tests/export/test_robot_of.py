@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from clampid.exports.export import dh_table
+from clampid.exports.dh_export import dh_table
 from clampid.identification.identify import identify
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, load_model, save_model

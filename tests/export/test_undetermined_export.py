@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from clampid.exports.determined import hold_undetermined
-from clampid.exports.export import HELD, dh_export, dh_table, urdf_export
+from clampid.exports.dh_export import HELD, dh_export, dh_table
+from clampid.exports.urdf_export import urdf_export
 from clampid.identification.identify import identify
 from clampid.models.model import Model
 from clampid.slots import Slot

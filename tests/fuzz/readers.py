@@ -91,7 +91,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     sys.path.insert(0, str(ROOT / "benchmarks"))
     from ik_arms import CELL, drawn_model
 
-    from clampid.exports.export import dh_table, read_dh, table_text
+    from clampid.exports.dh_export import dh_table, read_dh, table_text
     from clampid.models.model import load_model, save_model
     from clampid.planning.free_air import plan_free_air
     from clampid.planning.logs import torque_noise_of

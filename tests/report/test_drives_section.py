@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
+from clampid.charts import Cells, Line, Points
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.models.drives import drives_of
@@ -27,8 +28,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> StageData:
 def test_slopes_and_clearances_are_where_the_loops_are(data: StageData):
     drives = drives_of(data.model, data.first.rows.robot)
     plot = loops_figure(data).plot
-    marks = [t for t in plot.data if t.name == "spring and clearance"]
-    measured = [t for t in plot.data if t.name == "measured"]
+    marks = [m for m in plot.named("spring and clearance") if isinstance(m, Line)]
     assert len(marks) == 6
     for joint, mark in enumerate(marks):
         x, y = np.radians(np.array(mark.x, float)), np.array(mark.y, float)
@@ -37,14 +37,14 @@ def test_slopes_and_clearances_are_where_the_loops_are(data: StageData):
                 assert (y[b] - y[a]) / (x[b] - x[a]) == pytest.approx(drives.stiffness[joint], rel=1e-5)
         own = data.first.rows.robot.transmission[joint][joint]
         assert x[2] - x[1] == pytest.approx(drives.gap[joint] / abs(own), abs=1e-9)
-        loop = next(t for t in measured if t.xaxis == mark.xaxis)
+        loop = next(m for m in plot.panels[joint].named("measured") if isinstance(m, Points))
         assert np.array(loop.x).min() <= np.degrees(x).min() + 0.1 * np.ptp(loop.x)
         assert np.degrees(x).max() <= np.array(loop.x).max() + 0.1 * np.ptp(loop.x)
 
 
 def test_the_line_runs_in_the_middle_of_the_loop(data: StageData):
     """Without friction, a forward branch lies as far above it as a backward one below."""
-    mark = next(t for t in loops_figure(data).plot.data if t.name == "spring and clearance")
+    mark = next(m for m in loops_figure(data).plot.named("spring and clearance") if isinstance(m, Line))
     rows = np.flatnonzero((data.first.rows.constants["driven"] == 0) & (data.first.rows.constants["run"] == 0))
     angle = data.first.rows.signals["motor"][rows, 0]
     off = data.first.rows.measured[rows, 0] - np.interp(np.degrees(angle - angle.mean()), mark.x, mark.y)
@@ -63,14 +63,16 @@ def test_the_section_has_table_matrix_and_fixture(data: StageData):
     assert len(table.rows) == 6
     assert isinstance(matrix, Figure)
     drives = drives_of(data.model, data.first.rows.robot)
-    z = np.array(matrix.plot.data[0].z)
+    (cells,) = matrix.plot.panels[0].marks
+    assert isinstance(cells, Cells)
+    z = cells.values
     np.testing.assert_allclose(np.diag(z), 1.0)
     assert z[3, 4] == pytest.approx(
         drives.compliance[3, 4] / np.sqrt(drives.compliance[3, 3] * drives.compliance[4, 4])
     )
-    assert " ± " in matrix.plot.data[0].text[3][4]
+    assert " ± " in cells.texts[3][4]
     assert isinstance(fixture, Figure)
-    sensor = [t for t in fixture.plot.data if t.name == "sensor"]
+    sensor = [m for m in fixture.plot.named("sensor") if isinstance(m, Points)]
     assert len(sensor) == 6
     assert 1.0 < np.std(sensor[0].y) < 10.0  # its noise of 3 µm, in µm
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from clampid.charts import Points
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.report.stage_data import StageData, stage_data
@@ -39,17 +40,19 @@ def test_rejected_rows_are_drawn_and_counted() -> None:
     assert np.flatnonzero(data.rejected.any(axis=1)).tolist() == list(WRONG)
     assert not np.any(data.rejected & data.good)
     assert figure.selector is not None
-    x_of = figure.plot.data[2]
-    assert x_of.name == "rows rejected"
-    limit = figure.plot.layout.yaxis.range[1]
+    panel = figure.plot.panels[0]
+    (x_of,) = panel.named("rows rejected")
+    assert isinstance(x_of, Points)
+    limit = panel.y.high
+    assert limit is not None
     assert np.abs(x_of.y).max() < limit  # 5 mm stand at the edge
     assert np.all(np.abs(x_of.y) > 0.9 * limit)
-    assert len(base64.b64decode(figure.selector.values[0]["y"])) // 4 - figure.selector.ends[1] == len(WRONG)
-    assert "the 3 rows rejected as outliers" in figure.caption
+    assert len(base64.b64decode(figure.selector.values[0])) // 2 - figure.selector.ends[1] == len(WRONG)
+    assert "3 rows rejected as outliers" in figure.caption
 
 
 def test_without_rejected_rows_none_are_spoken_of() -> None:
     data, figure = section(())
     assert not data.rejected.any()
     assert "rejected" not in figure.caption
-    assert len(figure.plot.data[2].y) == 0
+    assert [len(mark.y) for mark in figure.plot.named("rows rejected") if isinstance(mark, Points)] == [0, 0, 0]

@@ -2,14 +2,12 @@
 
 import json
 import re
-import zlib
-from base64 import b64decode
 from html.parser import HTMLParser
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from plotly.offline import get_plotlyjs
 
 from clampid.identification.identify import identify
 from clampid.report import write_report
@@ -131,6 +129,18 @@ class Assets(HTMLParser):
             self.text.append(data)
 
 
+SVG = "{http://www.w3.org/2000/svg}"
+UNITS = "µm|mm|m|µrad|rad|rad/s|deg|degrees|Nm|s|min|°C|σ|1/σ|±1|0 to 1"
+UNIT = re.compile(rf", ({UNITS})$|\(σ\)$|^Nm$|^(torque at|row of the table.*)$")
+
+
+def drawings(path):
+    """Every figure of the page by its key, read as XML."""
+    text = Path(path).read_text(encoding="utf-8")
+    found = re.findall(r'(<svg xmlns="[^"]*" class="chart" id="([^"]*)".*?\n</svg>)\n', text, re.DOTALL)
+    return {key: ElementTree.fromstring(drawing) for drawing, key in found}
+
+
 def parse(path):
     assets = Assets()
     assets.feed(Path(path).read_text(encoding="utf-8"))
@@ -169,19 +179,33 @@ def page(measured, tmp_path_factory):
 def test_one_file_that_fetches_nothing(page):
     assets, _ = parse(page)
     assert assets.fetched == []
-    assert page.stat().st_size < 4.5e6  # 6.9 MB with a library of figures that was not packed
+    assert page.stat().st_size < 2e6
     assert [p.name for p in page.parent.iterdir()] == ["report.html"]  # no temporary file is left
     styles = "".join(d for tag, _, data in assets.scripts if tag == "style" for d in data)
     assert "url(" not in styles
     assert "@import" not in styles
 
 
-def test_plotly_is_there_once(page):
+def test_the_page_needs_no_script_but_to_choose_a_variable(page):
     assets, _ = parse(page)
     scripts = [("".join(data), found) for tag, found, data in assets.scripts if tag == "script"]
-    packed = [text for text, found in scripts if dict(found).get("id") == "packed"]
-    assert [zlib.decompress(b64decode(text)).decode() for text in packed] == [get_plotlyjs()]
-    assert max(len(text) for text, found in scripts if "type" not in found) < 1e5  # nothing that delays a first screen
+    assert sum(len(text) for text, found in scripts if "type" not in found) < 3000
+    assert [found["data-choices"] for _, found in scripts if "type" in found] == [
+        "against-poses",
+        "against-free_air",
+        "against-clamped",
+    ]
+
+
+def test_colours_follow_the_scheme_of_the_reader_and_paper_is_light(page):
+    """No colour stands in the page but in the two lists of the style sheet."""
+    text = page.read_text(encoding="utf-8")
+    rules = re.findall(r":root \{([^}]*)\}", text)
+    defined = [set(re.findall(r"(--\w+): #", rule)) for rule in rules]
+    assert "@media screen and (prefers-color-scheme: dark)" in text
+    assert defined[0] == defined[1] >= {"--blue", "--page", "--ink", "--size5"}
+    drawings = "".join(re.findall(r"<svg .*?</svg>", text, re.DOTALL))
+    assert not re.findall(r"#[0-9a-fA-F]{3,6}\b", drawings)
 
 
 def test_every_section(page):
@@ -194,15 +218,35 @@ def test_every_section(page):
 
 def test_figures_hold_finite_numbers(page):
     assets, _ = parse(page)
-    plots = {f["data-plot"]: json.loads("".join(d)) for _, f, d in assets.scripts if "data-plot" in f}
+    plots = drawings(page)
+    for figure in plots.values():
+        numbers = " ".join(value for node in figure.iter() for key, value in node.attrib.items() if key != "aria-label")
+        assert "nan" not in numbers
+        assert "inf" not in numbers
     assert {"rounds", "robot", "budget-poses", "stretch", "friction", "loops", "compliance", "fixture"} <= set(plots)
     assert {f"against-{s}" for s in ("poses", "free_air", "clamped")} <= set(plots)
     choices = [json.loads("".join(d)) for _, f, d in assets.scripts if "data-choices" in f]
     assert len(choices) == 3
     for choice in choices:
-        assert len(choice["variables"]) > 8
-        for variable in choice["variables"]:
-            assert len(variable["trend"]) == len(choice["values"])
+        assert len(choice["choices"]) > 8
+        for variable in choice["choices"]:
+            assert variable["below"]
+            assert len(variable["over"]) == len(choice["values"])
+            assert len(variable["x"]) in {1, len(choice["values"])}
+            assert {len(x) for x in variable["x"]} == {len(y) for y in choice["values"]}
+
+
+def test_every_axis_of_numbers_has_a_title_with_its_unit(page):
+    """Axes of names (joints, effects, rounds) and categories go without."""
+    for key, figure in drawings(page).items():
+        texts = [node for node in figure.iter(f"{SVG}text") if node.get("class", "").startswith("middle")]
+        up = [node.text for node in texts if "rotate" in node.get("transform", "")]
+        flat = [node for node in texts if "rotate" not in node.get("transform", "")]
+        along = [node.text for node in flat if float(node.get("y", "-1")) > 0]
+        along = [text for text in along if not re.fullmatch(r"0|−?[\d.]+ ± [\d.]+", text)]  # numbers in cells
+        assert up or key.startswith("budget") or key == "compliance", key
+        assert along or key == "rounds", key
+        assert [t for t in (*up, *along) if not UNIT.search(t)] == [], key
 
 
 def test_the_verdict_is_told(page, measured):
@@ -288,8 +332,12 @@ def test_angle_errors_are_drawn_as_curves(tmp_path: Path):
     model = identify(campaign, ("geometry", "joint_angle_curve"), holdout=0.1)
     write_report(tmp_path / "report.html", model, campaign)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    plots = dict(re.findall(r'data-plot="(\w+)">(.*?)</script>', text, re.DOTALL))
-    curves = json.loads(plots["angles"])
-    assert [a["text"] for a in curves["layout"]["annotations"]][:6] == [f"joint {j}" for j in range(1, 7)]
-    assert len(curves["data"]) == 18
+    curves = drawings(tmp_path / "report.html")["angles"]
+    panels = [node for node in curves.iter() if node.get("class") == "panel"]
+    titles = [[t.text for t in panel.iter(f"{SVG}text")] for panel in panels]
+    assert [next(t for t in own if t and t.startswith("joint")) for own in titles] == [
+        f"joint {j}" for j in range(1, 7)
+    ]
+    for panel in panels:
+        assert [n for n in panel.iter(f"{SVG}path") if n.get("class") == "band blue"]
     assert "joint_angle_curve is drawn as curves" in text

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from clampid.charts import Band, Line
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.report.friction import friction_figures
@@ -31,27 +32,19 @@ def drawn(tmp_path_factory):
     return data["free_air"], made.truth.plant, {f.key: f for f in torque_section(data).blocks}
 
 
-def axis(k):
-    return "x" if k == 0 else f"x{k + 1}"
-
-
 def lines(figure, k, color):
     """The traces of one panel in one colour: x, y, from slow to fast, of both sides of standstill."""
-    found = [t for t in figure.plot.data if (t.xaxis or "x") == axis(k) and t.mode == "lines" and t.line.color == color]
+    found = [m for m in figure.plot.panels[k].marks if isinstance(m, Line) and m.color == color]
     return np.concatenate([t.x for t in found]), np.concatenate([t.y for t in found])
 
 
 def bands(figure, k, color):
     """Half the width of the bands of one panel at the x of its lines."""
-    pale = "rgba(" + ",".join(str(int(color[i : i + 2], 16)) for i in (1, 3, 5))
-    found = [
-        t for t in figure.plot.data if (t.xaxis or "x") == axis(k) and t.fillcolor and t.fillcolor.startswith(pale)
-    ]
-    halves = [0.5 * (np.asarray(t.y)[: len(t.y) // 2] - np.asarray(t.y)[len(t.y) // 2 :][::-1]) for t in found]
-    return np.concatenate(halves)
+    found = [m for m in figure.plot.panels[k].marks if isinstance(m, Band) and m.color == color]
+    return np.concatenate([0.5 * (m.high - m.low) for m in found])
 
 
-BLUE = "#0072B2"
+BLUE = "blue"
 
 
 def whole_friction(data, k, w):
@@ -87,7 +80,7 @@ def test_points_lie_about_the_curve_also_in_the_wrist(drawn):
     data = replace(data, model=replace(data.model, theta=theta), pieces=(turning,))
     figure = friction_figures(data)[0]
     for k in range(6):
-        (points,) = [t for t in figure.plot.data if (t.xaxis or "x") == axis(k) and t.name == "model and residual"]
+        (points,) = figure.plot.panels[k].named("model and residual")
         own, columns = whole_friction(data, k, np.asarray(points.x))
         beside = points.y - columns @ [data.model.values()[s] for s in own]
         assert abs(np.mean(beside)) < 0.2 * data.floor.sigma[k]
@@ -119,7 +112,7 @@ def test_the_arms_side_is_drawn_where_it_is_told_from_zero(drawn):
     by_key = {f.key: f for f in friction_figures(data)}
     assert ("friction-arm" in by_key) == bool(told)
     for joint in {"joint4", "joint5", "joint6"} - told:
-        assert joint.removeprefix("joint") in by_key["friction"].caption.rpartition("at joint ")[2]
+        assert joint.removeprefix("joint") in by_key["friction"].caption.rpartition("do not separate the two at ")[2]
 
 
 def test_means_are_the_true_friction_within_their_intervals(drawn):
@@ -127,20 +120,19 @@ def test_means_are_the_true_friction_within_their_intervals(drawn):
     _, plant, figures = drawn
     inside = []
     for k in range(3):
-        (marks,) = [t for t in figures["friction"].plot.data if (t.xaxis or "x") == axis(k) and t.name == "its mean"]
+        (marks,) = figures["friction"].plot.panels[k].named("its mean with 95 % interval")
         assert len(marks.x) >= 6
         true = np.sign(marks.x) * (plant.friction.coulomb[k] + plant.friction.viscous[k] * np.abs(marks.x))
-        inside += (np.abs(np.asarray(marks.y) - true) < np.asarray(marks.error_y.array) * 1.5).tolist()
+        inside += (np.abs(np.asarray(marks.y) - true) < marks.error * 1.5).tolist()
     assert np.mean(inside) > 0.7
 
 
 def test_the_residual_below_is_measured_less_model(drawn):
     data, _, figures = drawn
     plot = figures["stretch"].plot
-    by_name = {name: [t for t in plot.data if t.name == name] for name in ("measured", "model", "residual")}
+    by_name = {name: plot.named(name) for name in ("measured", "model", "residual")}
     assert [len(v) for v in by_name.values()] == [6, 6, 6]
     for k, (measured, model, residual) in enumerate(zip(*by_name.values(), strict=True)):
-        assert residual.xaxis != measured.xaxis
         told = np.isfinite(residual.y)
         assert told.sum() > 20
         np.testing.assert_allclose(residual.y[told], (measured.y - model.y)[told], atol=1e-5 * np.abs(measured.y).max())

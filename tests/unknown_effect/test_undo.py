@@ -10,7 +10,7 @@ import pytest
 
 from clampid.diagnosis.effect_new import effect_new
 from clampid.diagnosis.omission import exported_shift, shift_in_words
-from clampid.exports.export import dh_table
+from clampid.exports.dh_export import dh_table
 from clampid.fitting.descent import NEGLIGIBLE
 from clampid.identification.identify import identify
 from clampid.loop.add import add

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clampid.charts import Band, Line
 from clampid.cli import run
 from clampid.report.limits import exported
 from clampid.report.style import Figure
@@ -80,12 +81,13 @@ def test_the_report_draws_the_shape_in_units_for_people():
     found = shape("joint5", [curve("dq", "rad", {"dir4": -1.0}), curve("dq", "rad", {"dir4": 1.0})])
     section = unknown_shape_section(found)
     (figure,) = (block for block in section.blocks if isinstance(block, Figure))
-    lines = [trace for trace in figure.plot.data if trace.fill is None]
+    (panel,) = figure.plot.panels
+    lines = [mark for mark in panel.marks if isinstance(mark, Line)]
     assert [line.name for line in lines] == ["dir4 = −1", "dir4 = +1"]
     np.testing.assert_allclose(lines[0].x[0], np.degrees(-2.0))
     np.testing.assert_allclose(lines[0].y[0], -200.0)  # µrad
-    band = next(trace for trace in figure.plot.data if trace.fill == "toself")
-    assert max(band.y) == pytest.approx(220.0)
+    band = next(mark for mark in panel.marks if isinstance(mark, Band))
+    assert max(band.high) == pytest.approx(220.0)
     assert "simultaneous" in figure.caption
     assert any("clampid effect new a" in note for note in section.notes)
 
@@ -94,7 +96,8 @@ def test_a_place_of_several_numbers_gets_a_panel_each():
     curves = [curve(axis, "m", {}) for axis in "xyz"]
     (figure,) = (b for b in unknown_shape_section(shape("instrument", curves)).blocks if isinstance(b, Figure))
     # One title a panel, and one of the axis that the panels share.
-    assert [note.text for note in figure.plot.layout.annotations] == ["x, µm", "y, µm", "z, µm", "q4, degrees"]
+    assert [panel.title for panel in figure.plot.panels] == ["x, µm", "y, µm", "z, µm"]
+    assert figure.plot.below == "q4, degrees"
 
 
 def test_no_section_without_a_shape():

@@ -22,7 +22,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.unknown_shape import _width, shape_of
 from clampid.evidence.score import score, space_of
-from clampid.exports.export import calibrated_chain
+from clampid.exports.dh_export import calibrated_chain
 from clampid.fitting.fit import fit
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify, stage_rows

@@ -1,4 +1,4 @@
-"""The compensated robot for others: Denavit–Hartenberg tables with uncertainties, and URDF.
+"""The compensated robot as Denavit–Hartenberg tables with uncertainties.
 
 They hold the calibrated chain (:mod:`clampid.models.calibrated`): what is static at one temperature of all links, 20 °C
 unless another is stated. Effects that depend on posture, load or direction are no part of them (errors of joint angles
@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,24 +19,20 @@ import numpy as np
 
 from clampid.exports.best_table import BestTable, best_table
 from clampid.exports.determined import hold_undetermined
-from clampid.exports.form_error import POSTURES, Flange, LeftOut, Measured, left_out, measured_error, postures, ranges
+from clampid.exports.exported import EXACT, Exported, checked
+from clampid.exports.form_error import postures
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
-from clampid.models.curves import angle_errors
 from clampid.models.described import robot_of
-from clampid.models.model import Model, ModelError
-from clampid.models.own_effects import effects_of
+from clampid.models.model import Model
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
-from experiments.outputs import temporary_folder, write_text
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
 from kinematics.escaping import for_csv
-from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import roll_pitch_yaw, rotation_of, transform
-from kinematics.urdf import read_urdf, write_urdf
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,9 +42,7 @@ __all__ = [
     "FRAME_COLUMNS",
     "ROW_COLUMNS",
     "CalibratedChain",
-    "Exported",
     "ExportedTable",
-    "angle_table",
     "calibrated_chain",
     "dh_export",
     "dh_table",
@@ -57,8 +51,6 @@ __all__ = [
     "sensitivity",
     "static_table",
     "table_text",
-    "urdf_export",
-    "urdf_text",
 ]
 
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
@@ -76,57 +68,12 @@ COLUMNS = (
 )
 """Columns of the table; a column that does not belong to a row is empty there."""
 
-ANGLES = np.deg2rad(5.0)  # between rows of a table of angle errors
-EXACT = 1e-9  # m and rad: what an export may differ from the model, read back
 NOUGHT = 1e-12  # m and rad: rounding of derivatives
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
 
 
 TableFit = Literal["best", "static"]
 """Which geometry a table has: the one that serves a controller best which knows nothing else, or the model's own."""
-
-
-@dataclass(frozen=True, eq=False)
-class Exported:
-    """A file of the calibrated robot, read back, and what it leaves of the model.
-
-    Attributes
-    ----------
-    text
-        The file.
-    temperature
-        Of all links, °C.
-    difference
-        By how much the file, read back, differs at most from the calibrated chain, m.
-    left
-        What it leaves of the whole model over the workspace.
-    measured
-        What it alone leaves of measured points; None without a campaign.
-    held
-        Combinations of parameters that the data do not determine; the file has them at their nominal value.
-    """
-
-    text: str
-    temperature: float
-    difference: float
-    left: LeftOut
-    measured: Measured | None
-    held: tuple[str, ...] = ()
-
-    @property
-    def said(self) -> tuple[str, ...]:
-        """What it leaves, in sentences."""
-        lines = [str(self.left), f"not in it: {self.left.worth}"]
-        lines += [] if self.measured is None else [f"this alone leaves {self.measured}"]
-        said = "not determined by the data, held at its nominal value: a combination of "
-        return (*lines, *(f"{said}{words}" for words in self.held))
-
-    def to_json(self) -> dict[str, Any]:
-        """For programs; SI but for the temperatures."""
-        out = {"temperature_C": self.temperature, "difference_m": self.difference, **self.left.to_json()}
-        out["held_at_nominal"] = list(self.held)
-        out["measured"] = None if self.measured is None else self.measured.to_json()
-        return out
 
 
 def _no_table() -> pd.DataFrame:
@@ -231,7 +178,7 @@ def dh_export(
         source, convention, session=session, robot=nominal, temperature=temperature, spread=held.spread
     )
     table = read_dh(table_text(frame))
-    left, measured = _checked(
+    left, measured = checked(
         lambda q: dh_forward(table, q), held.model, nominal, session, temperature, campaign, user_effects
     )
     e = left.error
@@ -241,23 +188,6 @@ def dh_export(
     difference = float(frame["difference_m"].iloc[0])
     text = table_text(frame)
     return ExportedTable(text, temperature, difference, left, measured, held.combinations, convention, frame, best)
-
-
-def _checked(
-    form: Flange,
-    model: Model,
-    robot: RobotDescription,
-    session: int,
-    temperature: float,
-    campaign: Campaign | None,
-    user_effects: Path | None,
-) -> tuple[LeftOut, Measured | None]:
-    """What a form leaves of the whole model, and of measured points where there are any."""
-    measured = None if campaign is None else measured_error(form, model, session, campaign)
-    left = left_out(
-        form, model, robot, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
-    )
-    return left, measured
 
 
 def dh_table(model: Model, convention: Convention, **options: Any) -> pd.DataFrame:
@@ -418,107 +348,3 @@ def _verify(frame: pd.DataFrame, chain: CalibratedChain, allowed: float) -> floa
     if not difference <= allowed:
         raise DHError(f"the table, read back, differs by {difference:.2g} m from the model, more than {allowed:g} m")
     return difference
-
-
-def angle_table(
-    model: Model, *, robot: RobotDescription | None = None, effects_from: Path | None = None
-) -> pd.DataFrame:
-    """Errors of joint angles over their ranges, which no table of constant numbers can hold.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``joint``, ``q_rad`` as the controller reports it, ``error_rad`` (arm less controller: add it before a table of
-        Denavit–Hartenberg parameters is used), ``std_error_rad``, and ``extrapolated``, 1 where no pose was near.
-
-    Raises
-    ------
-    ModelError
-        The model has no such errors.
-    """
-    import pandas as pd
-
-    nominal = robot_of(model, robot)
-    stage = model.stages.get("poses")
-    if stage is None:
-        raise ModelError("expected a model with a stage poses, found none")
-    parts = []
-    known = effects_of(model, effects_from)
-    for j, (low, high) in enumerate(zip(*ranges(nominal), strict=True)):
-        q = np.zeros((round((high - low) / ANGLES) + 1, nominal.n))
-        q[:, j] = np.linspace(low, high, len(q))
-        found = angle_errors(stage, known, model.layout, nominal, q)
-        if found.active[j]:
-            columns = {
-                "q_rad": q,
-                "error_rad": found.error,
-                "std_error_rad": found.std,
-                "extrapolated": found.extrapolated,
-            }
-            part = pd.DataFrame({name: values[:, j] for name, values in columns.items()})
-            part.insert(0, "joint", j + 1)
-            parts.append(part.astype({"extrapolated": int}))
-    if not parts:
-        raise ModelError("expected a model with errors of joint angles (such as gear_eccentricity), found none")
-    return pd.concat(parts, ignore_index=True)
-
-
-def urdf_export(
-    model: Model,
-    *,
-    session: int = 0,
-    robot: RobotDescription | None = None,
-    temperature: float = REFERENCE_TEMPERATURE,
-    campaign: Campaign | None = None,
-    user_effects: Path | None = None,
-) -> Exported:
-    """The calibrated chain as URDF, whose frame ``world`` is the instrument's, and what it leaves of the whole model.
-
-    The file says its temperature, by how much it, read back, differs at most from the static chain over the joints'
-    ranges, and what it leaves of the whole model there.
-
-    Parameters
-    ----------
-    session, robot, temperature, campaign, user_effects
-        See `dh_export`.
-
-    Raises
-    ------
-    ModelError
-        The model has no geometry, or effects that are not known; the campaign is not that of the session; or the file,
-        read back, is not the chain.
-    DescriptionError
-        A joint is neither revolute nor prismatic.
-    """
-    nominal = robot_of(model, robot)
-    held = hold_undetermined(model)
-    model = held.model
-    chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
-    text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
-    with temporary_folder() as folder:
-        path = folder / "robot.urdf"
-        write_text(path, text)
-        back = read_urdf(path, "flange")
-
-    def form(q: Array) -> Array:
-        return np.asarray(forward(back.screws, back.flange, q))
-
-    q = postures(nominal)
-    difference = float(np.abs(form(q) - chain.flange(q)).max())
-    if not difference <= EXACT:
-        raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
-    left, measured = _checked(form, model, nominal, session, temperature, campaign, user_effects)
-    head, _, rest = text.partition("\n")
-    found = Exported("", temperature, difference, left, measured, held.combinations)
-    said = (
-        f"clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
-        f"from the model's static geometry, over {POSTURES} postures in the joints' ranges",
-        *found.said,
-    )
-    comments = "\n".join(f"<!-- {line.replace('--', '- -')} -->" for line in said)
-    return replace(found, text=f"{head}\n{comments}\n{rest}")
-
-
-def urdf_text(model: Model, **options: Any) -> str:
-    """The file of :func:`urdf_export`, which says the ``options``."""
-    return urdf_export(model, **options).text

@@ -1,0 +1,90 @@
+"""How far a long piece of work has come: named parts within parts, each a share of the one around it.
+
+Library functions say what they do with :func:`substep` and :func:`in_parts`. Where nobody listens, both do nothing. A
+verb listens with :func:`listen`. Shares are estimates: they make a time left good to a factor of two, no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeVar
+
+__all__ = ["Listener", "in_parts", "left_in_words", "listen", "substep", "time_left"]
+
+T = TypeVar("T")
+Listener = Callable[[float, str], None]
+"""Takes the share that is done (0 to 1) and the names of the parts that are under way, outermost first."""
+
+SOON = 4.0  # seconds
+LEAST_DONE = 0.05  # below which the time left is anybody's guess
+
+
+class _Tracker:
+    """The parts that are under way: their names, where each ends, and how far it has come, 0 to 1."""
+
+    def __init__(self, listener: Listener) -> None:
+        self.listener, self.names, self.ends, self.done = listener, list[str](), [1.0], 0.0
+
+    def begin(self, name: str, share: float) -> None:
+        self.ends.append(self.done + share * (self.ends[-1] - self.done))
+        self.names.append(name)
+        self.listener(self.done, ": ".join(filter(None, self.names)))
+
+    def end(self) -> None:
+        self.done = self.ends.pop()
+        self.names.pop()
+
+
+_tracker: ContextVar[_Tracker | None] = ContextVar("tracker", default=None)
+
+
+@contextmanager
+def listen(listener: Listener) -> Iterator[None]:
+    """Hear of every part that begins within."""
+    token = _tracker.set(_Tracker(listener))
+    try:
+        yield
+    finally:
+        _tracker.reset(token)
+
+
+@contextmanager
+def substep(name: str, share: float = 0.5) -> Iterator[None]:
+    """One part of a piece of work: a share of what is left of the part around it. Decorates functions, too."""
+    tracker = _tracker.get()
+    if tracker is None:
+        yield
+        return
+    tracker.begin(name, share)
+    try:
+        yield
+    finally:
+        tracker.end()
+
+
+def in_parts(
+    items: Iterable[T], name: Callable[[T], str] = lambda _: "", weight: Callable[[T], float] = lambda _: 1.0
+) -> Iterator[T]:
+    """Go through items, each a part of what is left by its weight; ``name`` names the part of one."""
+    several = list(items)
+    weights = [weight(item) for item in several]
+    for k, item in enumerate(several):
+        with substep(name(item), weights[k] / sum(weights[k:])):
+            yield item
+
+
+def time_left(done: float, elapsed: float) -> float | None:
+    """Seconds left after ``elapsed`` of them; None where too little is done to tell."""
+    return None if done < LEAST_DONE else elapsed * (1.0 - done) / done
+
+
+def left_in_words(done: float, elapsed: float) -> str:
+    """``, about 40 s left``; empty where too little is done to tell."""
+    left = time_left(done, elapsed)
+    if left is None:
+        return ""
+    if left < SOON:
+        return ", a few seconds left"
+    return f", about {left:.0f} s left" if left < 90 else f", about {left / 60:.0f} min left"

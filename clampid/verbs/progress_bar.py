@@ -1,0 +1,44 @@
+"""Progress on a terminal: a bar with what is being done, the time so far and about the time left."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from clampid.progress import left_in_words
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["ProgressBar"]
+
+SHORTEST = 5.0  # seconds; of shorter work no time left is said
+
+
+class ProgressBar:
+    """A bar that moves to and fro until it is known how far the work has come; it goes when the work is done."""
+
+    def __init__(self, console: Console, text: str) -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}")
+        self._bar = Progress(*columns, console=console, transient=True)
+        self._text, self._start = text, time.monotonic()
+        self._task = self._bar.add_task(text, total=None, left="")
+
+    def heard(self, done: float, names: str) -> None:
+        """A part begins."""
+        elapsed = time.monotonic() - self._start
+        left = left_in_words(done, elapsed).removeprefix(", ") if elapsed >= SHORTEST else ""
+        total = 1.0 if done > 0 else None
+        self._bar.update(self._task, description=f"{self._text}: {names}", total=total, completed=done, left=left)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
