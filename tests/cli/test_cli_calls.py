@@ -145,7 +145,9 @@ def test_a_spoiled_model_is_refused(clampid: Clampid, model: Path, poses_only: P
     spoiled.write_text(json.dumps(data))
     ran = clampid("compare", spoiled, poses_only)
     assert ran.code == 2
-    assert "m.json: key stages.poses.covariance: expected lists of finite numbers, found no such key" in ran.complaint
+    count = len(data["stages"]["poses"]["parameters"])
+    expected = f"expected {count} lists of {count} finite numbers, found no such key"
+    assert f"m.json: key stages.poses.covariance: {expected}" in ran.complaint
 
 
 def test_a_failed_write_leaves_the_old_file(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
