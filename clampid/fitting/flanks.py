@@ -55,17 +55,21 @@ def settled(
         What a parameter vector costs, prior included.
     """
     held = held_at(start)
-    seen, found = [held], [search(held, start)]
+    found = search(held, start)
+    # Of the searches before the last one only their ends are kept: all that was found there is as large as the rows.
+    seen, ends = [held], [found.theta]
     for _ in range(ROUNDS):
-        moved = held_at(found[-1].theta)
+        moved = held_at(found.theta)
         if _same(held, moved):
-            return found[-1]
+            return found
         if any(_same(other, moved) for other in seen):
             break
         held = moved
+        found = search(held, found.theta)
         seen.append(held)
-        found.append(search(held, found[-1].theta))
-    return min(found, key=lambda f: cost(held_at(f.theta), f.theta))
+        ends.append(found.theta)
+    lowest = min(range(len(ends)), key=lambda k: cost(held_at(ends[k]), ends[k]))
+    return found if lowest == len(ends) - 1 else search(seen[lowest], ends[lowest])
 
 
 def mirrored(trial: Experiment, theta: Array) -> Array | None:
