@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 from offline_ik.protocol import Job, Session, Speaker
+from offline_ik.requests import is_stop
 
 __all__ = ["LINE_BYTES", "Client", "Limits"]
 
@@ -152,7 +153,7 @@ class Client(asyncio.Protocol):
         for line in parts:
             if self.skipping:  # the rest of a line that was too long, already answered
                 self.skipping = False
-            elif len(line) <= LINE_BYTES and line.split(None, 1)[:1] == [b"stop"]:
+            elif len(line) <= LINE_BYTES and is_stop(line):
                 self._stop_now(line)
             else:
                 self.lines.append(line)
@@ -172,7 +173,7 @@ class Client(asyncio.Protocol):
         """Answer what has come, and end; what the end cuts off is refused."""
         self.session.closed = True
         if self.partial and not self.skipping:  # cut off, it may be another request than was meant: r=0.8 of r=0.85
-            self.lines.append(CUT_OFF)
+            self._stop_now(self.partial) if is_stop(self.partial) else self.lines.append(CUT_OFF)
             self.partial = b""
         open_ = bool(self.lines) or self.working
         self.ended = not open_

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from clampid.verbs.errors import CallError
 
-__all__ = ["EVERY", "GREETED", "MOVES", "WORDS", "RequestError", "number", "numbers", "parse", "switch"]
+__all__ = ["EVERY", "GREETED", "MOVES", "WORDS", "RequestError", "is_stop", "number", "numbers", "parse", "switch"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,10 +47,16 @@ MOVES = frozenset({"move", "hold", "confirm", "temperature"})
 """Requests that a server refuses which a network reaches and which has no token: it only answers."""
 
 EVERY = ("id", "robot")
+STOP = b"stop"
 
 
 class RequestError(CallError):
     """A line that is no request; the message says what was expected."""
+
+
+def is_stop(line: bytes) -> bool:
+    """Whether the first word of a line is `stop`, in whatever case."""
+    return line[: len(STOP) + 64].lower().split(None, 1)[:1] == [STOP]
 
 
 def parse(line: bytes) -> tuple[str, dict[str, str]]:
@@ -61,6 +67,9 @@ def parse(line: bytes) -> tuple[str, dict[str, str]]:
     RequestError
         The line is no text, its word is not known, a pair is none, not known there, or comes twice.
     """
+    if is_stop(line):  # whatever else stands there: somebody is in a hurry
+        pairs = dict(part.split("=", 1) for part in line.decode("ascii", "replace").split()[1:] if "=" in part)
+        return "stop", {"id": pairs["id"]} if "id" in pairs else {}
     try:
         parts = line.decode("ascii").split()
     except UnicodeDecodeError:

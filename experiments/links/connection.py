@@ -105,6 +105,13 @@ class Connection:
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._splitter = Splitter()
+        self._heard = False
+
+    @property
+    def _closed(self) -> str:
+        """What is said where the other side has hung up."""
+        taken = "" if self._heard else "; another client may have the channel, which takes one"
+        return f"{self.name}: the controller closed the connection{taken}"
 
     def fileno(self) -> int:
         """For `select`; -1 once closed."""
@@ -134,6 +141,8 @@ class Connection:
                 with Selector() as selector:
                     selector.register(self._socket, selectors.EVENT_WRITE)
                     selector.select(left)
+            except (ConnectionResetError, BrokenPipeError):
+                raise NotSentError(self._closed, sent) from None
             except OSError as error:
                 raise NotSentError(f"{self.name}: {error.strerror or error}", sent) from None
 
@@ -149,10 +158,13 @@ class Connection:
             data = self._socket.recv(PIECE)
         except BlockingIOError:
             return []
+        except ConnectionResetError:
+            data = b""
         except OSError as error:
             raise LinkLostError(f"{self.name}: {error.strerror or error}") from None
         if not data:
-            raise LinkLostError(f"{self.name}: the controller closed the connection")
+            raise LinkLostError(self._closed)
+        self._heard = True
         try:
             return self._splitter.feed(data)
         except StreamError as error:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from experiments.links.schema import ALIVE_FLAGS, CHANNELS, DATA_FLAGS, PORT, Channel
 
-__all__ = ["config_text"]
+__all__ = ["CONNECT_MS", "REOPEN_MS", "config_text"]
 
-CONNECT_MS = 60000  # ms that EKI_Open waits for a client: it is called again after
+CONNECT_MS = 60000  # ms for which a channel that EKI_Open has opened listens for a client
+REOPEN_MS = 50000  # ms after which the programs open it again: nobody may come for days
 
 
 def config_text(channel: Channel, port: int = PORT, address: str = "") -> str:

@@ -62,6 +62,7 @@ class StateChannel:
         self._wake = Wake()
         self.last: Status | None = None
         self.trouble = "not connected yet"
+        self._broke = ""  # why the last connection ended
         self.malformed = 0
         self._thread = threading.Thread(target=self._run, name="eki-state", daemon=True)
         self._thread.start()
@@ -125,7 +126,7 @@ class StateChannel:
         with self._answered:
             self._answered.wait_for(lambda: self.last is not None, patience)
         if self.last is None:
-            raise LinkLostError(f"state channel: {self.trouble or 'connected, but no answer'}")
+            raise LinkLostError(f"state channel: {self.trouble or self._broke or 'connected, but no answer'}")
         return self.last
 
     def close(self) -> None:
@@ -166,7 +167,7 @@ class StateChannel:
             self._connection.close()
         self._connection = None
         self._asked.clear()
-        self.trouble = why
+        self.trouble = self._broke = why
         self._wake.set()
 
     def _run(self) -> None:

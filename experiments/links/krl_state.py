@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from experiments.links.eki_config import REOPEN_MS
 from experiments.links.krl_motion import CLOCK_TIMER, WATCHDOG_TIMER, head, reopened
 from experiments.links.schema import (
     ALIVE_FLAGS,
@@ -21,6 +22,7 @@ from experiments.links.schema import (
 
 __all__ = ["state_sub"]
 
+CLOCK_FULL_MS = 2_000_000_000  # 23.1 days; the greatest INT is 2_147_483_647
 LAST = STATE.receive[-1].tag
 _STATE = {
     "Sequence": "SEQ", "Boot": "CL_BOOT", "Accepted": "CL_ACCEPTED", "Running": "CL_RUNNING",
@@ -43,34 +45,27 @@ def state_sub(title: str) -> str:
         *head("CLAMPID_STATE", title, "clampid: answers, records, watches"),
         "DEF CLAMPID_STATE ( )",
         "DECL EKI_STATUS RET",
-        "DECL INT DUE,ASKED,SEQ,KIND,SINCE,MODENO,OLDEST,COUNT,ROW,I,K,WHY",
+        "DECL INT DUE,ASKED,SEQ,KIND,SINCE,MODENO,OLDEST,COUNT,ROW,K,WHY,OPENED",
         "DECL BOOL RELEASED,ESTOP",
         "IF CL_RUNNING>0 THEN",
         "; this program was started again while the robot moves: nobody watched, so it stops",
         f"CL_WHY={Reason.WATCHDOG:d}",
         "CL_BRAKE=TRUE",
         "ENDIF",
-        "CL_BOOT=CL_BOOT+1",
-        "CL_ACCEPTED=0",
-        "CL_FINISHED=0",
-        "CL_ABORTED=0",
-        "CL_POINT=0",
-        "CL_REASON=0",
-        "CL_STOPPED=FALSE",
-        "CL_NEWEST=0",
-        f"$TIMER[{CLOCK_TIMER}]=0",
+        *_begun(),
         f"$TIMER_STOP[{CLOCK_TIMER}]=FALSE",
-        "DUE=0",
-        f"ASKED=$TIMER[{CLOCK_TIMER}]",
         "COUNT=-1",
         *reopened(STATE.name),
+        f"OPENED=$TIMER[{CLOCK_TIMER}]",
         "LOOP",
+        *_renewed(),
         *_sampled(),
         *_watched(),
         f"IF $FLAG[{ALIVE_FLAGS[1]}]==FALSE THEN",
-        "IF COUNT>=0 THEN",
-        "; the client is gone: open the channel again, once",
+        f"IF (COUNT>=0) OR ($TIMER[{CLOCK_TIMER}]-OPENED>{REOPEN_MS}) THEN",
+        "; the client is gone, or the time-out of the config file will end the listening: open the channel again",
         *reopened(STATE.name),
+        f"OPENED=$TIMER[{CLOCK_TIMER}]",
         "COUNT=-1",
         "ENDIF",
         "ELSE",
@@ -100,6 +95,27 @@ def state_sub(title: str) -> str:
         "END",
     ]
     return "\r\n".join(lines) + "\r\n"
+
+
+def _begun() -> Iterator[str]:
+    """Numbers, recording, stop latch and clock begin anew, under another boot number."""
+    yield "CL_BOOT=CL_BOOT+1"
+    for name in ("ACCEPTED", "FINISHED", "ABORTED", "POINT", "REASON"):
+        yield f"CL_{name}=0"
+    yield "CL_STOPPED=FALSE"
+    yield "CL_NEWEST=0"
+    yield f"$TIMER[{CLOCK_TIMER}]=0"
+    yield "DUE=0"
+    yield "ASKED=0"
+
+
+def _renewed() -> Iterator[str]:
+    """An INT of milliseconds is full after 24.8 days, and an overflow would end this program."""
+    yield f"IF ($TIMER[{CLOCK_TIMER}]>{CLOCK_FULL_MS}) AND (CL_RUNNING==0) THEN"
+    yield "; the timer is nearly full: begin anew, as after a start"
+    yield from _begun()
+    yield "OPENED=0"
+    yield "ENDIF"
 
 
 def _sampled() -> Iterator[str]:

@@ -234,8 +234,6 @@ class Programs:
         """Close the current program; with the lock held."""
         if self._current is None:
             return
-        if self._current is None:
-            return
         fate = replace(self._current.fate, phase=phase, point=point, reason=reason)
         self._ended[fate.id] = fate
         while len(self._ended) > REMEMBERED:

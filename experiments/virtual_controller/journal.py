@@ -75,9 +75,22 @@ class Journal:
             os.write(self._descriptor, b"\n")  # a line that a full disk cut
 
     def add(self, event: Mapping[str, Any]) -> None:
-        """Append an event."""
-        if self._descriptor is not None:
-            os.write(self._descriptor, json.dumps(event, separators=(",", ":")).encode() + b"\n")
+        """Append an event.
+
+        Raises
+        ------
+        ControllerError
+            The disk does not take all of it.
+        """
+        if self._descriptor is None or self._truth is None:
+            return
+        line = json.dumps(event, separators=(",", ":")).encode() + b"\n"
+        try:
+            why = "" if os.write(self._descriptor, line) == len(line) else "the disk is full"
+        except OSError as error:
+            why = error.strerror or str(error)
+        if why:
+            raise ControllerError(f"{journal_file(self._truth)}: cannot be written: {why}")
 
     def close(self) -> None:
         """Close the journal."""

@@ -90,6 +90,7 @@ class VirtualRobot:
         self._servers: list[asyncio.Server] = []
         self._timer: asyncio.TimerHandle | None = None
         self._restart_at_point: int | None = None
+        self._ended: asyncio.Future[None] | None = None
 
     def _check_sent(self) -> None:
         for channel, known in ((self.motion, set(_moved({}))), (self.state, set(self.controller.state()))):
@@ -124,8 +125,15 @@ class VirtualRobot:
         return str(name[0]), int(name[1])
 
     async def run(self) -> None:
-        """Serve until cancelled."""
-        await asyncio.get_running_loop().create_future()
+        """Serve until cancelled.
+
+        Raises
+        ------
+        ControllerError
+            The truth cannot be written any more: without it nobody could count what moved.
+        """
+        self._ended = asyncio.get_running_loop().create_future()
+        await self._ended
 
     def close(self) -> None:
         """Stop listening and hang up."""
@@ -155,12 +163,22 @@ class VirtualRobot:
 
     def _tell(self, event: Mapping[str, Any]) -> None:
         """An event of the programs: first on the disk, then to the client."""
-        self.journal.add(event)
-        if "restart" in event or not isinstance(event["event"], Event):
+        if not self._kept(event) or "restart" in event or not isinstance(event["event"], Event):
             return
         self.motion.send(_moved(event))
         if event["event"] == Event.ACCEPTED and self._restart_at_point is not None:
             self._strike_at_point(self._restart_at_point)
+
+    def _kept(self, event: Mapping[str, Any]) -> bool:
+        """Write an event; where that cannot be done, this controller hangs up and ends, and tells nobody."""
+        try:
+            self.journal.add(event)
+        except ControllerError as error:
+            self.kill_link()
+            if self._ended is not None and not self._ended.done():
+                self._ended.set_exception(error)
+            return False
+        return True
 
     def _wake(self) -> None:
         """Set the timer to what is due next: none while the robot stands."""
@@ -183,7 +201,7 @@ class VirtualRobot:
             channel.open = False
             channel.close()
         self.controller.restart()
-        self.journal.add({"event": "started", "boot": self.controller.boot, "time": self.clock.now()})
+        self._kept({"event": "started", "boot": self.controller.boot, "time": self.clock.now()})
         asyncio.get_running_loop().call_later(self.restart_time, self._started)
         self._wake()
 

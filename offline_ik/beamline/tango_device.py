@@ -84,8 +84,12 @@ class DetectorRobot(Device):
         said = ["The robot moves." if found["moving"] else "The robot stands."]
         if holder is not None:
             said.append(f"It is held by {holder['name'] or 'a client without a name'} ({holder['address']}).")
-        refusal = self._refusal or found["last_refusal"]
-        return "\n".join([*said, *([f"Refused: {refusal}"] if refusal else [])])
+        refusal, ended = self._refusal or found["last_refusal"], found["ended"]
+        if refusal:
+            said.append(f"Refused: {refusal}")
+        elif not found["moving"] and ended is not None and ended["outcome"] != "arrived":
+            said.append(f"The last motion: {': '.join(filter(None, (ended['outcome'], ended['reason'])))}")
+        return "\n".join(said)
 
     @attribute(dtype=(float,), max_dim_x=3, access=AttrWriteType.READ_WRITE, doc="[gamma, delta, radius]: accepted")
     def position(self) -> list[float]:

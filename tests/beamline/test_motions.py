@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 
 import numpy as np
@@ -117,6 +118,24 @@ def test_a_move_that_a_stop_overtakes_does_not_begin(serving: Serving, link: Mem
         assert [f.get("id") for f in found[1:3]] == ["a", "b"]
         assert all("a stop came after it" in f["error"] for f in found[1:3])
         assert not link.sent
+
+
+@pytest.mark.parametrize("line", [b"STOP\n", b"stop now!\n", b"stop robot=another id=a\n", b"stop \xe9\n", b"stop"])
+def test_a_stop_in_a_hurry_is_obeyed(line: bytes, serving: Serving, link: MemoryLink) -> None:
+    link.seconds = 30.0
+    with serving.client("mover") as mover, serving.client(hello=False) as other:
+        assert mover.ask("move gamma=0.35 delta=0.2 r=0.8")["moving"]
+        other.socket.sendall(line)
+        other.socket.shutdown(socket.SHUT_WR)
+        assert other.hear()["do"] == "stop"
+        assert len(link.stopped) == 1
+        assert mover.ask("moved timeout=5")["ended"]["outcome"] == "stopped"
+
+
+def test_a_word_that_begins_like_stop_is_none(serving: Serving, link: MemoryLink) -> None:
+    with serving.client() as client:
+        assert "no request is called 'stopwatch'" in client.ask("stopwatch")["error"]
+    assert not link.stopped
 
 
 def test_after_a_stop_the_setpoint_is_where_the_robot_stands(serving: Serving, link: MemoryLink) -> None:

@@ -98,6 +98,7 @@ def test_stop_ends_a_motion_and_the_position_is_where_it_stands(contrast: Peer, 
     position = contrast.ask("read position")["ok"]
     assert abs(position[0] - 40) > 10
     assert position == contrast.ask("read measured")["ok"]
+    assert contrast.ask("Status")["ok"] == "The robot stands.\nThe last motion: stopped"
 
 
 def test_what_is_no_number_is_refused_by_tango_itself(contrast: Peer, link: MemoryLink) -> None:

@@ -241,7 +241,7 @@ def test_of_two_clients_one_has_the_robot_and_the_other_is_told(
     controller: FakeController, link: EkiLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(eki, "FIRST", 0.3)
-    with pytest.raises(LinkLostError, match="state channel"):
+    with pytest.raises(LinkLostError, match="closed the connection; another client may have the channel"):
         connect(LinkAddress("eki", "127.0.0.1", controller.port))
     assert link.wait(link.execute(to(1)), 5.0).phase is Phase.FINISHED
 

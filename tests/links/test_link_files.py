@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from clampid.cli import run
+from experiments.links.eki_config import CONNECT_MS
 from experiments.links.files import link_files
 from experiments.links.schema import ALIVE_FLAGS, CHANNELS, DATA_FLAGS, MOTION, STATE, Event, Kind, Reason
 from kinematics.description import DescriptionError, load_robot
@@ -182,3 +183,46 @@ def test_what_the_state_channel_answers_fits_its_buffers() -> None:
     assert MOTION.buffer > LONGEST_PROGRAM * len(longest)
     asked = document(STATE.receive, {e.tag: 2**31 - 1 for e in STATE.receive})
     assert STATE.limit * len(asked) < STATE.buffer
+
+
+def blocks(name: str) -> dict[str, list[str]]:
+    """Lines of each DEF and DEFFCT."""
+    found: dict[str, list[str]] = {}
+    for line in bare(PROGRAMS[name]):
+        if head := re.match(r"DEF(?:FCT \w+)? (\w+) \(", line):
+            found[head[1]] = lines = []
+        else:
+            lines.append(line)
+    return found
+
+
+def test_resume_ends_the_motion_and_not_what_reports_it() -> None:
+    """RESUME goes on behind the call out of the block in which its interrupt was declared (KRL)."""
+    found = blocks("clampid_motion.src")
+    resuming = {name for name, lines in found.items() if "RESUME" in lines}
+    assert resuming == {"CL_HALT", "CL_STARVED"}
+    for handler in resuming:
+        ((where, number),) = [
+            (name, m[1])
+            for name, lines in found.items()
+            for line in lines
+            if (m := re.match(rf"INTERRUPT DECL (\d+) WHEN .* DO {handler}\(\)$", line))
+        ]
+        (moving,) = [name for name, lines in found.items() if f"INTERRUPT ON {number}" in lines]
+        behind = found[where][found[where].index(f"{moving}()") + 1 :]
+        assert any(line.startswith("CL_SAY(5,") for line in behind), "the abort is told after RESUME"
+        assert "CL_RUNNING=0" in behind
+        assert found[moving][-2:] == ["WAIT SEC 0", "END"], "the advance run stays in the block that RESUME ends"
+
+
+def test_a_channel_that_nobody_takes_is_opened_again_before_it_stops_listening() -> None:
+    assert 100 * int(re.search(r"CL_WAITED>=(\d+)", KRL["clampid_motion.src"])[1]) < CONNECT_MS
+    assert int(re.search(r"-OPENED>(\d+)", KRL["clampid_state.sub"])[1]) < CONNECT_MS
+
+
+def test_the_clock_begins_anew_before_it_overflows() -> None:
+    state = "\n".join(blocks("clampid_state.sub")["CLAMPID_STATE"])
+    pattern = r"LOOP\nIF \(\$TIMER\[19\]>(\d+)\) AND \(CL_RUNNING==0\) THEN\n(.*?)ENDIF"
+    full, then = re.search(pattern, state, re.DOTALL).groups()
+    assert 0 < int(full) < 2**31 - 1 - 24 * 3600 * 1000
+    assert {"CL_BOOT=CL_BOOT+1", "$TIMER[19]=0", "DUE=0", "ASKED=0", "OPENED=0"} <= set(then.split("\n"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from clampid.verbs.virtual_robot import virtual_robot
 from experiments.virtual_controller.config import read_config
 from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_controller.running import Asked, built
+from experiments.virtual_controller.serving import Address
 from kinematics.description import load_robot
 
 
@@ -108,3 +110,31 @@ def test_robot_of_another_maker_moves_too() -> None:
     with inside(robot="abb_irb4600_40_255", speed=1000.0) as robot:
         q = np.degrees(robot.robot.controller.arm.track.target)
         assert robot.run(1, [q + 5, q]) == [1, 2, 2, 3]
+
+
+def test_a_disk_that_is_full_ends_it_and_nobody_is_told_of_what_is_not_kept(tmp_path: Path) -> None:
+    """By the limit of a file's size: the journal takes some lines and a part of the next."""
+    resource = pytest.importorskip("resource")
+
+    async def play() -> None:
+        robot = built(Asked(load_robot("kuka_kr20_r1810"), configs(), truth=tmp_path / "truth.json"))
+        serving = asyncio.ensure_future(robot.run())
+        host, port = await robot.listen(Address("127.0.0.1", 0))
+        kept = (tmp_path / "truth.journal.jsonl").stat().st_size
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (kept + 500, before[1]))
+        try:
+            read, write = await asyncio.open_connection(host, port)
+            write.write(b"".join(move(1, 1, [HOME + 0.01 * STEP])))
+            told = await asyncio.wait_for(read.read(), 20)  # until it hangs up
+            await asyncio.wait_for(serving, 20)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            robot.close()
+            lines = (tmp_path / "truth.journal.jsonl").read_bytes().split(b"\n")[:-1]
+            heard = told.count(b"<Moved>")
+            assert heard == len(lines) - 1 >= 1, (told, lines)  # the first line is the start
+            write.close()
+
+    with pytest.raises(ControllerError, match=r"truth.journal.jsonl: cannot be written: "):
+        asyncio.run(play())
