@@ -31,11 +31,38 @@ GROUP = "clampid.verbs"
 LONGEST_LINE = 4000  # characters of an error: a file may bring names of any length
 OUTPUTS = frozenset({"output", "out", "report", "plan", "svg", "json"})
 """Parameters of verbs that name what is written; files that others name are read."""
-ORDER = (
-    "demo", "check", "identify", "auto", "compare", "diagnose", "add", "history", "undo", "export", "base", "effects",
-    "effect", "robots", "simulate", "plan", "run", "ik", "sample", "serve", "studio", "virtual-robot",
-)  # fmt: skip
-"""Verbs in the order in which one meets them; others follow by name."""
+VERBS = {
+    "demo": "Run the whole loop on a virtual robot: start here.",
+    "check": "Read a campaign folder and say what it holds.",
+    "identify": "Fit a model to a campaign.",
+    "auto": "Identify, then find and add what is missing.",
+    "compare": "Compare a model with measurements.",
+    "diagnose": "Say where a model fails and which effect is missing.",
+    "add": "Add effects to a model and fit again.",
+    "history": "Show each round's effects, evidence and error.",
+    "undo": "Take back the last round and fit again.",
+    "report": "Write the report of a model and a campaign as HTML.",
+    "export": "Write a DH table, URDF, KUKA machine data or dynamics.",
+    "base": "Find the base frame from circles or from touches.",
+    "effects": "Say in words what each effect is.",
+    "effect": "Make an effect of your own.",
+    "robots": "List bundled robots, or show how a description is read.",
+    "simulate": "Measure a campaign on the virtual robot.",
+    "import": "Make a campaign from tables of an instrument.",
+    "plan": "Plan measurements that identify what is asked.",
+    "run": "Run a measurement campaign on a robot.",
+    "ik": "Give joint angles for a detector position.",
+    "sample": "Find the scattering point from Bragg reflections.",
+    "serve": "Answer detector positions over TCP; move the robot.",
+    "studio": "Open the loop in a browser.",
+    "link-files": "Write the files for a KUKA controller.",
+    "virtual-robot": "Play a robot's controller on sockets.",
+    "worked-example": "Repeat the worked example of the thesis.",
+}
+"""Verbs in the order in which one meets them, each with its line of ``clampid --help``; others follow by name.
+
+A line has at most 58 characters: typer would cut a longer one off.
+"""
 
 
 def app() -> typer.Typer:
@@ -49,7 +76,8 @@ def app() -> typer.Typer:
     )
     command.callback()(_common)
     found = {point.name: point for point in entry_points(group=GROUP)}
-    for name in sorted(found, key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name)):
+    order = [*(name for name in VERBS if name in found), *sorted(found.keys() - VERBS.keys())]
+    for name in order:
         verb = found[name].load()
         if isinstance(verb, typer.Typer):
             group = copy(verb)  # the verb itself stays as it is: a process may make the command more than once
@@ -57,9 +85,9 @@ def app() -> typer.Typer:
             for one in group.registered_commands:
                 if one.callback is not None:
                     one.callback = _guarded(one.callback)
-            command.add_typer(group, name=name)
+            command.add_typer(group, name=name, short_help=VERBS.get(name))
         else:
-            command.command(name)(_guarded(verb))
+            command.command(name, short_help=VERBS.get(name))(_guarded(verb))
     return command
 
 

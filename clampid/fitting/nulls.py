@@ -81,9 +81,9 @@ def named_directions(
     for parts, directions in told.items():
         words = " and ".join(labels[k] for k in sorted(parts))
         if len(parts) == 1:
-            out.append(f"{words}: not known to within its reasonable size")
+            out.append(f"{words}: the data do not narrow its plausible range")
         elif directions >= len(parts):
-            out.append(f"{words}: none of them is known to within its reasonable size")
+            out.append(f"{words}: the data narrow the plausible range of none of them")
         else:
             out.append(f"{words}: only a combination of them is known")
     return tuple(out)

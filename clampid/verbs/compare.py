@@ -11,6 +11,7 @@ from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import numbers_of, read_checked
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, OneCampaign, Quiet, Seed, Verbose
 from clampid.verbs.output import Output, output_file
+from clampid.verbs.units import Units
 
 __all__ = ["compare"]
 
@@ -47,12 +48,12 @@ def compare(
     if not 0.0 < refit_fraction < 1.0:
         raise CallError(f"--refit-fraction: expected a share between 0 and 1, found {refit_fraction:g}")
     centre = numbers_of("--sample", sample)
+    units = Units(millimetres=mm)
     if centre is not None and len(centre) != 3:
-        raise CallError(f"--sample: expected x, y, z in {'mm' if mm else 'm'}, found {sample!r}")
+        raise CallError(f"--sample: expected x, y, z in {units.distance_unit}, found {sample!r}")
     if mm and centre is None:
         raise CallError("--mm is the unit of --sample: expected --sample X,Y,Z with it")
-    if centre is not None and mm:
-        centre = tuple(value / 1000.0 for value in centre)
+    centre = units.lengths(centre)
     if report is not None:
         output_file(report, "markup")
 

@@ -19,7 +19,7 @@ __all__ = ["effect"]
 effect = typer.Typer(help="Make an effect of your own.", no_args_is_help=True)
 
 
-@effect.command()
+@effect.command(short_help="Write the file of an effect, to be completed.")
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the effect.", show_default=False)],
     depends_on: Annotated[
@@ -66,7 +66,7 @@ def new(
     )
 
 
-@effect.command()
+@effect.command(short_help="Let models run the code of an effect file.")
 def trust(
     file: Annotated[Path, typer.Argument(metavar="FILE.py", help="A file of effects.", show_default=False)],
     remove: Annotated[bool, typer.Option("--remove", help="Trust it no longer.")] = False,

@@ -12,6 +12,7 @@ from clampid.verbs.errors import CallError
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output, output_file
 from clampid.verbs.streams import write_result
+from clampid.verbs.units import Units
 
 if TYPE_CHECKING:
     from clampid.exports.exported import Exported
@@ -42,7 +43,7 @@ Poses = Annotated[
 ]
 
 
-@export.command()
+@export.command(short_help="A Denavit–Hartenberg table with standard errors.")
 def dh(
     model: ModelFile,
     convention: Annotated[
@@ -98,7 +99,7 @@ def dh(
     _extrapolating(loaded, temperature, out)
 
 
-@export.command()
+@export.command(short_help="Errors of joint angles over their ranges.")
 def angles(
     model: ModelFile,
     output: Annotated[
@@ -122,7 +123,7 @@ def angles(
     out.say(f"angle errors: {output}; arm less controller, with standard errors")
 
 
-@export.command()
+@export.command(short_help="The calibrated chain as URDF.")
 def urdf(
     model: ModelFile,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.urdf", help="File to write.")],
@@ -155,15 +156,21 @@ def urdf(
     _extrapolating(loaded, temperature, out)
 
 
-@export.command()
+@export.command(short_help="The geometry of KUKA machine data.")
 def kuka(
     model: ModelFile,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.dat", help="File to write; stdout without it.")
     ] = None,
     lever: Annotated[
-        float, typer.Option(metavar="M", help="From the flange to the tool's point, which is to err least.")
-    ] = 0.2,
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="From the flange to the tool's point, which is to err least; otherwise 0.2 m.",
+            show_default=False,
+        ),
+    ] = None,
+    mm: Annotated[bool, typer.Option("--mm", help="--lever is given in millimetres, not metres.")] = False,
     campaign: Poses = None,
     session: Session = 1,
     temperature: Temperature = 20.0,
@@ -174,8 +181,10 @@ def kuka(
     """The part of KUKA machine data that is geometry, and what this form alone leaves over the joints' ranges."""
     out = Output(quiet)
     _writable(output, "text")
+    if mm and lever is None:
+        raise CallError("--mm is the unit of --lever: expected --lever MM with it")
 
-    from clampid.exports.kuka_export import kuka_machine_data
+    from clampid.exports.kuka_export import LEVER, kuka_machine_data
     from clampid.models.model import load_model
 
     loaded = load_model(model)
@@ -184,7 +193,7 @@ def kuka(
         session=session - 1,
         robot=_robot(robot),
         temperature=temperature,
-        lever=lever,
+        lever=LEVER if lever is None else Units(millimetres=mm).metres(lever),
         campaign=_read(campaign),
         user_effects=effects_from,
     )
@@ -200,7 +209,7 @@ def kuka(
         out.say(found.measured)
 
 
-@export.command()
+@export.command(short_help="Base parameters of gravity and inertia as JSON.")
 def dynamics(
     model: ModelFile,
     consistent: Annotated[

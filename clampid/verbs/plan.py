@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from clampid.display import number, scale_for
 from clampid.verbs.errors import CallError
 from clampid.verbs.grouped import grouped
 from clampid.verbs.inputs import numbers_of
@@ -20,9 +21,13 @@ if TYPE_CHECKING:
     from clampid.planning.sight import Sight
     from clampid.screen import Screen
     from clampid.stages.rows import Array
+    from clampid.verbs.units import Units
     from experiments.plans.model import Expected, Plan
 
 __all__ = ["plan"]
+
+SIGHT_TOLERANCE = 0.05  # rad
+LAST_MOVE = 0.05  # rad, of every joint to a pose
 
 plan = typer.Typer(help="Plan measurements that identify what is asked.", no_args_is_help=True)
 
@@ -36,7 +41,7 @@ Effects = Annotated[
 Speeds = Annotated[str, typer.Option(metavar="A,B,…", help="Shares of the top speeds, one run each.")]
 
 
-@plan.command("free-air")
+@plan.command("free-air", short_help="Motion in free air: gravity and friction.")
 @grouped
 def free_air(
     output: PlanFile,
@@ -68,7 +73,7 @@ def free_air(
         _finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
 
 
-@plan.command()
+@plan.command(short_help="Swings of a coupled wrist: friction of its gears.")
 @grouped
 def wrist(
     output: PlanFile,
@@ -99,7 +104,7 @@ def wrist(
         _finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
 
 
-@plan.command()
+@plan.command(short_help="Sweeps against a clamped flange: springs and clearances.")
 @grouped
 def clamping(
     output: PlanFile,
@@ -149,7 +154,7 @@ def clamping(
         with out.working("choosing sweeps"):
             made = plan_clamping(
                 cell, held, noise, press, time=time, effects=names_of(effects) or STANDARD,
-                joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n),
+                joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n, where.units),
                 scene=where.scene(cell), seed=seed, assumed=(*assumed, *more, *usual),
             )  # fmt: skip
         force = max(float(s.force.max()) for s in made.sweeps)
@@ -158,7 +163,7 @@ def clamping(
         _finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings", (load,))
 
 
-@plan.command()
+@plan.command(short_help="Poses to measure: geometry, springs and clearances.")
 @grouped
 def poses(
     output: PlanFile,
@@ -196,9 +201,13 @@ def poses(
         str | None, typer.Option(metavar="X,Y,Z,RAD", help="Cone that targets answer in, flange.", show_default=False)
     ] = None,
     sight_tolerance: Annotated[
-        float, typer.Option(metavar="RAD", help="Angle that is taken off both cones, radians.")
-    ] = 0.05,
-    approach: Annotated[float, typer.Option(metavar="RAD", help="Last move of every joint to a pose.")] = 0.05,
+        float | None,
+        typer.Option(metavar="RAD", help="Angle that is taken off both cones; otherwise 0.05 rad.", show_default=False),
+    ] = None,
+    approach: Annotated[
+        float | None,
+        typer.Option(metavar="RAD", help="Last move of every joint to a pose; otherwise 0.05 rad.", show_default=False),
+    ] = None,
     spread: Annotated[
         float, typer.Option(metavar="SHARE", help="Share of the poses chosen to be far from all others.")
     ] = 0.2,
@@ -218,14 +227,16 @@ def poses(
 
         if box is not None and sphere is not None:
             raise CallError("--box and --sphere: expected one of them, found both")
-        inside = numbers_of("--box", box) or numbers_of("--sphere", sphere)
-        grid = numbers_of("--verification-sphere", verification_sphere)
+        units = where.units
+        inside = units.lengths(numbers_of("--box", box)) or units.part_of_sphere(numbers_of("--sphere", sphere))
+        grid = units.part_of_sphere(numbers_of("--verification-sphere", verification_sphere))
         cell, limits, assumed = where.cell(acceleration)
         wishes = PoseWishes(
             count, replicates, verification, names_of(effects),
             None if inside is None else box_of(inside) if box is not None else sphere_part_of(inside),
-            _sight(instrument, view, facing, sight_tolerance),
-            None if grid is None else sphere_part_of(grid), spread, approach, measure_time,
+            _sight(instrument, view, facing, sight_tolerance, units),
+            None if grid is None else sphere_part_of(grid), spread,
+            LAST_MOVE if approach is None else units.radians(approach), measure_time,
         )  # fmt: skip
         with out.working("choosing poses"):
             made = plan_poses(cell, limits, wishes, scene=where.scene(cell), seed=seed, assumed=assumed)
@@ -235,15 +246,18 @@ def poses(
         _finish(made, output, out, what, (balance.words,), approaches=balance.to_json())
 
 
-def _sight(instrument: str | None, view: str | None, facing: str | None, tolerance: float) -> Sight | None:
+def _sight(
+    instrument: str | None, view: str | None, facing: str | None, tolerance: float | None, units: Units
+) -> Sight | None:
     from clampid.planning.sight import sight_of
 
-    station = numbers_of("--instrument", instrument)
+    station = units.lengths(numbers_of("--instrument", instrument))
     if station is None:
         if view is not None or facing is not None:
             raise CallError("--view, --facing: expected --instrument X,Y,Z with them, found none")
         return None
-    return sight_of(station, numbers_of("--view", view), numbers_of("--facing", facing), tolerance)
+    cones = units.cone(numbers_of("--view", view)), units.cone(numbers_of("--facing", facing))
+    return sight_of(station, *cones, SIGHT_TOLERANCE if tolerance is None else units.radians(tolerance))
 
 
 def _joints(text: str | None, n: int) -> tuple[int, ...] | None:
@@ -255,15 +269,15 @@ def _joints(text: str | None, n: int) -> tuple[int, ...] | None:
     return tuple(int(j) - 1 for j in numbers)
 
 
-def _postures(texts: list[str] | None, n: int) -> Array | None:
+def _postures(texts: list[str] | None, n: int, units: Units) -> Array | None:
     import numpy as np
 
     if not texts:
         return None
-    rows = [numbers_of("--posture", text) or () for text in texts]
+    rows = [units.angles(numbers_of("--posture", text)) or () for text in texts]
     for row in rows:
         if len(row) != n:
-            raise CallError(f"--posture: expected {n} angles in rad, found {len(row)}")
+            raise CallError(f"--posture: expected {n} angles in {units.angle_unit}, found {len(row)}")
     return np.array(rows)
 
 
@@ -321,11 +335,12 @@ def _tell(expected: Expected, out: Output) -> None:
     from clampid.fitting.observability import index_words
 
     out.say(index_words(expected.indices))
-    out.table(
-        "", ("parameter", "unit", "expected error", "usual size", ""),
-        [(p.name, p.unit, f"{p.std:.2g}", f"{p.size:.2g}", "" if p.identified else "not identified")
-         for p in expected.parameters], left=2,
-    )  # fmt: skip
+    rows = []
+    for p in expected.parameters:
+        scale = scale_for(p.unit, [min(p.std, p.size)])
+        told = (number(v * scale.factor, 2) for v in (p.std, p.size))
+        rows.append((p.name, scale.unit, *told, "" if p.identified else "not identified"))
+    out.table("", ("parameter", "unit", "expected error", "plausible size", ""), rows, left=2)
     for sentence in expected.not_identified:
         out.say(f"not identified: {sentence}")
 

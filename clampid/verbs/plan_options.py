@@ -9,12 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from clampid.verbs.inputs import numbers_of
+from clampid.verbs.units import GivenDegrees, GivenMillimetres, Units
 
 if TYPE_CHECKING:
     from clampid.planning.logs import TorqueNoise
     from clampid.planning.scene import Scene
     from experiments.plans.limits import Limits
     from experiments.plans.model import Cell
+
+ARM_RADIUS = 0.08
+"""Of the capsules that stand for the arm, m: half a forearm of a robot of this size."""
 
 __all__ = ["Acceleration", "Surroundings", "TorqueReadings", "names_of"]
 
@@ -47,9 +51,19 @@ class Surroundings:
     obstacles: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Boxes, spheres, cylinders to stay clear of.")
     ] = None
-    arm_radius: Annotated[float, typer.Option(metavar="M", help="Radius of the capsules that stand for the arm.")] = (
-        0.08
-    )
+    arm_radius: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M", help="Radius of the capsules that stand for the arm; otherwise 0.08 m.", show_default=False
+        ),
+    ] = None
+    deg: GivenDegrees = False
+    mm: GivenMillimetres = False
+
+    @property
+    def units(self) -> Units:
+        """What angles and distances are given in."""
+        return Units(self.deg, self.mm)
 
     def cell(self, acceleration: str | None = None) -> tuple[Cell, Limits, tuple[str, ...]]:
         """Cell and limits, and what had to be assumed; ``acceleration`` as the option of that name."""
@@ -58,7 +72,7 @@ class Surroundings:
         from experiments.plans.limits import limits_of
 
         cell, assumed = cell_of(self.robot, self.like)
-        given = numbers_of("--acceleration", acceleration)
+        given = self.units.angles(numbers_of("--acceleration", acceleration))
         if given is not None and len(given) not in (1, cell.robot.n):
             raise PlanError(f"--acceleration: expected one number or {cell.robot.n}, found {len(given)}")
         limits, more = limits_of(cell.robot, share=self.range_share, acceleration=given)
@@ -70,9 +84,11 @@ class Surroundings:
 
         usual = Scene.floor_only(cell).floor
         if self.floor is not None:
-            usual = None if self.floor == "none" else (numbers_of("--floor", self.floor) or (0.0,))[0]
+            given = None if self.floor == "none" else self.units.lengths(numbers_of("--floor", self.floor))
+            usual = None if given is None else given[0]
         around = () if self.obstacles is None else read_obstacles(self.obstacles, cell)
-        return Scene(cell, around, usual, self.arm_radius)
+        radius = ARM_RADIUS if self.arm_radius is None else self.units.metres(self.arm_radius)
+        return Scene(cell, around, usual, radius)
 
 
 @dataclass(frozen=True)

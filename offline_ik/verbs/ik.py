@@ -12,11 +12,11 @@ import typer
 from clampid.display import fixed, length, number, readable
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
+from clampid.verbs.units import Degrees, Millimetres, Units
 from offline_ik.errors import DetectorError
 from offline_ik.verbs.looking import Look, Picture, Pixel, Pixels, Poni, looked
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 from offline_ik.verbs.screen import ik_screen
-from offline_ik.verbs.units import Degrees, Millimetres, Units
 
 if TYPE_CHECKING:
     from offline_ik.answer import Solution

@@ -12,9 +12,9 @@ from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import numbers
 
 if TYPE_CHECKING:
+    from clampid.verbs.units import Units
     from offline_ik.detector import Detector
     from offline_ik.simulation import Simulation
-    from offline_ik.verbs.units import Units
 
 __all__ = ["Look", "Picture", "Pixel", "Pixels", "Poni", "looked"]
 

@@ -11,8 +11,8 @@ import typer
 
 from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
 from clampid.verbs.output import Output
+from clampid.verbs.units import Degrees, Millimetres, Units
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
-from offline_ik.verbs.units import Degrees, Millimetres, Units
 
 if TYPE_CHECKING:
     from offline_ik.peaks import SampleFound

@@ -12,9 +12,9 @@ from clampid.display import length, readable
 from clampid.screen import Next, Screen, Tone
 
 if TYPE_CHECKING:
+    from clampid.verbs.units import Units
     from offline_ik.answer import Answer
     from offline_ik.detector import Detector
-    from offline_ik.verbs.units import Units
     from offline_ik.ways import Way, Ways
 
 __all__ = ["ik_screen"]

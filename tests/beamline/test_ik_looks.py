@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from offline_ik.verbs.units import Units
 from typer.testing import CliRunner
 
 from clampid.cli import app
@@ -14,7 +15,6 @@ from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.simulation import simulate_move
 from offline_ik.verbs.looking import Look, looked
-from offline_ik.verbs.units import Units
 
 PLACE = ["--gamma", "0.35", "--delta", "0.2", "--r", "0.8", "--near", "0.1,-1.2,1.2,0.1,0.4,0"]
 

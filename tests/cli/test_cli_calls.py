@@ -29,6 +29,15 @@ def test_help_lists_the_verbs_and_does_not_import_what_only_verbs_need(clampid: 
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.parametrize("group", ["", "export", "effect", "plan"])
+def test_no_line_of_help_about_a_verb_is_cut_off(group: str, clampid: Clampid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    ran = clampid(*group.split(), "--help")
+    _, _, commands = ran.out.partition("Commands:")
+    assert len(commands.splitlines()) > 2
+    assert "..." not in commands
+
+
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_has_help(verb: str, clampid: Clampid) -> None:
     ran = clampid(verb, "--help")
@@ -75,6 +84,7 @@ def test_version(clampid: Clampid) -> None:
         ("export dh {model} --convention denavit", "'denavit' is not one of 'standard', 'hayati'"),
         ("export dh {model} --session 2", "session 2: the model has sessions 1 to 1"),
         ("export urdf {model}", "Missing option"),
+        ("export kuka {model} -o arm.dat --mm", "--mm is the unit of --lever"),
         ("export kuka {model} -o arm.dat", "ur10: expected an ortho-parallel arm"),
         ("simulate -o c --hide backlach", "did you mean 'backlash'?"),
         ("simulate -o c --hide backlash@elbow", "expected joint1, joint2"),

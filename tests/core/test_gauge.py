@@ -101,7 +101,7 @@ def test_two_open_directions_of_two_parameters_are_said_once() -> None:
     turn = np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
     information = turn.T @ np.diag([0.1, 0.2, 50.0]) @ turn
     said = named_directions(information, np.ones(3), slots, np.eye(3), np.zeros(3, dtype=bool))
-    assert said == ("backlash.gap@joint1 and backlash.gap@joint2: none of them is known to within its reasonable size",)
+    assert said == ("backlash.gap@joint1 and backlash.gap@joint2: the data narrow the plausible range of none of them",)
     one = turn.T @ np.diag([0.1, 20.0, 50.0]) @ turn
     said = named_directions(one, np.ones(3), slots, np.eye(3), np.zeros(3, dtype=bool))
     assert said == ("backlash.gap@joint1 and backlash.gap@joint2: only a combination of them is known",)

@@ -205,6 +205,22 @@ def test_links_of_another_temperature_than_their_expansion_was_identified_on_are
         assert "extrapolating" not in capsys.readouterr().err
 
 
+def test_a_lever_in_millimetres_is_the_same_lever(make_model: Make, tmp_path: Path) -> None:
+    model = tmp_path / "model.json"
+    save_model(make_model("kuka_kr20_r1810"), model)
+    written = {}
+    for name, options in (
+        ("m", {"lever": 0.35}),
+        ("mm", {"lever": 350.0, "mm": True}),
+        ("none", {}),
+        ("usual", {"lever": 0.2}),
+    ):
+        kuka(model, output=tmp_path / name, quiet=True, **options)  # type: ignore[arg-type]
+        written[name] = (tmp_path / name).read_text(encoding="utf-8")
+    assert written["m"] == written["mm"] != written["none"] == written["usual"]
+    assert "350 mm from the flange" in " ".join(written["mm"].split())
+
+
 def test_files_say_by_how_much_they_differ_when_read_back(make_model: Make) -> None:
     model = make_model("kuka_kr20_r1810")
     for convention, allowed in (("hayati", 1e-9), ("standard", 1e-6)):

@@ -324,3 +324,40 @@ def test_wrong_calls_of_the_verb_are_refused(tmp_path: Path, options: list[str],
         raise ran.exception
     assert is_wrong_input(ran.exception)
     assert not (tmp_path / "p.toml").exists()
+
+
+FEW = ("--poses", "12", "--replicates", "0", "--verification", "6", "--effects", "geometry", "-q")
+
+
+def planned(folder: Path, *options: str) -> Plan:
+    out = folder / "plan.toml"
+    ran = CliRunner().invoke(plan_verb, ["poses", "-o", str(out), *FEW, *options])
+    assert ran.exit_code == 0, ran.output or ran.exception
+    return read_plan(out)
+
+
+def same(one: Plan, other: Plan) -> bool:
+    pairs = zip(one.visits, other.visits, strict=True)
+    return all(np.allclose([a.q, a.via], [b.q, b.via], atol=1e-9) for a, b in pairs)
+
+
+def test_a_plan_in_degrees_and_millimetres_is_the_same_plan(tmp_path: Path) -> None:
+    wide, narrow, turn, top = (f"{np.degrees(angle):.12g}" for angle in (1.5, 1.2, 0.04, 2.0))
+    si = planned(
+        tmp_path, "--sphere", "1.2,0,0.4,0.2,0.5,0,0,1,1.5", "--verification-sphere", "1.2,0,0.4,0.2,0.5,0,0,1,1.5",
+        "--floor", "-0.1", "--arm-radius", "0.07", "--instrument", "3.5,0,1", "--view", "-1,0,0,1.2",
+        "--facing", "0,0,1,1.2", "--sight-tolerance", "0.04", "--approach", "0.04", "--acceleration", "2",
+    )  # fmt: skip
+    units = planned(
+        tmp_path, "--deg", "--mm", "--sphere", f"1200,0,400,200,500,0,0,1,{wide}",
+        "--verification-sphere", f"1200,0,400,200,500,0,0,1,{wide}", "--floor", "-100", "--arm-radius", "70",
+        "--instrument", "3500,0,1000", "--view", f"-1,0,0,{narrow}", "--facing", f"0,0,1,{narrow}",
+        "--sight-tolerance", turn, "--approach", turn, "--acceleration", top,
+    )  # fmt: skip
+    assert same(si, units)
+
+
+def test_defaults_are_the_same_in_every_unit(tmp_path: Path) -> None:
+    assert same(
+        planned(tmp_path, "--instrument", "3,0,1"), planned(tmp_path, "--mm", "--deg", "--instrument", "3000,0,1000")
+    )
