@@ -7,10 +7,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from offline_ik.verbs.units import Units
 from typer.testing import CliRunner
 
 from clampid.cli import app
+from clampid.verbs.units import Units
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.simulation import simulate_move
@@ -19,7 +19,8 @@ from offline_ik.verbs.looking import Look, looked
 PLACE = ["--gamma", "0.35", "--delta", "0.2", "--r", "0.8", "--near", "0.1,-1.2,1.2,0.1,0.4,0"]
 
 
-def test_ik_looks(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
+def test_ik_looks(model_file: Path, cell_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CLAMPID_COMPILER", "none")  # the verb asks for it in its process, which is this one
     svg, poni, out = tmp_path / "move.svg", tmp_path / "detector.poni", tmp_path / "ik.json"
     wanted = ["--picture", str(svg), "--poni", str(poni), "--pixel", "256.5,514.5", "--json", str(out)]
     done = CliRunner().invoke(app(), ["ik", str(model_file), "--cell", str(cell_file), *PLACE, *wanted])

@@ -130,7 +130,7 @@ def _misstate_cell(rows: list[list[str]], rng: random.Random) -> None:
     elif what == 1:
         rows.append(list(row))
     elif what == 2:  # a whole column
-        value = rng.choice(VALUES)
+        value = copy.deepcopy(rng.choice(VALUES))
         for one in rows[1:]:
             one[k : k + 1] = [str(value)]
     elif what == 3:
@@ -140,7 +140,7 @@ def _misstate_cell(rows: list[list[str]], rng: random.Random) -> None:
     elif what == 4:
         del rows[rng.randrange(2, max(3, len(rows))) :]
     elif row:
-        row[k] = str(rng.choice(VALUES))
+        row[k] = str(copy.deepcopy(rng.choice(VALUES)))
 
 
 def _misstate(content: Any, rng: random.Random) -> None:
@@ -150,7 +150,7 @@ def _misstate(content: Any, rng: random.Random) -> None:
         keys = list(at) if isinstance(at, dict) else list(range(len(at)))
         if not keys:
             if isinstance(at, dict):
-                at["x"] = rng.choice(VALUES)
+                at["x"] = copy.deepcopy(rng.choice(VALUES))
             return
         key = rng.choice(keys)
         if not isinstance(at[key], dict | list) or rng.random() < 0.15:
@@ -170,7 +170,7 @@ def _misstate(content: Any, rng: random.Random) -> None:
     elif what in (4, 5) and isinstance(at[key], int | float):
         at[key] = at[key] * rng.choice((0, -1, 1e3, 57.3, 1e-3, 1e12))
     else:
-        at[key] = rng.choice(VALUES)
+        at[key] = copy.deepcopy(rng.choice(VALUES))
 
 
 def _key(key: str) -> str:

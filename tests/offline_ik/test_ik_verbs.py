@@ -200,7 +200,11 @@ def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> N
 
 @pytest.mark.parametrize(
     ("args", "says"),
-    [(("--listen", "nowhere"), "HOST:PORT"), (("--link", "127.0.0.1:1"), "no robot link is installed")],
+    [
+        (("--listen", "nowhere"), "HOST:PORT"),
+        (("--link", "127.0.0.1:1"), "--link 127.0.0.1:1: "),
+        (("--link", "abb://127.0.0.1:1"), "eki"),
+    ],
 )
 def test_serve_refuses_what_it_cannot_do(model_file: Path, args: tuple[str, ...], says: str) -> None:
     done = run("serve", model_file, *args)
