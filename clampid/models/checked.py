@@ -142,9 +142,15 @@ def _stage(at: Section, layout: Layout) -> None:
         part.number("std", 0.0)
         part.flag("identified")
         part.done()
-    _covariance(at, len(slots))
-    for key in ("held_out", "lean_rad", "by_springs"):
-        _numbers(at, key)
+    for k, row in enumerate(_matrix(at, "covariance", len(slots), len(slots))):
+        if row[k] < 0:
+            raise at.fault(f"covariance[{k + 1}]", "variances that are not negative", shown(row[k]))
+    _numbers(at, "held_out")
+    for key, count, width in (("lean_rad", layout.joints, 3), ("by_springs", len(slots), layout.joints)):
+        if at.content.get(key) is not None:
+            _matrix(at, key, count, width)
+        else:
+            at.has(key)
     at.texts("not_identifiable")
     for key in ("held_out", "lean_rad", "by_springs", *READ_ELSEWHERE):
         if key not in at.content:
@@ -155,19 +161,18 @@ def _stage(at: Section, layout: Layout) -> None:
     at.done()
 
 
-def _covariance(at: Section, count: int) -> None:
-    """As many lists as parameters, of as many finite numbers, those on the diagonal not negative."""
-    _numbers(at, "covariance")
-    expected = f"{count} lists of {count} finite numbers"
-    rows = at.value("covariance", expected)
+def _matrix(at: Section, key: str, count: int, width: int) -> list[list[float]]:
+    """``count`` lists of ``width`` finite numbers."""
+    _numbers(at, key)
+    expected = f"{count} lists of {width} finite numbers"
+    rows = at.value(key, expected)
     if not isinstance(rows, list) or len(rows) != count:
-        raise at.fault("covariance", expected, shown(rows))
+        raise at.fault(key, expected, shown(rows))
     for k, row in enumerate(rows):
-        whole = isinstance(row, list) and len(row) == count
+        whole = isinstance(row, list) and len(row) == width
         if not whole or any(isinstance(one, list | Mapping) for one in row):
-            raise at.fault(f"covariance[{k + 1}]", f"{count} finite numbers", shown(row))
-        if row[k] < 0:
-            raise at.fault(f"covariance[{k + 1}]", "variances that are not negative", shown(row[k]))
+            raise at.fault(f"{key}[{k + 1}]", f"{width} finite numbers", shown(row))
+    return rows
 
 
 def _numbers(at: Section, key: str) -> None:

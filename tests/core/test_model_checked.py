@@ -79,6 +79,8 @@ WRONG = [
     (put("stages.poses.covariance.0.0", {}), "key stages.poses.covariance[1]: expected "),
     (put("stages.poses.covariance.0", [0.0]), "finite numbers, found [0.0]"),
     (put("stages.poses.covariance", []), "key stages.poses.covariance: expected "),
+    (put("stages.poses.lean_rad", [0.0, 0.0, 0.0]), "key stages.poses.lean_rad: expected 6 lists of 3 finite numbers"),
+    (put("stages.poses.by_springs", [[0.0]]), "key stages.poses.by_springs: expected "),
     (put("stages", []), "key stages: expected a table"),
     (put("sessions", {}), "key sessions: expected tables"),
     (put("stages.poses.held_out", [[True]]), "key stages.poses.held_out: expected lists of finite numbers, found True"),
