@@ -19,16 +19,13 @@ import numpy.typing as npt
 
 from experiments.links.address import LinkAddress
 from experiments.links.protocol import (
-    CannotError,
     Capabilities,
-    Fate,
     LinkLostError,
-    Program,
     Recording,
-    RefusedError,
     Signal,
     Status,
 )
+from experiments.links.read_only import ReadOnly
 from experiments.links.rsi_config import GEAR
 from experiments.links.schema import AXES, Element
 from experiments.links.splitter import Splitter, StreamError, values_of
@@ -95,7 +92,7 @@ class RsiCounts:
     gaps: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=1000))
 
 
-class RsiLink:
+class RsiLink(ReadOnly):
     """Listens in a thread of its own.
 
     Parameters
@@ -105,6 +102,8 @@ class RsiLink:
     cycle
         Of the controller, ms: 4 or 12.
     """
+
+    why = LISTENS_ONLY
 
     def __init__(self, host: str, port: int, cycle: int = 4) -> None:
         period = cycle / 1000
@@ -178,33 +177,6 @@ class RsiLink:
         times = np.array([one.ipoc / 1000 for one in kept], dtype=np.float64)
         lost = (start, oldest - 1) if start < oldest else None
         return Recording(number, times, rows("joints"), rows("gear_torque"), rows("current"), lost, newest)
-
-    def execute(self, program: Program) -> int:
-        """Not possible; see `Link`."""
-        raise CannotError(LISTENS_ONLY)
-
-    def fate(self, program: int) -> Fate:
-        """None was sent; see `Link`."""
-        raise RefusedError(f"program {program}: this link has sent none")
-
-    def wait(self, program: int, patience: float) -> Fate:
-        """None was sent; see `Link`."""
-        return self.fate(program)
-
-    def stop(self) -> None:
-        """Not possible; see `Link`."""
-        raise CannotError(f"stop: {LISTENS_ONLY}; use the controller's own stop")
-
-    def release(self) -> None:
-        """Not possible; see `Link`."""
-        raise CannotError(f"release: {LISTENS_ONLY}")
-
-    def confirm(self) -> None:
-        """Nothing is ever open; see `Link`."""
-
-    def open_question(self) -> str | None:
-        """Nothing is ever open; see `Link`."""
-        return None
 
     def close(self) -> None:
         """Stop listening; see `Link`."""

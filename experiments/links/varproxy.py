@@ -21,14 +21,12 @@ from experiments.links.protocol import (
     UNKNOWN_UNIT,
     CannotError,
     Capabilities,
-    Fate,
     LinkLostError,
-    Program,
     Recording,
-    RefusedError,
     Signal,
     Status,
 )
+from experiments.links.read_only import ReadOnly
 from experiments.links.schema import AXES
 from experiments.links.varproxy_wire import Answers, Question, question_bytes
 
@@ -46,7 +44,7 @@ READS_ONLY = "the variable proxy reads only: it cannot say whether a motion was 
 _AXIS = re.compile(r"\bA([1-6])\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 
 
-class VarProxyLink:
+class VarProxyLink(ReadOnly):
     """One robot, read variable by variable.
 
     Parameters
@@ -56,6 +54,8 @@ class VarProxyLink:
     torque, current
         Units of $TORQUE_AXIS_ACT and of $CURR_ACT, where known.
     """
+
+    why = READS_ONLY
 
     def __init__(self, host: str, port: int, torque: str = UNKNOWN_UNIT, current: str = UNKNOWN_UNIT) -> None:
         clock = "this computer, at reading"
@@ -92,33 +92,6 @@ class VarProxyLink:
         """Wait for the first status; raises `LinkLostError` if none comes."""
         if not self._first.wait(patience):
             self.status()
-
-    def execute(self, program: Program) -> int:
-        """Not possible; see `Link`."""
-        raise CannotError(READS_ONLY)
-
-    def fate(self, program: int) -> Fate:
-        """None was sent; see `Link`."""
-        raise RefusedError(f"program {program}: this link has sent none")
-
-    def wait(self, program: int, patience: float) -> Fate:
-        """None was sent; see `Link`."""
-        return self.fate(program)
-
-    def stop(self) -> None:
-        """Not possible; see `Link`."""
-        raise CannotError(f"stop: {READS_ONLY}; use the controller's own stop")
-
-    def release(self) -> None:
-        """Not possible; see `Link`."""
-        raise CannotError(f"release: {READS_ONLY}")
-
-    def confirm(self) -> None:
-        """Nothing is ever open; see `Link`."""
-
-    def open_question(self) -> str | None:
-        """Nothing is ever open; see `Link`."""
-        return None
 
     def recording(self, start: int, most: int = 1000, patience: float = 5.0) -> Recording:
         """Not possible; see `Link`."""
