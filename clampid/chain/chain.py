@@ -204,7 +204,7 @@ class Chain:
         """The steady partials of these rows."""
         if self.steady is None:
             raise ValueError("expected a chain with steady partials, found one without")
-        return self.steady.partials(theta, lambda name, _: recorded(signals, name))
+        return self.steady.partials(theta, tuple(recorded(signals, name) for name, _ in self.steady.signals))
 
     def _columns(self, signals: Mapping[str, Array], torque: Array | None) -> list[Array]:
         columns = []

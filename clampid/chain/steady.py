@@ -7,7 +7,7 @@ alone. Computed anew at each point they are most of what a fit of poses takes.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -58,17 +58,17 @@ class Steady:
         self._stations = [(int(station[run.start]), run) for run, _ in _runs(station, np.zeros_like(station))]
         self._places = _runs(np.zeros_like(columns), columns), _runs(np.zeros_like(others), others)
 
-    def partials(self, theta: Array, columns: Callable[[str, int], Array]) -> Array:
+    def partials(self, theta: Array, read: tuple[Array, ...]) -> Array:
         """The steady columns ``(N, k)``, as they were found before where rows and held parameters are the same.
 
         Parameters
         ----------
         theta
             All parameters ``(P,)``.
-        columns
-            Name and width of a signal → its numbers ``(N, width)``; the same array for the same rows.
+        read
+            The signals, in their order, ``(N, …)`` each; the same arrays for the same rows.
         """
-        held, read = theta[self.held], tuple(columns(name, width) for name, width in self.signals)
+        held = theta[self.held]
         for owner, key, arrays, found in _KNOWN:
             if owner is self and key == held.tobytes() and all(a is b for a, b in zip(arrays, read, strict=True)):
                 return found
@@ -98,7 +98,7 @@ _KNOWN: deque[tuple[Steady, bytes, tuple[Array, ...], Array]] = deque(maxlen=KEP
 
 
 class Parted(NamedTuple):
-    """What is left of a chain's values and partials, of which ``columns`` and ``others`` are apart; and the former."""
+    """What is left of a chain's values and partials without the steady columns; and these."""
 
     values: Any
     partials: Any
