@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, permutations
+from itertools import combinations
 
 import numpy as np
 from scipy import linalg
@@ -188,7 +188,8 @@ def part(
     without = _Normal(nuisance, precision, pool_nuisance)
     whole[without] = without.with_all()
     alone = [
-        _Signal(without, nuisance, D @ v, pool_D @ v) for D, v, pool_D in zip(columns, values, pool_columns, strict=True)
+        _Signal(without, nuisance, D @ v, pool_D @ v)
+        for D, v, pool_D in zip(columns, values, pool_columns, strict=True)
     ]
     never = []
     for a, b in combinations(range(len(columns)), 2):
