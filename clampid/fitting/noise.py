@@ -111,9 +111,9 @@ class Noise:
         residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
         if not self.autocorrelations:
             channel, entry = np.nonzero(rows.used.T)
-            sigma, used = self.sigma[entry, channel], jacobian[entry, channel]
-            used /= sigma[:, None]  # in place: a long table's Jacobian is its largest array
-            return Whitened(residual[entry, channel] / sigma, used, entry, channel)
+            sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
+            columns /= sigma[:, None]  # in place: a long table's Jacobian is its largest array
+            return Whitened(residual[entry, channel] / sigma, columns, entry, channel)
         parts_r, parts_j, entries, channels = [], [], [], []
         for c in range(residual.shape[1]):
             used = rows.used[:, c]
