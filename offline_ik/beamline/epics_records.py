@@ -208,6 +208,7 @@ def _records() -> Any:
         radius = SubGroup(Axis, prefix="radius", axis="radius", robot=None)
         refusal = pvproperty(value="", dtype=ChannelType.CHAR, max_length=TEXT, read_only=True)
         holder = pvproperty(value="", dtype=ChannelType.CHAR, max_length=TEXT, read_only=True)
+        trouble = pvproperty(value="", dtype=ChannelType.CHAR, max_length=TEXT, read_only=True)
         measured = pvproperty(value=[0.0, 0.0, 0.0], dtype=float, read_only=True)
         uncertainty = pvproperty(value=[0.0, 0.0, 0.0], dtype=float, read_only=True)
         stop = pvproperty(value=0, dtype=int)
@@ -228,12 +229,12 @@ def _records() -> Any:
             try:
                 told = await self.robot.combined.robot()
             except CallError as error:
-                for axis in self.axes:
-                    await axis.motor.field_inst.user_readback_value.alarm.write(
-                        severity=AlarmSeverity.INVALID_ALARM, status=AlarmStatus.COMM
-                    )
-                await self.refusal.write(str(error)[:TEXT], verify_value=False)
+                await self.alarm(AlarmSeverity.INVALID_ALARM, AlarmStatus.COMM)
+                await self.trouble.write(str(error)[:TEXT], verify_value=False)
                 return
+            if self.trouble.value:
+                await self.alarm(AlarmSeverity.NO_ALARM, AlarmStatus.NO_ALARM)
+                await self.trouble.write("", verify_value=False)
             for axis in self.axes:
                 await axis.show(told)
             at, scale = told["at"], self.robot.scale
@@ -245,6 +246,11 @@ def _records() -> Any:
             said = "" if who is None else f"{who['name'] or 'a client without a name'} ({who['address']})"
             if said != self.holder.value:
                 await self.holder.write(said[:TEXT], verify_value=False)
+
+        async def alarm(self, severity: Any, status: Any) -> None:
+            """Whether the readbacks are to be believed."""
+            for axis in self.axes:
+                await axis.motor.field_inst.user_readback_value.alarm.write(severity=severity, status=status)
 
         @measured.startup
         async def measured(self, instance: Any, async_lib: Any) -> None:
