@@ -151,6 +151,11 @@ class LinkedRobot:
         return found
 
     @property
+    def executes(self) -> bool:
+        """Whether it moves the robot at all."""
+        return self.link.capabilities.executes
+
+    @property
     def stops_at_once(self) -> bool:
         """Whether `stop` waits for nothing."""
         return self.link.capabilities.stops_at_once

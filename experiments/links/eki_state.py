@@ -6,7 +6,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +14,7 @@ from experiments.links.connection import Backoff, Connection, Wake, readable
 from experiments.links.protocol import LinkLostError, Status
 from experiments.links.schema import AXES, STATE, Kind, Mode, Reason, document
 from experiments.links.splitter import StreamError, values_of
+from experiments.links.turning import Turning
 
 __all__ = ["StateChannel", "status_of"]
 
@@ -25,8 +25,6 @@ SILENCE = 1.0  # s without an answer, after which the connection counts as dead
 MOST_ASKED = 8  # questions on their way, short of the controller's buffers
 ABSOLUTE_ZERO = -273.15  # degC
 ROOT = STATE.send[0].root
-APART = 0.01  # s of the controller's clock at least between two statuses that say whether the joints turn
-PACE = 5e-3  # rad/s from which on they do: encoders flicker less, and an arm that brakes is slower only at its very end
 
 
 class StateChannel:
@@ -64,7 +62,7 @@ class StateChannel:
         self._due = 0.0  # when the next question is, monotonic s
         self._wake = Wake()
         self.last: Status | None = None
-        self._before: Status | None = None  # the last one is compared with it
+        self._turning = Turning()
         self.trouble = "not connected yet"
         self._broke = ""  # why the last connection ended
         self.malformed = 0
@@ -238,7 +236,7 @@ class StateChannel:
             self._take(values_of(STATE.send, texts))
 
     def _take(self, values: Values) -> None:
-        number, status = int(values["Robot/State/@Sequence"]), self._compared(status_of(values))
+        number, status = int(values["Robot/State/@Sequence"]), self._turning.seen(status_of(values))
         with self._answered:
             with self._lock:
                 asked = self._asked.pop(number, None)
@@ -251,18 +249,6 @@ class StateChannel:
                 self._awaited[number] = values
             self._answered.notify_all()
         self._told(status)
-
-    def _compared(self, status: Status) -> Status:
-        """The same, with whether the joints turn."""
-        before, self._before = self._before, status
-        if before is None or before.boot != status.boot or before.clock is None or status.clock is None:
-            return status
-        apart = status.clock - before.clock
-        if 0.0 <= apart < APART:
-            self._before = before
-            return replace(status, moves=None if self.last is None else self.last.moves)
-        turned = float(np.abs(status.joints - before.joints).max())
-        return replace(status, moves=turned > PACE * apart) if apart > 0.0 else status
 
 
 def status_of(values: Values) -> Status:

@@ -205,6 +205,11 @@ class LinkedRobot:
             self.link.stop()
 
     @property
+    def executes(self) -> bool:
+        """Whether the link moves a robot at all; some only read."""
+        return bool(getattr(self.link, "executes", True))
+
+    @property
     def stops_at_once(self) -> bool:
         """Whether the link's `stop` waits for nothing, and needs no thread of its own."""
         return bool(getattr(self.link, "stops_at_once", False))
