@@ -104,6 +104,9 @@ class LinkedRobot:
         """
         with _worded():
             program = Program(postures, speed)
+            question = self.link.open_question()
+            if question is not None:  # before a stop is lifted
+                raise RefusedError(f"a person has to look and confirm first: {question}")
             if self._stopped_here:
                 self._lift()
             self._program = self.link.execute(program)

@@ -228,6 +228,7 @@ def test_kill_9_of_the_server_while_the_robot_moves_and_the_next_ones(
             refused, told = ask(second.at, "move gamma=0.35 delta=0.2 r=0.8", "robot")
             assert f"program {first} of another client" in refused["error"]
             assert (told["link"]["aborted"], told["link"]["reason"]) == (first, "the robot was stopped")
+            assert told["link"]["stopped"]  # what was refused has lifted nothing
             confirmed, moved = ask(second.at, "confirm", "move gamma=0.35 delta=0.2 r=0.8 wait=yes")
             assert confirmed["ok"]
             assert moved["ended"]["outcome"] == "arrived"
