@@ -29,6 +29,7 @@ __all__ = ["main"]
 LOOK = 0.1  # s between two readings of where the robot is
 MOST = {"gamma": (-180.0, 180.0), "delta": (-90.0, 90.0)}  # deg
 FARTHEST = 10.0  # m, of the radius: as far as the line protocol hears of
+LONGEST_MESSAGE = 65536  # bytes
 TEXT = 400  # characters
 
 
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 async def _serve(server: Server, locked: str, prefix: str, host: str, unit: str) -> None:
     from caproto.asyncio.server import start_server
 
+    _bound_messages()
     records = _records()(prefix, Robot(server, locked, unit))
 
     async def ready(_: Any) -> None:
@@ -64,6 +66,21 @@ async def _serve(server: Server, locked: str, prefix: str, host: str, unit: str)
         print(f"epics on {at} {' '.join(prefix + axis for axis in AXES)}", flush=True)
 
     await start_server(records.pvdb, interfaces=[host], startup_hook=ready)
+
+
+def _bound_messages() -> None:
+    """Hang up on who announces a message that no record takes: caproto would keep all of it, up to 4 GB."""
+    from caproto import RemoteProtocolError, VirtualCircuit
+
+    recv = VirtualCircuit.recv
+
+    def bounded(self: Any, *buffers: Any) -> Any:
+        commands, needed = recv(self, *buffers)
+        if needed > LONGEST_MESSAGE:
+            raise RemoteProtocolError(f"expected a message of at most {LONGEST_MESSAGE} bytes, found {needed} more")
+        return commands, needed
+
+    VirtualCircuit.recv = bounded
 
 
 class Robot:

@@ -153,6 +153,18 @@ def test_hostile_bytes_to_the_epics_port_move_nothing(count: int, serving: Servi
     assert not link.sent
 
 
+def test_a_channel_access_message_of_four_gigabytes_is_hung_up_on(serving: Serving) -> None:
+    pytest.importorskip("caproto")
+    port = free_udp_and_tcp()
+    with _process("epics_records", "X:", serving, port) as (process, _):
+        before = megabytes(process)
+        with socket.create_connection(("127.0.0.1", port), 5) as rude:
+            rude.sendall(struct.pack(">HHHHIIII", 4, 65535, 6, 0, 1, 1, 2**32 - 8, 2**31))
+            with pytest.raises(ConnectionError):
+                rude.sendall(bytes(100_000_000))
+        assert megabytes(process) - before < 10
+
+
 @contextlib.contextmanager
 def _process(module: str, name: str, serving: Serving, port: int) -> Iterator[tuple[int, str]]:
     """A side whose complaints about what it is sent are not shown."""
