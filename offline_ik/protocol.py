@@ -305,7 +305,7 @@ class Speaker:
         session.greeted, session.name = True, given.get("name", "")[:64]
         linked = self.link is not None
         told = {"server": "clampid", "robot": self.detector.robot.name, "linked": linked}
-        return Told({**told, "moves": linked and not self.answers_only})
+        return Told({**told, "moves": self.robot is not None and self.robot.executes and not self.answers_only})
 
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
         return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})
