@@ -48,7 +48,7 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "clamped": ("clamped",),
     "poses": ("poses", "distances"),
 }
-MOSTLY = 0.5  # of a log's rows in motion
+FEW = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
 DYNAMICS = ("inertia", "link_inertia")
 
 
@@ -61,8 +61,8 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     """The standard set for the tables present.
 
     Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs of which
-    less than half would count without it get the inertia of rotors and links.
-    Everything else is for diagnosis to find.
+    less than a third would count without it get the inertia of rotors and links. Everything else is for diagnosis to
+    find.
     """
     found = stages_of(campaigns)
     names: dict[Stage, tuple[str, ...]] = {
@@ -77,7 +77,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
             (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in TABLES_OF["poses"] if t in c.tables
         )
         names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
-    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < FEW:
         names["free_air"] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
