@@ -112,7 +112,7 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
     shown = (6, 0) if oriented else {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
     unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + (6 if oriented else 3 * count)
     least = -(-(unknown - shown[1]) // shown[0])
-    if poses < (least if oriented else 2 * least):  # where stops show all six numbers, few more do
+    if poses < 2 * least:  # seven poses of a UR10 with orientations: 0.1 mm fitted, 1 to 50 mm on others
         few = "fewer than" if poses < least else "hardly more than"
         what = "the flange" if oriented else f"{count} target{'s' if count > 1 else ''}"
         known = bool(campaign.stated.targets_std) or campaign.stated.base is not None  # then fewer poses may do
