@@ -214,7 +214,8 @@ def dh_export(
     frame[HELD] = frame.pop(HELD)  # the last column
     difference = float(frame["difference_m"].iloc[0])
     text, rows = table_text(frame), _nominal_rows(nominal, convention)
-    return ExportedTable(text, temperature, difference, left, measured, held.combinations, convention, frame, best, rows)
+    combined = held.combinations
+    return ExportedTable(text, temperature, difference, left, measured, combined, convention, frame, best, rows)
 
 
 def dh_table(model: Model, convention: Convention, **options: Any) -> pd.DataFrame:

@@ -59,10 +59,10 @@ def _beyond(shares: Sequence[float], chance: float) -> str:
     )
     if beyond:
         text += (
-            " Beyond chance need not be large: all that goes with the first is "
-            f"{_percent(1.0 - np.sqrt(1.0 - largest))} of the RMS error. The verdict asks more: that a known effect or "
-            "a curve over a variable, makes rows that no fit saw more predictable. Noise that goes on for a while, as "
-            "in logs, does not. So it may be “adequate”."
+            " A dependence beyond chance can be small: the largest one accounts for "
+            f"{_percent(1.0 - np.sqrt(1.0 - largest))} of the RMS error. The verdict requires more: a known effect, or "
+            "a curve over a variable, must lower the error of held-out rows. Slow noise in logs does not, so the "
+            "verdict may be “adequate” all the same."
         )
     return text
 

@@ -103,7 +103,7 @@ def test_check_says_what_is_missing(campaign: Campaign) -> None:
     assert f"of {len(poses)} rows have no reading within 300 s" in long.message
     (never,) = told(broken, LINKS[2])
     assert (never.severity, never.message) == (
-        "warning", f"{LINKS[2]} has no reading: it is as if there were no such sensor",
+        "warning", f"{LINKS[2]} has no reading: the column is ignored",
     )  # fmt: skip
     assert told(campaign, LINKS[0]) == []
 
