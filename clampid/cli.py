@@ -20,9 +20,9 @@ from typing import Annotated, Any
 
 import typer
 
-from clampid.plain_help import PlainCommand
 from clampid.screen import wrapped
 from clampid.verbs.errors import is_wrong_input
+from clampid.verbs.plain_help import PlainCommand
 from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
 

@@ -46,6 +46,7 @@ __all__ = [
     "calibrated_chain",
     "dh_export",
     "dh_table",
+    "nominal_rows",
     "postures",
     "read_dh",
     "sensitivity",
@@ -213,7 +214,7 @@ def dh_export(
     frame[LEFT[-1]] = " ".join(left.effects)
     frame[HELD] = frame.pop(HELD)  # the last column
     difference = float(frame["difference_m"].iloc[0])
-    text, rows = table_text(frame), _nominal_rows(nominal, convention)
+    text, rows = table_text(frame), nominal_rows(nominal, convention)
     combined = held.combinations
     return ExportedTable(text, temperature, difference, left, measured, combined, convention, frame, best, rows)
 
@@ -324,7 +325,7 @@ def _numbers(chain: CalibratedChain, convention: Convention) -> tuple[Array, lis
     return np.concatenate([np.ravel(rows), *ends]), [row.sign for row in table.rows]
 
 
-def _nominal_rows(robot: RobotDescription, convention: Convention) -> tuple[DHRow, ...]:
+def nominal_rows(robot: RobotDescription, convention: Convention) -> tuple[DHRow, ...]:
     """The nominal robot's rows; none where it cannot be written in this convention."""
     convert = hayati_from_poe if convention == "hayati" else standard_from_poe
     try:

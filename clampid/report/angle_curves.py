@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.charts import Axis, Band, Chart, Line, Mark, Panel, Points
 from clampid.charts.marks import COLORS
-from clampid.display import Scale, with_std
+from clampid.display import Scale, number, with_std
 from clampid.effect import Effect
 from clampid.models.curves import AngleErrors, SharedCurve, angle_errors, shared_curve
 from clampid.models.model import Model
@@ -80,7 +80,12 @@ def angle_curves_section(
     notes += [
         f"Diagnosis: {c['summary']}. To fit it: clampid add {c['name']} MODEL CAMPAIGN -o MENDED." for c in offered
     ]
-    return Section("angles", "Errors of the joints' angles", (), tuple(blocks), tuple(notes))
+    sizes = np.sqrt(np.mean(found.error[:, joints] ** 2, axis=0))
+    worst = int(np.argmax(sizes))
+    finding = (
+        f"Largest error of a joint's angle: joint {joints[worst] + 1}, {number(1e6 * float(sizes[worst]))} µrad rms."
+    )
+    return Section("angles", "Errors of the joints' angles", (), tuple(blocks), tuple(notes), finding=finding)
 
 
 def _turns(one: SharedCurve) -> Table:

@@ -22,7 +22,8 @@ class PlainCommand(TyperCommand):
             if param.param_type_name == "argument":
                 _shown_by_name(param)
             elif param.metavar is None:
-                param.metavar = PLACEHOLDERS.get(getattr(getattr(param, "type_descriptor", None), "annotation", None))
+                kind: Any = getattr(getattr(param, "type_descriptor", None), "annotation", None)
+                param.metavar = PLACEHOLDERS.get(kind)
 
 
 def _shown_by_name(argument: Any) -> None:
