@@ -67,9 +67,9 @@ def _measured(campaign: Campaign) -> str:
         if table in campaign.tables:
             count = int(campaign.tables[table][column].nunique())
             held.append(f"{count_text(count)} {one}{'s' if count > 1 else ''}{_OF.get(table, '')}")
-    for table in ("free_air", "wrist"):
-        if table in campaign.tables:
-            held.append(f"{count_text(len(campaign.tables[table]))} rows of motor torques ({table.replace('_', ' ')})")
+    rows = sum(len(campaign.tables[table]) for table in ("free_air", "wrist") if table in campaign.tables)
+    if rows:
+        held.append(f"{count_text(rows)} rows of motor torques")
     return f"{listed(held, 4)} were measured." if held else ""
 
 
