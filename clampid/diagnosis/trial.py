@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -159,7 +159,7 @@ class Bench:
         if known is None:
             others += self._not_linear(look, fitted, best, step, refused)
         fits = [self._fitted_along(s, near, fitted, held) for s, near in ((best, step), *others)]
-        return self._judged(fits, look, held)
+        return self._judged(fits, look, held, {t.best.candidate.label for t in refused})
 
     def _undecided(
         self, best: Scored, rivals: Sequence[Scored], look: Look, fitted: FittedStage, held: HeldOut
@@ -227,8 +227,12 @@ class Bench:
         told = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
         return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told
 
-    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
-        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
+    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut, refused: Collection[str]) -> Tried | Undecided:
+        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
+
+        Which is first without a part of the rows is asked of those that stand out and that no trial has ``refused``:
+        what explains more of these rows and nothing of others is first in most parts, whatever else is missing.
+        """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
         p_held, falls = self._falls(best, trial.estimate, kept, held, new)
         if not kept:
@@ -236,7 +240,7 @@ class Bench:
         if falls and level:
             return Undecided([best, *(fit.scored for fit in level)], look)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
-        first = first_without_parts(look.space, look.named, look.folds, self.seed)
+        first = first_without_parts(look.space, look.standing_out(refused), look.folds, self.seed)
         again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
         reason = "" if falls else NO_FALL
         if falls and again < STABLE:

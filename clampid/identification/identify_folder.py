@@ -23,7 +23,8 @@ from clampid.identification.identify_log import LogStage
 from clampid.models.model import Model, Round
 from clampid.slots import Term, parse_term
 from clampid.stages.layout import layout_of
-from clampid.stages.log_facts import LogPart, steady_share
+from clampid.stages.log_facts import LogPart
+from clampid.stages.steady_share import steady_share
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 from experiments.columns import LOGS, table_format
