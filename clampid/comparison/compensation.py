@@ -373,4 +373,4 @@ def _like_deflection(base: Array, covariance: Array, columns: Array) -> str:
     std = np.sqrt(np.diag(covariance))
     shift = with_error(float(np.linalg.norm(base[3:])), float(np.linalg.norm(std[3:])), "m")
     turn = with_error(float(np.linalg.norm(base[:3])), float(np.linalg.norm(std[:3])), "rad")
-    return f"{shift} and {turn} from the model's, as far as a base frame absorbs the deflections"
+    return f"{shift} and {turn} from the model's, as if it had absorbed the deflections"
