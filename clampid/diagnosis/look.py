@@ -65,8 +65,8 @@ def refuse_few_flips(flips: int) -> None:
     """
     if flips < FEWEST_FLIPS:
         raise EffectError(
-            f"flips: expected at least {FEWEST_FLIPS}, found {flips}: p is at least 1/{flips + 1} then, above the "
-            f"level {RATE:g} of the test, so that nothing could be found to be missing"
+            f"flips: expected at least {FEWEST_FLIPS}, found {flips}: with so few, p cannot fall below 1/{flips + 1}, "
+            f"and the test's level is {RATE:g}, so that no effect could be confirmed"
         )
 
 

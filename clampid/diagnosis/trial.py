@@ -50,6 +50,7 @@ NO_FALL = "the held-out error does not fall"
 ONLY_BESIDE = "the held-out error falls only together with effects that these rows do not separate"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 TRIALS = 8  # of one look's candidates, after which no more are tried
+ROUND_SHARE = 0.15  # of the work left that a part of a round takes: nobody knows how many rounds there will be
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
 
@@ -95,7 +96,7 @@ class Bench:
     folds: Folds | None = None
     elsewhere: frozenset[Stage] = frozenset()
 
-    @substep("scoring the candidates")
+    @substep("scoring the candidates", ROUND_SHARE)
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
         found = look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
@@ -112,7 +113,7 @@ class Bench:
             return None
         return held_out(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
 
-    @substep("trying the best candidates")
+    @substep("trying the best candidates", ROUND_SHARE)
     def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
 
