@@ -30,6 +30,7 @@ GRACE = 30.0  # s on the wall clock that a motion may take longer than planned
 TOP_SPEED = 1.0  # rad/s, where a description has none
 LEAST_SHARE = 0.01
 WRAP = 2**32 / 1000.0  # s after which the controller's 32-bit timer begins anew
+LEAST_SAMPLES = 8  # of a reading
 AT_ONCE = 400  # samples asked for in one call
 
 
@@ -177,8 +178,11 @@ class LinkedRobot:
         self.journal.add("sent", step=step, program=number, boot=here.boot)
         self.moves += 1
         fate = self._wait(number, step)
-        found = self.next_status()
+        found = self.link.status()  # a program counts as finished once a status of the robot at rest has come
         off = np.abs(found.joints - to)
+        if np.max(off) > ARRIVED:
+            found = self.next_status()
+            off = np.abs(found.joints - to)
         if np.max(off) > ARRIVED:
             j = int(np.argmax(off))
             raise RunStopped(
@@ -239,9 +243,12 @@ class LinkedRobot:
         joined = [np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS]
         return Recording(*joined, lost=lost, newest=parts[-1].newest)
 
-    def read(self, first: int) -> Reading:
-        """Means over the samples from a number on."""
-        found = self.samples(first)
+    def read(self, settle: float, dwell: float) -> Reading:
+        """Means over the samples of a robot that stands, from ``settle`` to ``dwell`` s from now, at least eight."""
+        period = next(signal.period or POLL for signal in self.link.capabilities.signals if signal.name == "torque")
+        now = self.link.status().newest or 0
+        first = now + 1 + math.ceil(settle / period)
+        found = self.samples(first, max(now + math.ceil(dwell / period), first + LEAST_SAMPLES - 1))
         return Reading(
             self.campaign_time(float(found.time[-1])),
             found.joints.mean(axis=0),

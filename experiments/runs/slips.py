@@ -24,10 +24,11 @@ from kinematics.description import RobotDescription
 
 __all__ = ["Shift", "SweepRows", "find_shift"]
 
-P_VALUE = 1e-4  # familywise over the rows tried: one false alarm in some thousand sweeps
+P_VALUE = 1e-10  # familywise over the rows tried; far out, because a few dozen rows tell their own noise badly
 EDGE = 4  # rows on either side of a step
 LAGS = 8  # of the autocorrelation
-MOVED = 1e-9  # rad at the motor
+LEAST_INFLATION = 2.0  # motor torques drift over seconds, and a few dozen rows show that too small
+USUAL = 1e-4  # m along each axis; wrist torques alone would leave an axis open
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,14 +160,15 @@ def _inflation(rest: Array) -> float:
     if power <= 0.0:
         return 1.0
     lags = [float(rest[k:] @ rest[:-k]) / power for k in range(1, min(LAGS, len(rest) // 4) + 1)]
-    return 1.0 + 2.0 * sum(max(lag, 0.0) for lag in lags)
+    return max(1.0 + 2.0 * sum(max(lag, 0.0) for lag in lags), LEAST_INFLATION)
 
 
 def _metres(
     size: Array, error: Array, use: npt.NDArray[np.bool_], robot: RobotDescription, stiffness: Array, jacobian: Array
 ) -> float:
-    """How far a flange shifted, m, if it did not turn: weighted least squares on the steps of the torques."""
+    """How far a flange shifted, m, if it did not turn: least squares on the steps, with a usual size as prior."""
     wound = -np.linalg.pinv(jacobian)[:, :3].T  # (3, n): joints are wound up by the negative of what the arm does
     torque = motor_torques(robot, stiffness, np.zeros(robot.n), wound)[:, use].T  # (motors, 3)
-    shift = np.linalg.lstsq(torque / error[:, None], size / error, rcond=1e-6)[0]
+    prior = np.eye(3) / USUAL
+    shift = np.linalg.lstsq(np.vstack([torque / error[:, None], prior]), np.r_[size / error, np.zeros(3)])[0]
     return float(np.linalg.norm(shift))

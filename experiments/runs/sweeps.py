@@ -25,7 +25,6 @@ from experiments.runs.slips import SweepRows, find_shift
 __all__ = ["run_sweeps"]
 
 SETTLE = 0.3  # of the dwell, after which samples are taken
-LEAST_SAMPLES = 8
 STEP_SHARE = 0.02  # of the top speeds: a step is small, and a reading is taken at rest
 ASSUMED_MARGIN = 1.6  # by which the plan's springs are stiffer than described, if it does not say
 
@@ -122,7 +121,7 @@ def _sweep(context: Context, sweep: Sweep, number: int, name: str, state: ClampS
         if (step - first) % 16 == 0:
             context.progress((number - 1 + step / len(sweep.offset)) / total, f"{name}, step {step}")
         context.robot.go(_target(sweep, step), STEP_SHARE, f"{name}, step {step}")
-        reading = _read(context, sweep.dwell)
+        reading = context.robot.read(SETTLE * sweep.dwell, sweep.dwell)
         context.journal.add("row", table="clamped", key=["clamped", number, step], row=_row(context, sweep, number, reading))
         state.step = step
         fault = watch.fault(reading.torque)
@@ -156,17 +155,6 @@ def _unwind(context: Context, sweep: Sweep, step: int, name: str) -> None:
         to[sweep.joint] += earlier
         context.robot.go(to, STEP_SHARE, f"{name}, unwinding")
     context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
-
-
-def _read(context: Context, dwell: float) -> Reading:
-    """Means over the settled part of a dwell."""
-    robot = context.robot
-    robot.pause(SETTLE * dwell)
-    first = (robot.next_status().newest or 0) + 1
-    robot.pause((1.0 - SETTLE) * dwell)
-    while (robot.status().newest or 0) < first + LEAST_SAMPLES:
-        robot.pause(0.02)
-    return robot.read(first)
 
 
 def _row(context: Context, sweep: Sweep, number: int, reading: Reading) -> dict[str, Any]:
