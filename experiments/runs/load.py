@@ -12,9 +12,9 @@ from experiments.plans.press import flange_jacobian, holding_torque, wrench
 
 __all__ = ["FREE", "Watch", "loaded", "slope_of"]
 
-FREE = 0.1  # of the described stiffness: a spring that never winds up by more is not held by a clamp
+FREE = 0.25  # of the described stiffness: no drive was found four times as soft; less, and nothing holds the flange
 SEEN = 3.0  # standard errors by which it is below that
-FEWEST = 6  # readings that a slope is taken from
+FEWEST = 5  # readings that a slope is taken from
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,10 @@ def slope_of(motor: Array, torque: Array) -> tuple[float, float]:
 def loaded(motor: Array, torque: Array, stiffness: float) -> bool | None:
     """Whether a driven motor's spring winds up while it is driven one way; None: too little to tell.
 
-    The later half is judged: a clearance is crossed first.
+    The later two thirds are judged: friction turns and a clearance is crossed first.
     """
-    half = len(motor) // 2
-    if len(motor) - half < FEWEST:
+    first = len(motor) // 3
+    if len(motor) - first < FEWEST:
         return None
-    value, error = slope_of(motor[half:], torque[half:])
+    value, error = slope_of(motor[first:], torque[first:])
     return bool(value + SEEN * error >= FREE * stiffness)

@@ -129,18 +129,20 @@ def _sweep(context: Context, sweep: Sweep, number: int, name: str, state: ClampS
             _unwind(context, sweep, step, name)
             context.journal.add("cut", sweep=number, step=step, why=fault)
             raise RunStopped(f"sweep {number}, step {step}: {fault}; the drives were unwound, the sweep ends here")
-        if step == _turn(sweep):
-            _check_open(context, sweep, number, step, name)
+        if (way := _way_to(sweep, step)) is not None:
+            _check_open(context, sweep, number, way, name)
     _check_shift(context, sweep, number, watch, name)
     context.journal.add("swept", sweep=number)
     state.current, state.step = None, 0
 
 
-def _turn(sweep: Sweep) -> int:
-    """The step at which a sweep first turns back, from 1."""
-    steps = np.diff(np.r_[0.0, sweep.offset])
-    back = np.flatnonzero(np.sign(steps) != np.sign(steps[0]))
-    return int(back[0]) if len(back) else len(sweep.offset)
+def _way_to(sweep: Sweep, step: int) -> slice | None:
+    """The readings since the last turn, where a sweep turns back after this step; None: it does not."""
+    steps = np.sign(np.diff(np.r_[0.0, sweep.offset]))
+    if step < len(steps) and steps[step] == steps[step - 1]:
+        return None
+    other = np.flatnonzero(steps[:step] != steps[step - 1])
+    return slice(int(other[-1]) + 1 if len(other) else 0, step)
 
 
 def _unwind(context: Context, sweep: Sweep, step: int, name: str) -> None:
@@ -196,19 +198,19 @@ def _rows_of(context: Context, number: int) -> SweepRows:
     )
 
 
-def _check_open(context: Context, sweep: Sweep, number: int, step: int, name: str) -> None:
+def _check_open(context: Context, sweep: Sweep, number: int, way: slice, name: str) -> None:
     stiffness = context.plan.stiffness
     if stiffness is None:
         return
     j, rows = sweep.joint, _rows_of(context, number)
-    motor = rows.offset[:step] * float(np.linalg.inv(np.asarray(context.plan.cell.robot.transmission))[j, j])
-    if loaded(motor, rows.torque[:step, j], _described(context)[j]) is not False:
+    motor = rows.offset[way] * float(np.linalg.inv(np.asarray(context.plan.cell.robot.transmission))[j, j])
+    if loaded(motor, rows.torque[way, j], _described(context)[j]) is not False:
         return
-    _unwind(context, sweep, step, name)
+    _unwind(context, sweep, way.stop, name)
     context.journal.add("void", table="clamped", sweeps=[number], why="open")
     _release(context)
     raise RunStopped(
-        f"sweep {number}: joint {j + 1} was driven by {math.degrees(abs(sweep.offset[step - 1])):.3f} deg and its "
+        f"sweep {number}: joint {j + 1} was driven by {math.degrees(np.ptp(sweep.offset[way])):.3f} deg and its "
         "motor's torque did not rise: the clamp is open, or there is more play than that. The sweep is void and will "
         "be made again; sweeps before it stand. Close the clamp"
     )

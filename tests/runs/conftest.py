@@ -94,8 +94,24 @@ class Controller:
         return Counter((e["boot"], e["id"]) for e in self.journal() if e["event"] == 1)
 
 
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Controller]:
+    found = Controller(tmp_path_factory.mktemp("controller") / "truth.json", ("--speed", "50", "--seed", "3")).start()
+    yield found
+    found.stop()
+
+
 @pytest.fixture
-def controller(tmp_path: Path) -> Iterator[Controller]:
+def controller(shared: Controller) -> Iterator[Controller]:
+    """The one of all fast tests, in EXT, with its flange free; the robot stands where the last test left it."""
+    yield shared
+    for line in ("speed 50", "sight lost 0", "estop off", "drives on", "mode EXT", "release"):
+        shared.operate(line)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Iterator[Controller]:
+    """One that may be killed."""
     found = Controller(tmp_path / "truth.json", ("--speed", "50", "--seed", "3")).start()
     yield found
     found.stop()
