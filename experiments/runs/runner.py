@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from experiments.links.protocol import Link, LinkError, LinkLostError, Status
 from experiments.outputs import write_text
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Plan
+from experiments.plans.read import read_plan
 from experiments.plans.validate import validate_plan
 from experiments.plans.write import plan_text
 from experiments.runs.context import Block, Context, degrees
@@ -46,6 +47,8 @@ class Asked:
         Whether an unfinished run may be gone on with.
     say, progress, finished
         As in `experiments.runs.context.Context`.
+    more
+        Asked when the plan is done, with it and the journal's entries: a plan that goes on, and why; None: enough.
     """
 
     link: Callable[[], Link]
@@ -55,6 +58,7 @@ class Asked:
     say: Callable[[str], None] = lambda text: None
     progress: Callable[[float, str], None] = lambda done, text: None
     finished: Callable[[Block], str | None] = lambda block: None
+    more: Callable[[Plan, Sequence[Mapping[str, Any]]], tuple[Plan, str] | None] | None = None
     journal: Journal | None = field(default=None, init=False)
 
 
@@ -135,10 +139,15 @@ def _finish(plan: Plan, asked: Asked, journal: Journal) -> str | None:
         instrument = None if asked.instrument is None else asked.instrument()
         robot = LinkedRobot(link, plan.cell.robot, journal, asked.say)
         _begin_session(robot, journal, asked)
-        context = Context(
-            plan, robot, instrument, asked.person, journal, asked.say, asked.progress, asked.finished
-        )
+        now = _grown(plan, journal)
+        context = Context(now, robot, instrument, asked.person, journal, asked.say, asked.progress, asked.finished)
         enough = _PARTS[plan.kind](context)
+        while enough is None and asked.more is not None:
+            found = asked.more(context.plan, journal.entries)
+            if found is None:
+                break
+            context.plan = _keep_grown(found, journal)
+            enough = _PARTS[plan.kind](context)
         journal.add("complete", **({} if enough is None else {"enough": enough}))
         return enough
     except LinkError as error:
@@ -156,6 +165,21 @@ def _finish(plan: Plan, asked: Asked, journal: Journal) -> str | None:
             instrument.close()
         if link is not None:
             link.close()
+
+
+def _grown(plan: Plan, journal: Journal) -> Plan:
+    """The plan with what was decided on while it ran."""
+    last = next((entry for entry in reversed(journal.entries) if entry["what"] == "extended"), None)
+    return plan if last is None else read_plan(journal.path.with_name(last["file"]))
+
+
+def _keep_grown(found: tuple[Plan, str], journal: Journal) -> Plan:
+    """Put a plan that goes on on the disk, before anything of it is run."""
+    file = f"plan-{2 + sum(1 for _ in journal.of('extended'))}.toml"
+    write_text(journal.path.with_name(file), plan_text(found[0], journal.path.parent))
+    journal.add("extended", file=file, why=found[1])
+    journal.add("note", words=found[1])
+    return read_plan(journal.path.with_name(file))
 
 
 _PARTS: Mapping[str, Callable[[Context], str | None]] = {
@@ -233,7 +257,3 @@ def _outcome(folder: Path, journal: Journal, enough: str | None) -> Outcome:
     notes = tuple(entry["words"] for entry in journal.of("note"))
     return Outcome(folder, rows, skipped, enough, notes)
 
-
-def counts(journal: Journal) -> dict[str, Any]:
-    """How much is recorded, for a message."""
-    return {name: len(frame) for name, frame in tables_of(journal.entries).items()}
