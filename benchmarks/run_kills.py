@@ -1,7 +1,7 @@
 """Kills the runner, the controller, the network and the instrument at random moments, resumes, and counts.
 
-Every process is real: the virtual controller, and the runner, which is killed with SIGKILL. The controller's own journal
-of what moved is the truth. ``python benchmarks/run_kills.py --kills 200`` takes about ten minutes.
+Every process is real: the virtual controller, and the runner, which is killed with SIGKILL. The controller's own
+journal of what moved is the truth. ``python benchmarks/run_kills.py --kills 200`` takes about ten minutes.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import numpy as np
 from experiments.plans import Plan
 from experiments.runs.errors import RunStopped
 from experiments.runs.folder import tables_of, work_folder
+from experiments.runs.intended import targets_of
 from experiments.runs.journal import whole_lines
 from experiments.runs.runner import run
-from experiments.runs.intended import targets_of
 
 KINDS = ("runner", "controller", "network", "instrument")
 
@@ -127,7 +127,13 @@ def wanted_keys(plan: Plan) -> set[tuple[Any, ...]]:
 
 
 def kill_and_resume(
-    controller: Any, plan: Plan, folder: Path, kills: int, seed: int, longest: float = 1.5, kinds: tuple[str, ...] = KINDS
+    controller: Any,
+    plan: Plan,
+    folder: Path,
+    kills: int,
+    seed: int,
+    longest: float = 1.5,
+    kinds: tuple[str, ...] = KINDS,
 ) -> Counts:
     """Run a plan with so many kills; ``controller`` is that of tests/runs/conftest.py."""
     counts, rng, context = Counts(), random.Random(seed), multiprocessing.get_context("fork")
@@ -136,6 +142,7 @@ def kill_and_resume(
     before: Counter[tuple[Any, ...]] = Counter()
     first = True
     while True:
+
         def asked(resume: bool = not first) -> Any:
             made = controller.asked(resume=resume and journal.is_file())
             from experiments.runs.tracker_line import connect_instrument

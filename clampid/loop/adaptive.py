@@ -57,21 +57,27 @@ class Adaptive:
             return self._enough(f"diagnose cannot judge what was measured: {error}")
         if found.verdict != "ambiguous":
             return self._enough(f"no two effects explain the same (verdict: {found.verdict})")
-        names = " and ".join(dict.fromkeys(str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"]))
+        names = " and ".join(
+            dict.fromkeys(str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"])
+        )
         proposed = found.next_plan
         if proposed is None or proposed.plan is None:
-            return self._enough(f"{names} explain the same, and {'nothing is proposed' if proposed is None else proposed.nothing}")
+            return self._enough(
+                f"{names} explain the same, and {'nothing is proposed' if proposed is None else proposed.nothing}"
+            )
         try:
             grown = extended(plan, proposed.plan, left)
         except PlanError as error:
             return self._enough(f"{names} explain the same, but what separates them cannot be run here: {error}")
         count = _length(grown) - _length(plan)
-        words = f"Adaptive: {count} more, because {names} explain the same. {proposed.sentence[:1].upper()}{proposed.sentence[1:]}."
+        sentence = f"{proposed.sentence[:1].upper()}{proposed.sentence[1:]}"
+        words = f"Adaptive: {count} more, because {names} explain the same. {sentence}."
         self._say(words)
         return grown, words
 
-    def _enough(self, why: str) -> None:
+    def _enough(self, why: str) -> tuple[Plan, str] | None:
         self._say(f"Adaptive: nothing more is measured: {why}.")
+        return None
 
 
 def _length(plan: Plan) -> int:

@@ -117,7 +117,9 @@ class LiveFit:
         lines = [head, *self._parameters(stage)]
         last = next((entry for entry in reversed(model.ledger) if entry.stage == name), None)
         if last is not None and last.noise_floor > 0 and last.rms > ODD * last.noise_floor:
-            lines.append(f"  odd: residuals are {last.rms / last.noise_floor:.1f} times the noise: an effect may be missing")
+            lines.append(
+                f"  odd: residuals are {last.rms / last.noise_floor:.1f} times the noise: an effect may be missing"
+            )
         if stage.outliers:
             lines.append(f"  odd: {len(stage.outliers)} rows do not fit the others")
         unknown = [slot.label for slot, yes in zip(stage.slots, stage.identified, strict=True) if not yes]

@@ -79,7 +79,7 @@ def run(
     from experiments.runs.errors import RunStopped
     from experiments.runs.folder import check_folder_for
     from experiments.runs.people import host_and_port
-    from experiments.runs.runner import Asked
+    from experiments.runs.runner import Asked, begun
     from experiments.runs.runner import run as run_plan
     from experiments.runs.tracker_line import InstrumentError, connect_instrument
 
@@ -105,11 +105,11 @@ def run(
         resume=resume,
         say=out.step,
     )
-    again = _again(plan_file, output, {"--link": link, "--instrument": instrument, "--operator": operator,
+    words = _words(plan_file, output, {"--link": link, "--instrument": instrument, "--operator": operator,
                                        "--until": until}, adaptive, budget)  # fmt: skip
     try:
-        before = None if resume else check_folder_for(plan, output)
-        _watch(asked, plan, before if before is not None else _held(output), conditions, out)
+        before = _held(output) if resume else check_folder_for(plan, output)
+        _watch(asked, plan, before, conditions, out)
         if adaptive:
             from clampid.loop.adaptive import Adaptive
 
@@ -117,7 +117,7 @@ def run(
         with _progress(asked, plan, out):
             outcome = run_plan(plan, output, asked)
     except (RunStopped, InstrumentError, LinkError) as error:
-        _stopped(str(error), asked, again, out)
+        _stopped(str(error), asked, f"{words} --resume" if begun(output) else words, out)
         raise typer.Exit(STOPPED) from None
     _done(plan_file, output, outcome, out)
 
@@ -180,7 +180,9 @@ def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
         Screen(
             f"Ran {plan_file} and wrote {output}: {counted}.",
             notes=(*early, *outcome.notes, *(f"skipped: {text}" for text in outcome.skipped)),
-            next=(Next("Next, fit a model:", shlex.join(["clampid", "identify", str(output), "-o", f"{output}.json"])),),
+            next=(
+                Next("Next, fit a model:", shlex.join(["clampid", "identify", str(output), "-o", f"{output}.json"])),
+            ),
         )
     )
     out.result(
@@ -195,11 +197,11 @@ def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
     )
 
 
-def _again(plan: Path, output: Path, given: Mapping[str, str | None], adaptive: bool, budget: int) -> str:
+def _words(plan: Path, output: Path, given: Mapping[str, str | None], adaptive: bool, budget: int) -> str:
     words = ["clampid", "run", str(plan), "-o", str(output)]
     for name, value in given.items():
         words += [] if value is None else [name, value]
-    return shlex.join([*words, *(["--adaptive", "--budget", str(budget)] if adaptive else []), "--resume"])
+    return shlex.join([*words, *(["--adaptive", "--budget", str(budget)] if adaptive else [])])
 
 
 def _dry(plan: Plan, plan_file: Path, output: Path, out: Output) -> None:
@@ -215,7 +217,15 @@ def _dry(plan: Plan, plan_file: Path, output: Path, out: Output) -> None:
     svg = output.with_name(f"{output.name}.dry-run.svg")
     write_text(output_file(svg, "markup"), picture(plan, steps))
     rows = [
-        (s.name, s.measured, f"{s.start:.1f}", f"{s.duration:.1f}", f"{s.share:.0%}", f"{math.degrees(s.travel):.2f}", s.limit)
+        (
+            s.name,
+            s.measured,
+            f"{s.start:.1f}",
+            f"{s.duration:.1f}",
+            f"{s.share:.0%}",
+            f"{math.degrees(s.travel):.2f}",
+            s.limit,
+        )
         for s in steps
     ]
     out.table("", ("motion", "measured", "at s", "takes s", "speed", "turns deg", "nearest limit"), rows, left=2)
@@ -225,7 +235,11 @@ def _dry(plan: Plan, plan_file: Path, output: Path, out: Output) -> None:
         Screen(
             f"{plan_file} would make {len(steps)} motions of {place} in {seconds / 60:.1f} min; nothing has moved.",
             facts=(("picture", str(svg)),),
-            next=(Next("Next, run it:", f"clampid run {shlex.quote(str(plan_file))} -o {shlex.quote(str(output))} --link …"),),
+            next=(
+                Next(
+                    "Next, run it:", f"clampid run {shlex.quote(str(plan_file))} -o {shlex.quote(str(output))} --link …"
+                ),
+            ),
         )
     )
     out.result(

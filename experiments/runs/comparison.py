@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ def _both_ways(motor: Array, torque: Array, offset: Array) -> tuple[float, float
     """Mean slope over the ways there and back, in which friction has one sign each."""
     steps = np.sign(np.diff(np.r_[0.0, offset]))
     turns = np.r_[0, np.flatnonzero(np.diff(steps)) + 1, len(steps)]
-    slopes = [slope_of(motor[a + 1 : b], torque[a + 1 : b]) for a, b in zip(turns[:-1], turns[1:], strict=True) if b - a > 4]
+    slopes = [slope_of(motor[a + 1 : b], torque[a + 1 : b]) for a, b in pairwise(turns) if b - a > 4]
     return _mean(slopes) if slopes else None
 
 

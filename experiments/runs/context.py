@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -61,12 +62,12 @@ class Context:
     begun: bool = False
 
 
-def place_on(path: Sequence[Array], here: Array) -> int | None:
+def place_on(path: Sequence[Array] | Array, here: Array) -> int | None:
     """On which piece of a path of straight lines the robot stands, from 0; None: on none.
 
     Piece i leads from ``path[i]`` to ``path[i + 1]``; where two fit, the earlier one is meant.
     """
-    for i, (one, other) in enumerate(zip(path[:-1], path[1:], strict=True)):
+    for i, (one, other) in enumerate(pairwise(path)):
         step = other - one
         share = float(np.clip((here - one) @ step / max(float(step @ step), 1e-18), 0.0, 1.0))
         if np.max(np.abs(here - one - share * step)) < ON_PATH:
@@ -74,7 +75,7 @@ def place_on(path: Sequence[Array], here: Array) -> int | None:
     return None
 
 
-def straight_to(context: Context, to: Array, step: str, path: Sequence[Array] = ()) -> None:
+def straight_to(context: Context, to: Array, step: str, path: Sequence[Array] | Array = ()) -> None:
     """Go slowly to a posture ``(n,)``; if that leaves a planned path, a person is asked first.
 
     Raises

@@ -54,11 +54,16 @@ def motions(plan: Plan) -> Iterator[Motion]:
     clock, here = 0.0, None
     for name, to, duration, share, extra, table, limit in _steps(plan):
         travel = 0.0 if here is None else float(np.max(np.abs(to - here)))
-        if duration is None:
-            way = np.zeros((1, len(to))) if here is None else (to - here)[None]
-            duration = float(shortest(way, share * plan.limits.speed, plan.limits.acceleration)[0][0]) if travel else 0.0
-        yield Motion(name, to, share, clock, duration + extra, travel, limit or _range(plan, to), table)
-        clock, here = clock + duration + extra, to
+        takes = extra + (_shortest(plan, here, to, share) if duration is None else duration)
+        yield Motion(name, to, share, clock, takes, travel, limit or _range(plan, to), table)
+        clock, here = clock + takes, to
+
+
+def _shortest(plan: Plan, here: Array | None, to: Array, share: float) -> float:
+    """Of a motion that the plan gives no time, s."""
+    if here is None or not np.any(to != here):
+        return 0.0
+    return float(shortest((to - here)[None], share * plan.limits.speed, plan.limits.acceleration)[0][0])
 
 
 _Step = tuple[str, Array, float | None, float, float, str, str]
@@ -80,8 +85,14 @@ def _steps(plan: Plan) -> Iterator[_Step]:
     for number, run in enumerate(plan.runs, 1):
         course = run.course
         first = number == 1
-        yield f"run {number}: way there", course.knots[0], None, SLOW if first else run.speed_share, course.dwell, "", (
-            NOT_PLANNED if first else ""
+        yield (
+            f"run {number}: way there",
+            course.knots[0],
+            None,
+            SLOW if first else run.speed_share,
+            course.dwell,
+            "",
+            (NOT_PLANNED if first else ""),
         )
         for move, to in enumerate(course.knots[1:]):
             duration, ramp = float(course.duration[move]), float(course.ramp[move])

@@ -44,9 +44,8 @@ def tables_of(entries: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
     tables = {name: pd.DataFrame(found) for name, found in rows.items() if found}
     if "clamped" in tables:  # a sweep that was repeated stands where its number says
         tables["clamped"] = tables["clamped"].sort_values("sweep", kind="stable", ignore_index=True)
-    for name in tables:
-        # A sensor that was silent once has no column that a table could hold.
-        tables[name] = tables[name].dropna(axis=1) if name != "clamped" else tables[name]
+    # A sensor that was silent once has no column that a table could hold.
+    tables = {name: frame.dropna(axis=1) for name, frame in tables.items()}
     return tables | {name: pd.concat(parts, ignore_index=True) for name, parts in logs.items()}
 
 
@@ -115,9 +114,9 @@ def convert(plan: Plan, entries: Iterable[Mapping[str, Any]], folder: Path, *, j
     journals = folder / JOURNALS
     journals.mkdir(exist_ok=True)
     number = 1 + sum(1 for _ in journals.glob(f"{plan.kind}-*.jsonl"))
-    for source, ending in ((journal, "jsonl"), (journal.with_name("plan.toml"), "toml")):
-        if source.is_file():
-            write_bytes(journals / f"{plan.kind}-{number}.{ending}", source.read_bytes())
+    for source in (journal, *sorted(journal.parent.glob("plan*.toml"))):
+        name = f"{plan.kind}-{number}{source.stem.removeprefix('plan').removeprefix('journal')}{source.suffix}"
+        write_bytes(journals / name, source.read_bytes())
     return folder
 
 
@@ -127,5 +126,7 @@ def is_in(entries: Iterable[Mapping[str, Any]], folder: Path) -> bool:
         return False
     held = read_campaign(folder).tables
     new = tables_of(entries)
-    return bool(new) and all(name in held and len(held[name]) == len(frame) and np.array_equal(
-        held[name]["time_s"], frame["time_s"]) for name, frame in new.items())
+    return bool(new) and all(
+        name in held and len(held[name]) == len(frame) and np.array_equal(held[name]["time_s"], frame["time_s"])
+        for name, frame in new.items()
+    )

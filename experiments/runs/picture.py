@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,13 +24,14 @@ GRID = 0.5  # m
 def picture(plan: Plan, steps: Sequence[Motion]) -> str:
     """SVG text: the ways of the flange, with a dot wherever something is measured."""
     robot = plan.cell.robot
-    ways = [_way(robot, a.to, b.to) for a, b in zip(steps[:-1], steps[1:], strict=True)]
+    ways = [_way(robot, a.to, b.to) for a, b in pairwise(steps)]
     stops = np.array([_flange(robot, s.to) for s in steps if s.measured])
     every = np.vstack([*ways, stops, np.zeros((1, 3))]) if ways else np.vstack([stops, np.zeros((1, 3))])
     minutes = (steps[-1].start + steps[-1].duration) / 60.0
     title = f"{plan.kind} of {robot.name}: {len(steps)} motions, {minutes:.1f} min, {len(stops)} of them measured"
     panels = "".join(
-        _panel(ways, stops, every, axes, words, k) for k, (axes, words) in enumerate((((0, 1), "from above"), ((0, 2), "from the side")))
+        _panel(ways, stops, every, axes, words, k)
+        for k, (axes, words) in enumerate((((0, 1), "from above"), ((0, 2), "from the side")))
     )
     width, height = 2 * SIZE, SIZE + HEAD
     return (
@@ -50,9 +52,7 @@ def _way(robot: RobotDescription, one: Array, other: Array) -> Array:
     return np.array([_flange(robot, one + s * (other - one)) for s in np.linspace(0.0, 1.0, BETWEEN)])
 
 
-def _panel(
-    ways: Sequence[Array], stops: Array, every: Array, axes: tuple[int, int], words: str, place: int
-) -> str:
+def _panel(ways: Sequence[Array], stops: Array, every: Array, axes: tuple[int, int], words: str, place: int) -> str:
     low = every.min(axis=0)
     span = float(np.max(np.ptp(every, axis=0))) or 1.0
     scale = (SIZE - 2 * EDGE) / span

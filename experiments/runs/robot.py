@@ -240,8 +240,15 @@ class LinkedRobot:
                 time.sleep(POLL)
         if not parts:
             raise LinkLostError(f"recording: expected samples {first} to {until}, found none")
-        joined = [np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS]
-        return Recording(*joined, lost=lost, newest=parts[-1].newest)
+        return Recording(
+            np.concatenate([part.number for part in parts]),
+            np.concatenate([part.time for part in parts]),
+            np.concatenate([part.joints for part in parts]),
+            np.concatenate([part.torque for part in parts]),
+            np.concatenate([part.current for part in parts]),
+            lost,
+            parts[-1].newest,
+        )
 
     def read(self, settle: float, dwell: float) -> Reading:
         """Means over the samples of a robot that stands, from ``settle`` to ``dwell`` s from now, at least eight."""
@@ -256,6 +263,3 @@ class LinkedRobot:
             found.torque.std(axis=0),
             len(found.number),
         )
-
-
-_COLUMNS = ("number", "time", "joints", "torque", "current")

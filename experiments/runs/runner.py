@@ -30,9 +30,12 @@ from experiments.runs.people import Person
 from experiments.runs.poses import run_poses
 from experiments.runs.robot import LinkedRobot
 from experiments.runs.sweeps import run_sweeps
-from experiments.runs.tracker_line import Instrument
+from experiments.runs.tracker_line import Instrument, InstrumentError
 
 __all__ = ["Asked", "Outcome", "begun", "run"]
+
+TRACES = ("move", "row", "log", "skipped", "clamped", "complete")
+"""What in a journal shows that the robot was moved or something recorded."""
 
 
 @dataclass
@@ -95,6 +98,17 @@ def run(plan: Plan, folder: Path, asked: Asked) -> Outcome:
     work.mkdir(parents=True, exist_ok=True)
     if not (work / "plan.toml").is_file():
         write_text(work / "plan.toml", text)
+    try:
+        outcome = _run(plan, folder, asked, work)
+    except (PlanError, RunStopped, InstrumentError):
+        if asked.journal is not None and not any(e["what"] in TRACES for e in asked.journal.entries):
+            shutil.rmtree(work)  # nothing has happened that a further run would have to know
+        raise
+    shutil.rmtree(work)
+    return outcome
+
+
+def _run(plan: Plan, folder: Path, asked: Asked, work: Path) -> Outcome:
     with Journal(work / "journal.jsonl") as journal:
         asked.journal = journal
         if journal.dropped:
@@ -105,9 +119,7 @@ def run(plan: Plan, folder: Path, asked: Asked) -> Outcome:
             check_folder_for(plan, folder)
             enough = _finish(plan, asked, journal)
             convert(plan, journal.entries, folder, journal=journal.path)
-        outcome = _outcome(folder, journal, enough)
-    shutil.rmtree(work)
-    return outcome
+        return _outcome(folder, journal, enough)
 
 
 def _check_work(work: Path, text: str, folder: Path, *, resume: bool) -> None:
@@ -238,7 +250,8 @@ def _facts(status: Status, journal: Journal, question: str | None) -> str:
     lines = [
         f"The robot stands at {degrees(status.joints)} deg; mode {status.mode}, drives {drives}.",
         f"Programs: accepted {status.accepted}, finished {status.finished}, aborted {status.aborted}"
-        + (f" ({status.reason})" if status.aborted and status.reason else "") + ".",
+        + (f" ({status.reason})" if status.aborted and status.reason else "")
+        + ".",
     ]
     if question:
         lines.append(f"The link asks: {question}.")
@@ -256,4 +269,3 @@ def _outcome(folder: Path, journal: Journal, enough: str | None) -> Outcome:
     skipped = tuple(f"{entry['key'][3]} at pose {entry['key'][1]}: {entry['why']}" for entry in journal.of("skipped"))
     notes = tuple(entry["words"] for entry in journal.of("note"))
     return Outcome(folder, rows, skipped, enough, notes)
-

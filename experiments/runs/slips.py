@@ -33,7 +33,19 @@ USUAL = 1e-4  # m along each axis; wrist torques alone would leave an axis open
 
 @dataclass(frozen=True, eq=False)
 class SweepRows:
-    """Readings of one sweep: number, time ``(m,)`` s, offset and direction ``(m,)``, torque ``(m, n)``, turned ``(n,)``."""
+    """Readings of one sweep.
+
+    Attributes
+    ----------
+    number
+        From 1.
+    time, offset, direction
+        ``(m,)``: s, rad of the driven joint beyond the clamped posture, and which way it came, ±1.
+    torque
+        ``(m, n)`` Nm at the motors.
+    turned
+        Which motors turn in it ``(n,)``.
+    """
 
     number: int
     time: Array
@@ -63,9 +75,7 @@ class Shift:
     p_value: float
 
 
-def find_shift(
-    sweeps: Sequence[SweepRows], robot: RobotDescription, stiffness: Array, jacobian: Array
-) -> Shift | None:
+def find_shift(sweeps: Sequence[SweepRows], robot: RobotDescription, stiffness: Array, jacobian: Array) -> Shift | None:
     """The likeliest shift of one clamping, if there is one; steps are tried in the last two sweeps.
 
     Parameters
@@ -166,9 +176,11 @@ def _inflation(rest: Array) -> float:
 def _metres(
     size: Array, error: Array, use: npt.NDArray[np.bool_], robot: RobotDescription, stiffness: Array, jacobian: Array
 ) -> float:
-    """How far a flange shifted, m, if it did not turn: least squares on the steps, with a usual size as prior."""
+    """How far a flange shifted, m, if it did not turn: least squares, with a usual size as prior."""
     wound = -np.linalg.pinv(jacobian)[:, :3].T  # (3, n): joints are wound up by the negative of what the arm does
-    torque = motor_torques(robot, stiffness, np.zeros(robot.n), wound)[:, use].T  # (motors, 3)
+    torque = motor_torques(robot, stiffness, np.zeros(robot.n), np.asarray(wound, dtype=np.float64))[
+        :, use
+    ].T  # (motors, 3)
     prior = np.eye(3) / USUAL
     shift = np.linalg.lstsq(np.vstack([torque / error[:, None], prior]), np.r_[size / error, np.zeros(3)])[0]
     return float(np.linalg.norm(shift))

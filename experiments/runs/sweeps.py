@@ -15,7 +15,7 @@ from experiments.plans.model import Sweep
 from experiments.plans.motion import Array
 from experiments.runs.clamp_state import ClampState, clamp_state
 from experiments.runs.comparison import compared_places
-from experiments.runs.context import SLOW, Block, Context, place_on, straight_to
+from experiments.runs.context import Block, Context, place_on, straight_to
 from experiments.runs.errors import RunStopped
 from experiments.runs.load import Watch, loaded
 from experiments.runs.logs import check_torque
@@ -65,7 +65,7 @@ def run_sweeps(context: Context) -> str | None:
 
 
 def _resumed(context: Context, state: ClampState) -> ClampState:
-    """After a break: go on in the same clamping if it is surely the same; else void the sweep that was cut, and unwind."""
+    """After a break: go on in the same clamping if it is surely the same; else the sweep that was cut is void."""
     if not state.clamping:
         return state
     sweep = next(s for s in context.plan.sweeps if s.clamping == state.clamping)
@@ -122,7 +122,9 @@ def _sweep(context: Context, sweep: Sweep, number: int, name: str, state: ClampS
             context.progress((number - 1 + step / len(sweep.offset)) / total, f"{name}, step {step}")
         context.robot.go(_target(sweep, step), STEP_SHARE, f"{name}, step {step}")
         reading = context.robot.read(SETTLE * sweep.dwell, sweep.dwell)
-        context.journal.add("row", table="clamped", key=["clamped", number, step], row=_row(context, sweep, number, reading))
+        context.journal.add(
+            "row", table="clamped", key=["clamped", number, step], row=_row(context, sweep, number, reading)
+        )
         state.step = step
         fault = watch.fault(reading.torque)
         if fault is not None:
@@ -242,6 +244,8 @@ def _check_shift(context: Context, sweep: Sweep, number: int, watch: Watch, name
     context.journal.add("void", table="clamped", sweeps=bad, why=words)
     _release(context)
     before = [row.number for row in rows if row.number < found.sweep]
-    stand = f"sweeps {', '.join(map(str, before))} of this clamping stand" if before else "no sweep of this clamping stands"
+    stand = (
+        f"sweeps {', '.join(map(str, before))} of this clamping stand" if before else "no sweep of this clamping stands"
+    )
     again = f"sweep{'s' if len(bad) > 1 else ''} {', '.join(map(str, bad))}"
     raise RunStopped(f"{words}. {again} will be made again; {stand}. Tighten the clamp")

@@ -127,7 +127,9 @@ def limits(cell: Cell) -> Limits:
     return limits_of(cell.robot)[0]
 
 
-def visit_of(limits: Limits, table: str, pose: int, number: int, before: np.ndarray | None, q: np.ndarray, side: np.ndarray) -> Visit:
+def visit_of(
+    limits: Limits, table: str, pose: int, number: int, before: np.ndarray | None, q: np.ndarray, side: np.ndarray
+) -> Visit:
     via = q - 0.05 * side
     moves = np.array([via - (via if before is None else before), q - via])
     duration, ramp = shortest(moves, limits.speed, limits.acceleration)
@@ -167,7 +169,9 @@ def free_air_plan(cell: Cell, limits: Limits) -> Plan:
     return Plan("free_air", cell, limits, sum(c.length for c in courses), runs=runs)
 
 
-def clamping_plan(cell: Cell, limits: Limits, sweeps: list[tuple[int, int, np.ndarray]], share: float = 0.2, margin: float = 1.6) -> Plan:
+def clamping_plan(
+    cell: Cell, limits: Limits, sweeps: list[tuple[int, int, np.ndarray]], share: float = 0.2, margin: float = 1.6
+) -> Plan:
     """Sweeps as (clamping, joint from 0, posture)."""
     rated = rated_motor_torque(cell.robot)
     stiffness = stiffness_of(cell.robot, rated)[0]

@@ -63,7 +63,7 @@ def test_a_sweep_beyond_a_limit_exceeds_it_by_one_step_and_unwinds(
 def test_an_open_clamp_is_found_within_its_first_loop(controller: Controller, clamping: Plan, tmp_path: Path) -> None:
     asked = controller.asked()
     asked.person.clamp = lambda where: None
-    with pytest.raises(RunStopped, match="sweep 1: joint 2 .*torque did not rise: the clamp is open"):
+    with pytest.raises(RunStopped, match=r"sweep 1: joint 2 .*torque did not rise: the clamp is open"):
         run(clamping, tmp_path / "C", asked)
     again = controller.asked(resume=True)
     assert isinstance(again.person, VirtualOperator)
