@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from experiments.plans.model import Plan
 
 __all__ = ["ClampState", "clamp_state"]
 
@@ -34,7 +33,7 @@ class ClampState:
     step: int = 0
 
 
-def clamp_state(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> ClampState:
+def clamp_state(entries: Sequence[Mapping[str, Any]]) -> ClampState:
     """Work out the state from a journal."""
     state = ClampState()
     for entry in entries:
@@ -52,7 +51,4 @@ def clamp_state(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> ClampState:
                 state.done -= set(entry["sweeps"])
                 if state.current in entry["sweeps"]:
                     state.current, state.step = None, 0
-    last = plan.sweeps[state.current - 1] if state.current else None
-    if last is not None and state.current is not None and state.step == len(last.offset):
-        pass  # its last step is recorded; whether the clamp shifted is still to be looked at
     return state

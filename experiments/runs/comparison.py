@@ -43,6 +43,8 @@ def compared_places(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Iterato
         value = _both_ways(motor, torque, np.asarray(sweep.offset[: len(rows)], dtype=float))
         if value is not None:
             found.setdefault(j, {}).setdefault(sweep.clamping, []).append(value)
+    if all(len(places) < 2 for places in found.values()):
+        yield "No joint was driven in two places of the clamp: whether the block yields is not compared."
     for joint, places in sorted(found.items()):
         if len(places) < 2:
             continue

@@ -39,7 +39,7 @@ def run_sweeps(context: Context) -> str | None:
     """
     check_torque(context.robot)
     plan = context.plan
-    state = _resumed(context, clamp_state(plan, context.journal.entries))
+    state = _resumed(context, clamp_state(context.journal.entries))
     total = len(plan.sweeps)
     for number, sweep in enumerate(plan.sweeps, 1):
         if number in state.done:
@@ -89,7 +89,7 @@ def _resumed(context: Context, state: ClampState) -> ClampState:
     context.person.confirm("The flange may still be clamped, the drives wound up.", "Is the clamp to be opened now?")
     context.person.release()
     context.journal.add("released", clamping=state.clamping)
-    return clamp_state(context.plan, context.journal.entries)
+    return clamp_state(context.journal.entries)
 
 
 def _clamp(context: Context, sweep: Sweep, name: str) -> None:
@@ -167,10 +167,6 @@ def _row(context: Context, sweep: Sweep, number: int, reading: Reading) -> dict[
     row: dict[str, Any] = {"sweep": number, "joint": sweep.joint + 1, "time_s": round(reading.time, 4)}
     row |= {f"motor{i}_rad": float(v) for i, v in enumerate(motor, 1)}
     row |= {f"tau{i}_Nm": float(v) for i, v in enumerate(reading.torque, 1)}
-    gauges = getattr(context.instrument, "gauges", None)
-    if gauges is not None:
-        names = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-        row |= {f"fixture_{n}": float(v) for n, v in zip(names, gauges(), strict=True)}
     temperature = robot.status().temperature
     if temperature is not None:
         row |= {f"temp_motor{i}_C": round(float(v), 2) for i, v in enumerate(temperature, 1)}
