@@ -84,14 +84,11 @@ def session(folder: Path, hidden: str = HIDDEN, seed: int = 7, poses: int = 60) 
     clampid("identify", arm, "-o", model, "-q", "--json", str(folder / "model_fit.json"))
     clampid("diagnose", model, arm, "-q", "--json", str(folder / "found.json"))
     found = json.loads((folder / "found.json").read_text(encoding="utf-8"))["stages"]["poses"]
-    added = [
-        f"poses={c['effect']}{''.join('@' + w for w in c['where'][:1])}"
-        for c in found["candidates"]
-        if not c["alternative"]
-    ]
+    confirmed = [c for c in found["candidates"] if not c["alternative"]]
+    added = [f"poses={c['name']}@{place}" for c in confirmed for place in c["where"]]
     if not added:
         raise RuntimeError(f"diagnose found nothing that was missing: {found['summary']}")
-    clampid("add", *added, model, arm, "-o", mended, "-q")
+    clampid("add", ",".join(added), model, arm, "-o", mended, "-q")
     for name, which in (("before", model), ("after", mended)):
         clampid("compare", which, arm, "-q", "--json", str(folder / f"{name}.json"))
     clampid("export", "dh", mended, "--convention", "hayati", "-o", str(folder / "dh.csv"))

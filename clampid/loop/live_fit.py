@@ -101,7 +101,7 @@ class LiveFit:
             return None
         reached = [(condition, *condition.reached(model)) for condition in self._until]
         for condition, value, _ in reached:
-            self._say(f"  until {condition.text}: now {_text(value, condition.unit)}")
+            self._say(f"  until {condition.text}: now {condition.shown(value)}")
         if all(enough for _, _, enough in reached):
             told = " and ".join(condition.text for condition in self._until)
             return f"Stopped early, as asked: {told}."

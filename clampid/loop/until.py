@@ -33,7 +33,9 @@ class Until:
     effect, parameter, place
         Of the parameter; without ``parameter`` all of that effect there.
     below, unit
-        The number, and its unit in SI.
+        The number, SI, and the unit in which it was typed.
+    factor
+        Of that unit.
     """
 
     text: str
@@ -42,16 +44,16 @@ class Until:
     place: str
     below: float
     unit: str
+    factor: float = 1.0
+
+    def shown(self, value: float) -> str:
+        """A standard error, SI, in the unit of the condition."""
+        return f"{value / self.factor:.3g} {self.unit}" if math.isfinite(value) else "not known"
 
     def reached(self, model: Model) -> tuple[float, bool]:
         """The largest standard error of what is meant, in the stage that knows it best, and whether it is enough.
 
         Infinite while no stage has it, or none identifies it.
-
-        Raises
-        ------
-        PlanError
-            The parameter has another unit.
         """
         best = math.inf
         for stage in model.stages.values():
@@ -102,4 +104,4 @@ def _condition(text: str) -> Until:
     meant = [known[parameter]] if parameter is not None else list(known.values())
     if any(one != si for one in meant):
         raise PlanError(f"--until: {name}: expected a unit of {', '.join(dict.fromkeys(meant))}, found {unit}")
-    return Until(text, name, parameter, place, below * factor, si)
+    return Until(text, name, parameter, place, below * factor, unit, factor)

@@ -160,11 +160,11 @@ def _stopped(why: str, asked: Asked, again: str, out: Output) -> None:
     from experiments.runs.folder import tables_of
 
     rows = {} if asked.journal is None else {k: len(v) for k, v in tables_of(asked.journal.entries).items()}
-    kept = ", ".join(f"{count} rows of {name}" for name, count in rows.items()) or "no rows yet"
+    kept = ", ".join(f"{count} rows of {name}" for name, count in rows.items()) or "nothing yet"
     out.show(
         Screen(
             f"Stopped before the end: {why}.",
-            facts=(("recorded", f"{kept}; all of it is kept"),),
+            facts=(("recorded", f"{kept}; all of it is kept" if rows else kept),),
             next=(Next("Look at the robot. Then go on where it stopped:", again),),
         )
     )
