@@ -214,8 +214,8 @@ def main() -> None:
     given = parser.parse_args()
     cell = cell_of("kuka_kr20_r1810")[0]
     limits = limits_of(cell.robot)[0]
-    plans = [poses_plan(cell, limits), free_air_plan(cell, limits)]
-    plans.append(clamping_plan(cell, limits, [(1, 1, CLAMPED), (1, 2, CLAMPED)]))
+    plans = [poses_plan(cell, limits, 40), free_air_plan(cell, limits, 10)]
+    plans.append(clamping_plan(cell, limits, [(1, joint, CLAMPED) for joint in (1, 2, 1, 2)]))
     done = number = 0
     total = Counts()
     while done < given.kills:
@@ -223,7 +223,7 @@ def main() -> None:
             speed = "20" if number % 3 else "50"
             controller = Controller(Path(place) / "truth.json", ("--speed", speed, "--seed", "3")).start()
             try:
-                found = kill_and_resume(controller, plans[number % 3], Path(place) / "C", 12, given.seed + number)
+                found = kill_and_resume(controller, plans[number % 3], Path(place) / "C", 20, given.seed + number, 1.0)
             finally:
                 controller.stop()
         number += 1

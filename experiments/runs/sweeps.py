@@ -149,16 +149,16 @@ def _way_to(sweep: Sweep, step: int) -> slice | None:
 
 def _unwind(context: Context, sweep: Sweep, step: int, name: str) -> None:
     """Go back through the steps that led away from the clamped posture, the last one first."""
-    offsets = [float(v) for v in sweep.offset[:step]]
-    here = offsets[-1]
-    for earlier in [*reversed(offsets[:-1]), 0.0]:
-        if earlier * here < 0.0 or abs(earlier) > abs(here):
+    here = float(sweep.offset[step - 1])
+    for earlier in (*reversed(sweep.offset[: step - 1].tolist()), 0.0):
+        if earlier * here < 0.0 or abs(earlier) >= abs(here):
             break
         here = earlier
         to = np.array(sweep.posture)
-        to[sweep.joint] += earlier
+        to[sweep.joint] += here
         context.robot.go(to, STEP_SHARE, f"{name}, unwinding")
-    context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
+    if here != 0.0:
+        context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
 
 
 def _row(context: Context, sweep: Sweep, number: int, reading: Reading) -> dict[str, Any]:

@@ -141,14 +141,14 @@ def poses(cell: Cell, limits: Limits) -> Plan:
     return poses_plan(cell, limits)
 
 
-def poses_plan(cell: Cell, limits: Limits) -> Plan:
-    """Six poses, one of them twice, and one for verification."""
+def poses_plan(cell: Cell, limits: Limits, count: int = 6) -> Plan:
+    """Six poses or more, one of them twice, and one for verification."""
     rng = np.random.default_rng(5)
-    places = [np.array([0.0, -1.3, 1.5, 0.3, 0.8, 0.0]) + 0.4 * rng.uniform(-1, 1, 6) for _ in range(7)]
-    order = [("poses", k, 1) for k in range(1, 7)] + [("poses", 2, 2), ("verification", 1, 1)]
+    places = [np.array([0.0, -1.3, 1.5, 0.3, 0.8, 0.0]) + 0.4 * rng.uniform(-1, 1, 6) for _ in range(count + 1)]
+    order = [("poses", k, 1) for k in range(1, count + 1)] + [("poses", 2, 2), ("verification", 1, 1)]
     visits, before = [], None
     for table, pose, number in order:
-        q = places[6] if table == "verification" else places[pose - 1]
+        q = places[count] if table == "verification" else places[pose - 1]
         visits.append(visit_of(limits, table, pose, number, before, q, rng.choice([-1.0, 1.0], 6)))
         before = q
     return Plan("poses", cell, limits, 60.0, visits=tuple(visits), measure_time=0.5)
@@ -159,11 +159,11 @@ def free_air(cell: Cell, limits: Limits) -> Plan:
     return free_air_plan(cell, limits)
 
 
-def free_air_plan(cell: Cell, limits: Limits) -> Plan:
-    """Three moves, at two speeds."""
+def free_air_plan(cell: Cell, limits: Limits, moves: int = 3) -> Plan:
+    """Three moves or more, at two speeds."""
     rng = np.random.default_rng(6)
     start = np.array([0.0, -1.3, 1.5, 0.3, 0.8, 0.0])
-    knots = np.array([start, *(start + 0.4 * rng.uniform(-1, 1, 6) for _ in range(2)), start])
+    knots = np.array([start, *(start + 0.4 * rng.uniform(-1, 1, 6) for _ in range(moves - 1)), start])
     courses: list[Course] = [course_of(cell.robot, limits, knots, speed_share=s, dwell=0.5) for s in (0.2, 0.1)]
     runs = tuple(Run(course, share) for course, share in zip(courses, (0.2, 0.1), strict=True))
     return Plan("free_air", cell, limits, sum(c.length for c in courses), runs=runs)

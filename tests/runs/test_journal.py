@@ -23,9 +23,12 @@ def test_cut_at_200_random_bytes_it_loses_the_broken_line_only(tmp_path: Path) -
     ends = [sum(len(line) for line in data.splitlines(True)[: k + 1]) for k in range(40)]
     rng = random.Random(1)
     for cut in [0, len(data), *(rng.randrange(len(data)) for _ in range(200))]:
+        whole = sum(end <= cut for end in ends)
+        assert whole_lines(data[:cut]) == (entries[:whole], ends[whole - 1] if whole else 0)
+        if rng.random() > 0.1:
+            continue  # the disk is slow
         copy = tmp_path / "cut"
         copy.write_bytes(data[:cut])
-        whole = sum(end <= cut for end in ends)
         with Journal(copy) as journal:
             assert journal.entries == entries[:whole]
             again = journal.add("row", key=["poses", whole])

@@ -48,7 +48,7 @@ def test_a_silent_instrument_stops_the_run_and_resume_goes_on(
 ) -> None:
     monkeypatch.setattr("experiments.runs.poses.PATIENCE", 0.3)
     asked = controller.asked()
-    asked.progress = lambda done, text: controller.operate("sight silent 2") if "pose 4" in text else None
+    asked.progress = lambda done, text: controller.operate("sight silent 1") if "pose 4" in text else None
     with pytest.raises(RunStopped, match="the instrument does not answer within"):
         run(poses, tmp_path / "C", asked)
     with pytest.raises(PlanError, match="--resume"):
