@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.plans import Plan
+from experiments.plans import Plan, PlanError
 from experiments.runs.errors import RunStopped
 from experiments.runs.folder import tables_of, work_folder
 from experiments.runs.intended import targets_of
@@ -114,6 +114,8 @@ def _session(plan: Plan, folder: Path, asked: Callable[[], Any]) -> None:
     """One runner, in a process of its own."""
     try:
         run(plan, folder, asked())
+    except PlanError:
+        os._exit(2)
     except (RunStopped, ValueError):
         os._exit(3)
     os._exit(0)
@@ -172,6 +174,8 @@ def kill_and_resume(
             before = now
         if process.exitcode == 0:
             break
+        if process.exitcode == 2:
+            raise RuntimeError("the call was refused: nothing would ever be measured")
     relay.server.close()
     final = whole_lines(next((folder / "journals").glob("*.jsonl")).read_bytes())[0]
     found, wanted = keys_of(final), wanted_keys(plan)

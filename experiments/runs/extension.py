@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from experiments.plans.errors import PlanError
+from experiments.plans.limits import course_of
 from experiments.plans.model import Plan, Visit
-from experiments.plans.motion import Array, shortest
+from experiments.plans.motion import Array
 from experiments.plans.validate import validate_plan
 
 __all__ = ["extended"]
@@ -48,8 +49,8 @@ def _behind(plan: Plan, visits: tuple[Visit, ...]) -> list[Visit]:
     for visit in visits:
         duration, ramp = np.array(visit.duration), np.array(visit.ramp)
         if before is not None:
-            way, bend = shortest((visit.via - before)[None], plan.limits.speed, plan.limits.acceleration)
-            duration[0], ramp[0] = way[0], bend[0]
+            way = course_of(plan.cell.robot, plan.limits, np.array([before, visit.via]))
+            duration[0], ramp[0] = way.duration[0], way.ramp[0]
         targets = tuple(t for t in visit.targets if t in plan.cell.targets) or tuple(plan.cell.targets)
         pose = numbers.get(visit.table, 0) + visit.pose
         made.append(replace(visit, pose=pose, duration=duration, ramp=ramp, targets=targets))

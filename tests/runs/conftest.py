@@ -20,7 +20,6 @@ from clampid.planning.clamping import Press, planned_sweep, press_limits, stiffn
 from experiments.links.address import open_link
 from experiments.plans import Cell, Course, Limits, Plan, Run, Sweep, Visit, cell_of, limits_of
 from experiments.plans.limits import course_of
-from experiments.plans.motion import shortest
 from experiments.plans.press import rated_motor_torque
 from experiments.runs.people import VirtualOperator, Yes
 from experiments.runs.runner import Asked
@@ -128,12 +127,18 @@ def limits(cell: Cell) -> Limits:
 
 
 def visit_of(
-    limits: Limits, table: str, pose: int, number: int, before: np.ndarray | None, q: np.ndarray, side: np.ndarray
+    cell: Cell,
+    limits: Limits,
+    table: str,
+    pose: int,
+    number: int,
+    before: np.ndarray | None,
+    q: np.ndarray,
+    side: np.ndarray,
 ) -> Visit:
     via = q - 0.05 * side
-    moves = np.array([via - (via if before is None else before), q - via])
-    duration, ramp = shortest(moves, limits.speed, limits.acceleration)
-    return Visit(table, pose, number, via, q, duration, ramp, ("T1", "T2", "T3"))
+    course = course_of(cell.robot, limits, np.array([via if before is None else before, via, q]))
+    return Visit(table, pose, number, via, q, course.duration, course.ramp, ("T1", "T2", "T3"))
 
 
 @pytest.fixture(scope="session")
@@ -149,7 +154,7 @@ def poses_plan(cell: Cell, limits: Limits, count: int = 6) -> Plan:
     visits, before = [], None
     for table, pose, number in order:
         q = places[count] if table == "verification" else places[pose - 1]
-        visits.append(visit_of(limits, table, pose, number, before, q, rng.choice([-1.0, 1.0], 6)))
+        visits.append(visit_of(cell, limits, table, pose, number, before, q, rng.choice([-1.0, 1.0], 6)))
         before = q
     return Plan("poses", cell, limits, 60.0, visits=tuple(visits), measure_time=0.5)
 
