@@ -14,7 +14,6 @@ import signal
 import socket
 import tempfile
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -156,12 +155,15 @@ def kill_and_resume(
         process.start()
         counts.sessions += 1
         first = False
-        if sum(counts.kills.values()) < kills:
-            time.sleep(rng.uniform(0.05, longest))
-            if process.is_alive():
-                kind = rng.choice(kinds)
-                _strike(kind, controller, process, relay)
-                counts.kills[kind] += 1
+        while sum(counts.kills.values()) < kills:
+            process.join(rng.uniform(0.05, longest))
+            if not process.is_alive():
+                break
+            kind = rng.choice(kinds)
+            _strike(kind, controller, process, relay)
+            counts.kills[kind] += 1
+            if kind in ("runner", "controller"):
+                break
         process.join(120)
         if process.is_alive():
             process.kill()
