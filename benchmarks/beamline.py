@@ -12,8 +12,11 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 from time import perf_counter
+from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -21,9 +24,12 @@ import numpy as np
 from detector_server import Echo, memory
 from ik_arms import CELL, drawn_model
 
+from experiments.links.address import open_link
+from experiments.links.connection import Connection
 from kinematics.description import load_robot
 from offline_ik.cell import read_cell
 from offline_ik.detector import Detector, open_detector
+from offline_ik.link import LinkedRobot
 from offline_ik.protocol import Session, Speaker
 from offline_ik.server import Server, settle
 from offline_ik.simulation import simulate_move
@@ -90,6 +96,52 @@ async def beyond_echo(ours: Line, speaker: Speaker, line: bytes) -> None:
     print(f"{line.split()[0].decode()}: {a:.0f} µs at the median, echo {b:.0f} µs, {a - b:.0f} µs beyond it")
     bare.writer.close()
     echo.close()
+
+
+async def over_ethernetkrl(detector: Detector) -> None:
+    """A link that does not wait, with a virtual controller in a process of its own behind it.
+
+    `stop` against an echo, and the time from the client's `move` until its documents are with the system's socket.
+    """
+    command = [sys.executable, "-m", "clampid", "virtual-robot", "--listen", "127.0.0.1:0", "--speed", "1000"]
+    sent, send = [0.0], Connection.send
+
+    def timed(self: Connection, data: bytes, patience: float = 0.0) -> None:
+        send(self, data, patience)
+        if data.startswith(b"<Move>"):
+            sent[0] = perf_counter()
+
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as controller,
+        patch.object(Connection, "send", timed),
+    ):
+        assert controller.stdout is not None
+        robot = LinkedRobot(open_link(controller.stdout.readline().split()[-1]), "eki://")
+        server = Server(Speaker(detector, robot))
+        ours = await Line.to(*await server.start("127.0.0.1", 0))
+        await ours.ask(b"hello")
+        took, check = [], []
+        for k in range(MOVES):
+            gamma = 0.30 + 0.005 * (k % 2)
+            here = robot.posture()
+            begun = perf_counter()
+            simulate_move(detector, gamma, 0.2, 0.8, start=here)
+            check.append(1e3 * (perf_counter() - begun))
+            begun = perf_counter()
+            answer = json.loads(await ours.ask(b"move gamma=%r delta=0.2 r=0.8 wait=yes" % gamma))
+            assert answer["ended"]["outcome"] == "arrived", answer
+            took.append(1e3 * (sent[0] - begun))
+        less = np.subtract(took, check)[2:]
+        print(
+            f"EthernetKRL, from move to its documents on the socket: {np.median(took[2:]):.2f} ms at the median, the "
+            f"check alone {np.median(check[2:]):.2f} ms, {np.median(less):.2f} ms beyond it"
+        )
+        print("EthernetKRL, ", end="")
+        await beyond_echo(ours, server.speaker, b"stop")
+        ours.writer.close()
+        await server.close()
+        robot.close()
+        controller.terminate()
 
 
 async def to_the_link(ours: Line, detector: Detector, link: Link) -> None:
@@ -164,6 +216,7 @@ async def run() -> None:
     await ours.ask(b"hello")
     for line in (b"where gamma=0.3 delta=0.2 r=0.8 near=0.1,-1.2,1.2,0.1,0.4,0", b"robot", b"stop", b"hello"):
         await beyond_echo(ours, server.speaker, line)
+    await over_ethernetkrl(detector)
     link.q = START
     await to_the_link(ours, detector, link)
     await stopping(ours, host, port, link)

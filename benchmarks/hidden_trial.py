@@ -20,6 +20,7 @@ from experiments.campaign import Campaign
 
 MOST_ALTERNATIVES = 3
 CONFUSABLE = 0.8
+EVERYWHERE = "all"  # the second world's place of what all motors show
 
 
 def hidden_trial(world: World, case: Case, size: float, seed: int, poses: int, best: bool = True) -> dict[str, Any]:
@@ -75,7 +76,8 @@ def truth_of(case: Case, places: Sequence[str]) -> list[dict[str, str]]:
     for name, where in zip(case.names, places, strict=True):
         if name not in known:  # outside the library
             continue
-        place = "" if known[name].per == "robot" or known[name].tried == "jointly" else where
+        nowhere = where == EVERYWHERE or known[name].per == "robot" or known[name].tried == "jointly"
+        place = "" if nowhere else where
         if place:
             place = known[name].per + place.lstrip("abcdefghijklmnopqrstuvwxyz")
         out.append({"name": name, "family": known[name].family, "where": place})

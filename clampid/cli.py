@@ -22,6 +22,7 @@ import typer
 
 from clampid.screen import wrapped
 from clampid.verbs.errors import is_wrong_input
+from clampid.verbs.plain_help import PlainCommand
 from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
 
@@ -83,11 +84,12 @@ def app() -> typer.Typer:
             group = copy(verb)  # the verb itself stays as it is: a process may make the command more than once
             group.registered_commands = [copy(one) for one in verb.registered_commands]
             for one in group.registered_commands:
+                one.cls = PlainCommand
                 if one.callback is not None:
                     one.callback = _guarded(one.callback)
             command.add_typer(group, name=name, short_help=VERBS.get(name))
         else:
-            command.command(name, short_help=VERBS.get(name))(_guarded(verb))
+            command.command(name, cls=PlainCommand, short_help=VERBS.get(name))(_guarded(verb))
     return command
 
 

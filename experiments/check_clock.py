@@ -42,8 +42,8 @@ def clock_findings(campaign: Campaign) -> Iterator[Finding]:
     for table in ("poses", "verification"):
         if table in campaign.tables and counts_rows(_numbers(campaign.tables[table], "time_s")):
             message = (
-                "counts rows (0, 1, 2, …) and is no clock: what drifts or warms up can be told by the order of the "
-                "rows at most"
+                "counts rows (0, 1, 2, …) and is no clock: drift and warming up can only be examined in the order of "
+                "the rows"
             )
             yield Finding("note", table, "time_s", None, message)
     for table in ("free_air", "wrist"):

@@ -134,8 +134,9 @@ def _anchor(
     count = len(set(poses.tolist()))
     if count < FEWEST_POSES:
         message = (
-            f"anchor {name} is seen from {count} pose{'s' if count > 1 else ''}: its own place takes three, so that "
-            f"they say {'next to nothing' if count == FEWEST_POSES - 1 else 'nothing'} of the robot"
+            f"anchor {name} is seen from {count} pose{'s' if count > 1 else ''}: three are needed to locate the anchor "
+            f"itself, so that these distances identify {'hardly anything' if count == FEWEST_POSES - 1 else 'nothing'} "
+            "of the robot"
         )
         yield Finding("warning", TABLE, "anchor", int(rows[0]) + 1, message)
         return
@@ -158,9 +159,9 @@ def _anchor(
         yield Finding("warning", TABLE, "distance_m", int(rows[worst]) + 1, message)
     elif found.constant:
         message = (
-            f"distances to anchor {name} are all too {'long' if found.constant > 0 else 'short'}, by about "
-            f"{abs(found.constant) * 1e3:.0f} mm, wherever it is: is their zero elsewhere, as of a draw-wire? "
-            "The effect additive_constant fits that along"
+            f"distances to anchor {name} are all too {'long' if found.constant > 0 else 'short'} by about "
+            f"{abs(found.constant) * 1e3:.0f} mm: does the instrument have a zero offset, as a draw-wire has? "
+            "The effect additive_constant fits it"
         )
         yield Finding("warning", TABLE, "distance_m", int(rows[0]) + 1, message)
 
@@ -199,6 +200,6 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
         yield Finding(
             "error" if fits and not known and numbers < unknown else "warning", TABLE, "pose", None,
             f"{numbers} distances are {few} the {unknown} numbers that the geometry of {robot.n} joints, "
-            f"{targets} target{'s' if targets > 1 else ''} and {anchors} anchor{'s' if anchors > 1 else ''} have: what "
-            f"is fitted to them says little of other poses; {2 * unknown} and more tell their own errors",
+            f"{targets} target{'s' if targets > 1 else ''} and {anchors} anchor{'s' if anchors > 1 else ''} have: a "
+            f"model fitted to them does not predict other poses; measure {2 * unknown} or more",
         )  # fmt: skip

@@ -179,7 +179,7 @@ def _stops(table: str, frame: pd.DataFrame, n: int, noise: float | None) -> Iter
         pose = sorted(set(frame["pose"]))[apart[0]]
         message = (
             f"{apart.size} pose numbers stand for several postures, first pose {pose}, whose joint angles differ by "
-            f"{spread[apart[0]]:.3g} rad: what shares a pose number is kept together and compared as replicates"
+            f"{spread[apart[0]]:.3g} rad: rows of one pose number count as replicates, fitted or held out together"
         )
         yield Finding("warning", table, "pose", None, message)
     read, word = (["distance_m"], "distance") if "anchor" in frame else ([*POSITION], "position")

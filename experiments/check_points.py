@@ -112,7 +112,7 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
     shown = (6, 0) if oriented else {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
     unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + (6 if oriented else 3 * count)
     least = -(-(unknown - shown[1]) // shown[0])
-    if poses < (least if oriented else 2 * least):  # where stops show all six numbers, few more do
+    if poses < 2 * least:  # seven poses of a UR10 with orientations: 0.1 mm fitted, 1 to 50 mm on others
         few = "fewer than" if poses < least else "hardly more than"
         what = "the flange" if oriented else f"{count} target{'s' if count > 1 else ''}"
         known = bool(campaign.stated.targets_std) or campaign.stated.base is not None  # then fewer poses may do
@@ -149,8 +149,8 @@ def _flat(measured: FloatArray) -> Iterator[Finding]:
     yield Finding(
         "warning", "poses", "x_m", None,
         f"the points lie {'on a line' if line else 'in a plane'}: within {1e3 * thick:.3g} mm (rms) of it, where they "
-        f"reach {1e3 * wide:.3g} mm along it: {missing}errors that grow away from it are hardly seen; measure "
-        "points off it",
+        f"reach {1e3 * wide:.3g} mm along it: {missing}errors that grow with the distance from it are hardly "
+        "identifiable; measure points off it",
     )  # fmt: skip
 
 
@@ -214,8 +214,8 @@ def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> I
             worst = bad[np.argmax(np.abs(error[bad]))]
             row = int(both[worst, 1]) + 1
             message = (
-                f"{first} and {second} are {nominal:.4f} m apart in [targets_m], but measured apart by more than "
-                f"{TARGETS_WRONG_M * 1e3:.0f} mm less or more at {bad.size} of {len(both)} stops (worst "
+                f"{first} and {second} are {nominal:.4f} m apart in [targets_m]; at {bad.size} of {len(both)} stops "
+                f"their measured distance differs by more than {TARGETS_WRONG_M * 1e3:.0f} mm (worst "
                 f"{nominal + error[worst]:.4f} m, row {row}): swapped, misdeclared or mismeasured targets"
             )
             yield Finding("warning", table, "target", row, message)
@@ -446,5 +446,5 @@ def _orientations(table: str, frame: pd.DataFrame, poses: FloatArray, base: Floa
         best = min(error, key=lambda words: error[words])
         fits = error[best] < ORIENTATION_WRONG_RAD
         reason = best if fits else "order or sign of the components?"
-        message = f"orientations differ from nominal by {error['']:.2g} rad (median) whatever the tool: {reason}"
+        message = f"orientations differ from nominal by {error['']:.2g} rad (median) with any tool frame: {reason}"
         yield Finding("error" if fits else "warning", table, "qw", None, message)

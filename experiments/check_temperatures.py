@@ -33,8 +33,8 @@ def temperature_findings(campaign: Campaign) -> Iterator[Finding]:
             yield from _gaps(table, name, frame, table in campaign.long)
         if table == "poses" and names and not any(name.startswith("temp_link") for name in names):
             message = (
-                f"no link has a sensor ({', '.join(names)} is taken for none): links that grow are looked for over "
-                "time, not over temperature"
+                f"no temperature sensor is on a link ({', '.join(names)} is not): expansion of the links is tested "
+                "against time, not temperature"
             )
             yield Finding("note", table, names[0], None, message)
 
@@ -71,7 +71,7 @@ def _gaps(table: str, name: str, frame: pd.DataFrame, extract: bool) -> Iterator
         return
     first = int(np.flatnonzero(~read)[0]) + 1
     if not read.any():
-        yield Finding("warning", table, name, None, f"{name} has no reading: it is as if there were no such sensor")
+        yield Finding("warning", table, name, None, f"{name} has no reading: the column is ignored")
         return
     values, known = readings(frame, name)
     bridged, lost = int((known & ~read).sum()), int((~known).sum())
@@ -82,7 +82,7 @@ def _gaps(table: str, name: str, frame: pd.DataFrame, extract: bool) -> Iterator
         row = int(np.flatnonzero(~known)[0]) + 1
         message = (
             f"{lost} of {len(frame)} rows have no reading within {GAP_S:g} s ({END_S:g} s at the ends); first {row}: "
-            f"the mean of the others, {np.mean(values[known]):.1f} °C, stands in, and they count as not recorded: "
-            "where the temperature changed, leave those rows out"
+            f"they get the mean of the others, {np.mean(values[known]):.1f} °C, and count as not recorded; leave them "
+            "out if the temperature changed there"
         )
         yield Finding("warning", table, name, row, message)

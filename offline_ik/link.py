@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 LIFT = 1.0  # s within which a stop has to be lifted before a move
 PAUSE = 0.005  # s between two looks
+THERE = 1e-3  # rad from its end within which a program's arm has arrived, and settles
 MAX_AGE = 0.5  # s: a posture that is older is refused, not passed on
 
 
@@ -73,6 +74,7 @@ class LinkedRobot:
     def __init__(self, link: Link, name: str) -> None:
         self.link, self.name = link, name
         self._program: int | None = None
+        self._goal: Array | None = None  # of that program
         self._stops = 0
         self._stopped_here = False  # the latch that is set is this server's to lift
         with suppress(LinkError):  # a person has just started the server: a stop of before is lifted by a move
@@ -102,9 +104,13 @@ class LinkedRobot:
         """
         with _worded():
             program = Program(postures, speed)
+            question = self.link.open_question()
+            if question is not None:  # before a stop is lifted
+                raise RefusedError(f"a person has to look and confirm first: {question}")
             if self._stopped_here:
                 self._lift()
             self._program = self.link.execute(program)
+            self._goal = program.postures[-1]
 
     def _lift(self) -> None:
         """Lift the stop that was asked for here, once the robot stands, unless another one comes meanwhile."""
@@ -123,11 +129,12 @@ class LinkedRobot:
     def state(self) -> Mapping[str, Any]:
         """The last status with its age, the program sent last, and what a person has to look at.
 
-        ``moving``: a program of this link is on its way, or the controller runs one. ``failed``: why the last program
+        ``moving``: a program of this link is on its way, the controller runs one, or the arm still brakes after one
+        that was aborted, or is moved by hand. ``failed``: why the last program
         of this link did not finish, where it was not simply stopped.
         """
         found: dict[str, Any] = {"address": self.name, "question": self.link.open_question()}
-        running = False
+        running = turns = False
         try:
             status = self.link.status()
         except LinkError as error:
@@ -135,14 +142,26 @@ class LinkedRobot:
         else:
             found |= status.to_json()
             found["stale"], running = found["age_s"] > MAX_AGE, bool(status.running)
+            goal = self._goal
+            turns = bool(status.moves) and (goal is None or np.abs(status.joints - goal).max() > THERE)
         fate = None if self._program is None else self.link.fate(self._program)
         if fate is not None:
             found["program"] = {"id": fate.id, "phase": str(fate.phase), "point": fate.point, "reason": fate.reason}
         ended = fate is None or fate.phase.final
         well = fate is None or fate.phase is Phase.FINISHED or not ended or fate.reason.startswith(Reason.STOPPED.words)
-        found["moving"] = running or not ended
+        found["moving"] = running or not ended or turns
         found["failed"] = None if well or fate is None else f"{fate.phase}: {fate.reason}"
         return found
+
+    @property
+    def executes(self) -> bool:
+        """Whether it moves the robot at all."""
+        return self.link.capabilities.executes
+
+    @property
+    def stops_at_once(self) -> bool:
+        """Whether `stop` waits for nothing."""
+        return self.link.capabilities.stops_at_once
 
     def capabilities(self) -> Mapping[str, Any]:
         """What the link can do, and what its numbers are, for JSON."""

@@ -29,7 +29,7 @@ from offline_ik.beamline.looking import LOOKING
 from offline_ik.beamline.moving import MOVING
 from offline_ik.beamline.robot import LinkedRobot
 from offline_ik.detector import Detector
-from offline_ik.errors import TargetError
+from offline_ik.errors import DetectorError, TargetError
 from offline_ik.link import RobotLink
 from offline_ik.peak_request import sample_of
 from offline_ik.place import place_of
@@ -210,12 +210,23 @@ class Speaker:
             raise TargetError(f"expected a posture to start from: {other}say start q=q1,q2,… first")
         return session.here
 
+    def frames_at(self, q: Array) -> dict[str, Any]:
+        """The frames that go beside joint angles ``(n,)``, rad: see :class:`offline_ik.frames.Framing`."""
+        return dict(self.detector.framing(self.detector.to_base(place_of(self.detector, q).pose), q))
+
+    def _frames(self, session: Session) -> dict[str, Any] | None:
+        """Those of where the stream or the linked robot is; None where that is not known."""
+        try:
+            return self.frames_at(self.detector.check_posture(self.posture(session), "the posture at hand"))
+        except DetectorError:
+            return None
+
     def _start(self, given: Mapping[str, str], session: Session) -> Told:
         q = numbers(given, "q")
         if q is None:
             raise RequestError("start: expected q=q1,q2,…")
         session.here = self.detector.check_posture(q, "q")
-        return Told({"q_rad": session.here.tolist()})
+        return Told({"q_rad": session.here.tolist(), **self.frames_at(session.here)})
 
     def _stream(self, given: Mapping[str, str], session: Session) -> Later:
         """One target of a stream: nearest to the last one, and no faster than the joints can."""
@@ -290,6 +301,7 @@ class Speaker:
             "answered": self.answered,
             "refused": self.refused,
             "at_q_rad": None if session.here is None else session.here.tolist(),
+            "frames": self._frames(session),
             "link": None if self.link is None else finite(dict(self.link.state())),
             "holder": None if self.robot is None else self.robot.holder(),
             "answers_only": self.answers_only,
@@ -305,7 +317,7 @@ class Speaker:
         session.greeted, session.name = True, given.get("name", "")[:64]
         linked = self.link is not None
         told = {"server": "clampid", "robot": self.detector.robot.name, "linked": linked}
-        return Told({**told, "moves": linked and not self.answers_only})
+        return Told({**told, "moves": self.robot is not None and self.robot.executes and not self.answers_only})
 
     def _help(self, given: Mapping[str, str], session: Session) -> Told:
         return Told({"requests": {word: list(keys) for word, keys in WORDS.items()}, "every": list(EVERY)})

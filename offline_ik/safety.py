@@ -150,7 +150,9 @@ def check_path(detector: Detector, postures: Sequence[Array] | Array) -> PathRep
             break
     if worst.hit is not None:
         a, b = worst.hit
-        reasons[f"{a} and {b} would come within {1e3 * worst.clearance:.0f} mm at {worst.at:.3f} of the move"] = None
+        gap = 1e3 * worst.clearance
+        near = f"come within {gap:.0f} mm" if gap >= 0.0 else f"overlap by {-gap:.0f} mm"
+        reasons[f"{a} and {b} would {near} after {100.0 * worst.at:.0f} % of the move"] = None
     return PathReport(
         tuple(reasons), worst.clearance, worst.between, worst.at, worst.base, move_time(detector, path)
     )  # fmt: skip

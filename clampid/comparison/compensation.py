@@ -102,8 +102,8 @@ def sent_elsewhere(found: Compensation) -> str:
     times = max(abs(factor - 1.0) for factor in found.explained or (1.0,))
     if times > AMPLIFIED:
         said = (
-            f"It multiplies what springs and weights are off by {times:.0f}, which goes by other names below: mend it "
-            f"and measure again. {said}"
+            f"It multiplies errors of springs and weights by {times:.0f}; other effects may be named below for it. "
+            f"Correct the compensation and measure again. {said}"
         )
     return said
 
@@ -352,11 +352,11 @@ def _in_words(factors: Array, covariance: Array, mistake: str | None) -> str:
     std = np.sqrt(np.diag(covariance))
     if mistake == "" or std[0] > KNOWN * max(1.0, abs(float(factors[0] - 1.0))):
         return ""
-    what = mistake or "no mistake that is known explains this"
+    what = mistake or "no known mistake explains this"
     arm, tool = (with_error(float(f), float(s), "") for f, s in zip(factors, std, strict=True))
     return (
-        f"Of the model's deflection, {arm} of that by the arm's own weight stands in the poses, and {tool} of that by "
-        f"the tool (1: none is compensated, 0: all is): {what}."
+        f"Of the modelled deflections the poses show {arm} of the arm's own weight's, and {tool} of the tool's "
+        f"(1: nothing is compensated, 0: everything is): {what}."
     )
 
 
@@ -373,4 +373,4 @@ def _like_deflection(base: Array, covariance: Array, columns: Array) -> str:
     std = np.sqrt(np.diag(covariance))
     shift = with_error(float(np.linalg.norm(base[3:])), float(np.linalg.norm(std[3:])), "m")
     turn = with_error(float(np.linalg.norm(base[:3])), float(np.linalg.norm(std[:3])), "rad")
-    return f"{shift} and {turn} from the model's, which is what a base takes up of the deflections"
+    return f"{shift} and {turn} from the model's, as if it had absorbed the deflections"

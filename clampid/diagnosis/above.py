@@ -23,11 +23,11 @@ FEW = 3  # visits or blocks from a side: fewer do not show an error that has a s
 SIDES = frozenset({"direction", "flank", "joint_motion", "motor_motion", "own_motion"})
 WHY_FLOOR = {
     "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
-    "instrument": "the floor is only what the instrument is stated to do, and may be too low: measure some poses again "
+    "instrument": "the floor is the instrument's stated noise alone, and may be too low: measure some poses again "
     "later, from the same side",
     "regression": "a regression on rigid-body dynamics and friction predicts these torques better than the model does, "
-    "so that the model lacks something that these rows know",
-    "log": "the floor is only what changes from row to row, and noise that lasts longer is not in it",
+    "so that the model lacks an effect that these rows determine",
+    "log": "the floor is the noise from row to row alone; slower noise is not in it",
 }
 
 
@@ -72,16 +72,25 @@ def one_sided(rows: Rows) -> list[OneSided]:
 
 
 def one_sided_words(found: Sequence[OneSided], rows: Rows, effects: Mapping[str, Effect]) -> str:
-    """For people: the joints, and which effects have a side and so cannot be told there; empty where there are none."""
+    """For people: the joints, and which effects depend on the side, so that they are not identifiable there; or empty.
+
+    A side that every one of the joints has is said once.
+    """
     if not found:
         return ""
     names = sorted(n for n, e in effects.items() if rows.stage in e.stages and SIDES & set(e.needs))
-    joints = ", ".join(f"{f.joint} ({ {1: '+', -1: '-', 0: 'not recorded'}[f.side] })" for f in found)
     what = "approached" if rows.stage == "poses" else "moved"
     many, was = ("s", "were") if len(found) > 1 else ("", "was")
+    said = {1: "+", -1: "-", 0: "not recorded"}
+    if {f.side for f in found} == {0}:
+        joints, why = ", ".join(str(f.joint) for f in found), "whose directions were not recorded"
+        mend = "record the direction of approach" if rows.stage == "poses" else "record the direction of motion"
+    else:
+        joints = ", ".join(f"{f.joint} ({said[f.side]})" for f in found)
+        why, mend = f"which {was} {what} from one side only", "measure from the other side, too"
     return (
-        f"Direction-dependent effects cannot be identified at joint{many} {joints}, which {was} {what} from one side "
-        f"only ({', '.join(names).replace('_', ' ')}): measure from the other side, too."
+        f"Direction-dependent effects ({', '.join(names).replace('_', ' ')}) cannot be identified at joint{many} "
+        f"{joints}, {why}: {mend}."
     )
 
 

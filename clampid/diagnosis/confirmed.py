@@ -87,7 +87,7 @@ def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last:
         tried = replace(step.tried, fitted=fitted, held=bench.held_out(fitted))
         out.append(replace(step, tried=tried, base=base, before=held))
         base, held = fitted, tried.held
-    reason = f"beside {last.best.candidate.label} it brings nothing"
+    reason = f"it does not lower the held-out error once {last.best.candidate.label} is in the model"
     gone = dropped.tried.refusal(bench.effects, dropped.before.rms, reason)
     refused = (*dropped.refused, *steps[-1].refused, gone)
     return [*out, replace(steps[-1], tried=last, base=base, before=held, refused=refused)]

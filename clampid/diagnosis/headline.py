@@ -201,8 +201,9 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
     if sides := part.get("one_sided"):
         joints = places_text([f"joint{s['joint']}" for s in sides])
         what = "approached" if stage == "poses" else "moved"
-        known = " (direction not recorded)" if all(s["side"] == 0 for s in sides) else ""
-        out.append(f"Direction-dependent effects were not tested at {joints}: {what} from one side only{known}.")
+        recorded = any(s["side"] != 0 for s in sides)
+        why = f"{what} from one side only" if recorded else "no directions were recorded"
+        out.append(f"Direction-dependent effects were not tested at {joints}: {why}.")
     if len(part.get("outliers") or ()) >= FEW:
         out.append(f"{len(part['outliers'])} rows were rejected as outliers.")
     if shifts := part.get("exported_shift"):

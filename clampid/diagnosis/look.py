@@ -65,8 +65,8 @@ def refuse_few_flips(flips: int) -> None:
     """
     if flips < FEWEST_FLIPS:
         raise EffectError(
-            f"flips: expected at least {FEWEST_FLIPS}, found {flips}: p is at least 1/{flips + 1} then, above the "
-            f"level {RATE:g} of the test, so that nothing could be found to be missing"
+            f"flips: expected at least {FEWEST_FLIPS}, found {flips}: with so few, p cannot fall below 1/{flips + 1}, "
+            f"and the test's level is {RATE:g}, so that no effect could be confirmed"
         )
 
 
@@ -86,6 +86,10 @@ class Look:
         """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
         best = _best([s for s in self.named if s.candidate.label not in rejected], self.named_null)
         return best if best is not None and self.named_null.p_familywise(best.log_p) <= RATE else None
+
+    def standing_out(self, rejected: Collection[str] = ()) -> list[Scored]:
+        """All names that stand out of their null and pay for their numbers, but for the labels of those rejected."""
+        return [s for s in _standing_out(self.named, self.named_null) if s.candidate.label not in rejected]
 
     @property
     def remembered(self) -> Look:
@@ -162,8 +166,12 @@ def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
     chance, as its own flips say, and is not to stand before what does not.
     """
     able = [s for s in scored if s.freedom and s.state in ABLE]
-    out = [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= RATE]
-    return max(out or able, key=lambda s: s.bic, default=None)
+    return max(_standing_out(able, null) or able, key=lambda s: s.bic, default=None)
+
+
+def _standing_out(scored: Sequence[Scored], null: Flips) -> list[Scored]:
+    able = [s for s in scored if s.freedom and s.state in ABLE]
+    return [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= RATE]
 
 
 def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:

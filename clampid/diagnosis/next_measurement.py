@@ -169,7 +169,7 @@ class NextPlan:
         """For people, of one without a plan: that nothing helps."""
         if self.aim == "parting":
             return self.sentence
-        return f"no {self.what[1]} that this robot can take test them, with all {self.tried} tried taken together"
+        return f"no {self.what[1]} that this robot can take test them, not even all {self.tried} that were tried"
 
     @property
     def sentence(self) -> str:
@@ -180,12 +180,13 @@ class NextPlan:
         )
         if not self.helps:
             what = f"no {self.what[1]} that this robot can take distinguish"
-            return f"{what} {never or 'them'}, with all {self.tried} tried taken together"
+            return f"{what} {never or 'them'}, not even all {self.tried} that were tried"
         now, then, enough = (f"{np.sqrt(square):.2g} σ" for square in (self.before, self.after, ENOUGH))
         gain = f"the closest two differ by {now}, these raise this to {then}; {enough} is enough in 9 of 10 campaigns"
         share = f"{_percent(self.shared[0])} of their signal is in common now, {_percent(self.shared[1])} then"
         said = f"{self.count} ({self.words}): {gain}; {share}"
-        return f"{said}; no {self.what[1]} distinguish {never}, with all {self.tried} tried" if never else said
+        rest = f"; no {self.what[1]} distinguish {never}, not even all {self.tried} that were tried"
+        return said + rest if never else said
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""

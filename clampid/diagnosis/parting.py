@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from scipy import linalg
@@ -64,37 +65,79 @@ class Showing:
     most: Array
 
 
+HELD = 1e-10
+"""Prior weight of a direction, in units of its own column's: what nothing determines must not explain a new row."""
+
+
+class _Normal:
+    """The normal matrix of what a model fits, as measurements are added. Signals of the same columns share it."""
+
+    def __init__(self, X: Array, precision: Array, pool_X: Array) -> None:
+        self.pool_X = pool_X
+        self.A = X.T @ X + precision
+
+    @cached_property
+    def factor(self) -> tuple[Array, Array]:
+        """The balance of its columns, and the lower Cholesky factor of the balanced matrix."""
+        balance = 1.0 / np.sqrt(np.maximum(np.diag(self.A), 1e-300))
+        A = self.A * np.outer(balance, balance)
+        A[np.diag_indices_from(A)] += HELD
+        return balance, linalg.cholesky(A, lower=True, overwrite_a=True, check_finite=False)
+
+    def solved(self, b: Array) -> Array:
+        """The fitted values of right-hand sides ``(P,)``."""
+        balance, lower = self.factor
+        return np.asarray(balance * linalg.cho_solve((lower, True), balance * b, check_finite=False))
+
+    @cached_property
+    def spread(self) -> Array:
+        """Covariance ``(K, r, r)`` of each measurement of the pool as a fit predicts it, its own noise with it."""
+        balance, lower = self.factor
+        count, rows, width = self.pool_X.shape
+        flat = (self.pool_X.reshape(-1, width) * balance).T
+        half = linalg.solve_triangular(lower, flat, lower=True, overwrite_b=True, check_finite=False)
+        half = half.reshape(width, count, rows)
+        return np.asarray(np.einsum("pkr,pks->krs", half, half) + np.eye(rows))
+
+    def add(self, k: int) -> None:
+        """Add one measurement of the pool."""
+        X = self.pool_X[k]
+        self.A = self.A + X.T @ X
+        for name in ("factor", "spread"):
+            self.__dict__.pop(name, None)
+
+    def with_all(self) -> _Normal:
+        """The same with every measurement of the pool."""
+        X = self.pool_X.reshape(-1, self.pool_X.shape[2])
+        return _Normal(X, self.A, self.pool_X)
+
+
 class _Signal:
     """What a model leaves of a signal that it does not have, as measurements are added."""
 
-    def __init__(self, X: Array, y: Array, precision: Array, pool_X: Array, pool_y: Array) -> None:
-        self.pool_X, self.pool_y = pool_X, pool_y
-        self.A, self.b, self.squares = X.T @ X + precision, X.T @ y, float(y @ y)
+    def __init__(self, normal: _Normal, X: Array, y: Array, pool_y: Array) -> None:
+        self.normal, self.pool_y = normal, pool_y
+        self.b, self.squares = X.T @ y, float(y @ y)
 
-    def solved(self) -> tuple[float, Array, Array]:
-        """What is left, the fitted values and the inverse of the normal matrix."""
-        balance = 1.0 / np.sqrt(np.maximum(np.diag(self.A), 1e-300))
-        inverse = linalg.pinvh(self.A * np.outer(balance, balance)) * np.outer(balance, balance)
-        fitted = inverse @ self.b
-        return max(self.squares - float(self.b @ fitted), 0.0), fitted, inverse
+    def left(self) -> float:
+        """Sum of squares that is left."""
+        return max(self.squares - float(self.b @ self.normal.solved(self.b)), 0.0)
 
     def gains(self) -> Array:
         """By how much each measurement of the pool would raise it, the model fitted again."""
-        _, fitted, inverse = self.solved()
-        left = self.pool_y - self.pool_X @ fitted
-        spread = self.pool_X @ inverse @ np.swapaxes(self.pool_X, 1, 2) + np.eye(left.shape[1])
-        return np.asarray(np.einsum("kr,kr->k", left, np.linalg.solve(spread, left[..., None])[..., 0]))
+        left = self.pool_y - self.normal.pool_X @ self.normal.solved(self.b)
+        return np.asarray(np.einsum("kr,kr->k", left, np.linalg.solve(self.normal.spread, left[..., None])[..., 0]))
 
     def add(self, k: int) -> None:
-        X, y = self.pool_X[k], self.pool_y[k]
-        self.A, self.b, self.squares = self.A + X.T @ X, self.b + X.T @ y, self.squares + float(y @ y)
+        """Add one measurement of the pool to the signal; `_Normal.add` adds it to what is fitted."""
+        X, y = self.normal.pool_X[k], self.pool_y[k]
+        self.b, self.squares = self.b + X.T @ y, self.squares + float(y @ y)
 
-    def with_all(self) -> float:
-        """What is left with every measurement of the pool."""
-        X, y = self.pool_X.reshape(-1, self.pool_X.shape[2]), self.pool_y.ravel()
-        whole = _Signal(X, y, self.A, self.pool_X, self.pool_y)
-        whole.b, whole.squares = whole.b + self.b, whole.squares + self.squares
-        return whole.solved()[0]
+    def with_all(self, whole: _Normal) -> float:
+        """What is left with every measurement of the pool; ``whole`` is what is fitted then."""
+        X, y = self.normal.pool_X.reshape(-1, self.normal.pool_X.shape[2]), self.pool_y.ravel()
+        b = self.b + X.T @ y
+        return max(self.squares + float(y @ y) - float(b @ whole.solved(b)), 0.0)
 
 
 def part(
@@ -132,37 +175,43 @@ def part(
         ``(K,)``: what each measurement costs, such as seconds; the gain counts for what it costs.
     """
     signals: dict[tuple[int, int], _Signal] = {}
-    for a, b in permutations(range(len(columns)), 2):
-        width = columns[b].shape[1]
+    whole: dict[_Normal, _Normal] = {}
+    for b, column in enumerate(columns):
+        width = column.shape[1]
         prior = linalg.block_diag(precision, np.zeros((width, width)))
-        X, pool_X = np.c_[nuisance, columns[b]], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
-        signals[a, b] = _Signal(X, columns[a] @ values[a], prior, pool_X, pool_columns[a] @ values[a])
+        X, pool_X = np.c_[nuisance, column], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
+        normal = _Normal(X, prior, pool_X)
+        whole[normal] = normal.with_all()
+        for a in range(len(columns)):
+            if a != b:
+                signals[a, b] = _Signal(normal, X, columns[a] @ values[a], pool_columns[a] @ values[a])
+    without = _Normal(nuisance, precision, pool_nuisance)
+    whole[without] = without.with_all()
     alone = [
-        _Signal(nuisance, D @ v, precision, pool_nuisance, pool_D @ v)
+        _Signal(without, nuisance, D @ v, pool_D @ v)
         for D, v, pool_D in zip(columns, values, pool_columns, strict=True)
     ]
     never = []
     for a, b in combinations(range(len(columns)), 2):
-        left = {k: signals[k].with_all() for k in ((a, b), (b, a))}
+        left = {k: signals[k].with_all(whole[signals[k].normal]) for k in ((a, b), (b, a))}
         if min(left.values()) < enough:
-            share = max(_shared(rest, alone[k[0]].with_all()) for k, rest in left.items())
+            share = max(_shared(rest, alone[k[0]].with_all(whole[without])) for k, rest in left.items())
             never.append((a, b, share, min(left.values())))
     hopeless = {frozenset(pair[:2]) for pair in never}
     able = {k: s for k, s in signals.items() if frozenset(k) not in hopeless} or signals
     before, start = _closest(able, alone)
     chosen = _choose(list(able.values()), [enough] * len(able), batch, most, cost)
-    for signal in alone:
-        for k in chosen:
-            signal.add(k)
+    for k in chosen:
+        _add(alone, k)
     after, end = _closest(able, alone)
     return Parting(tuple(chosen), before, after, (start, end), tuple(never))
 
 
 def _closest(signals: Mapping[tuple[int, int], _Signal], alone: Sequence[_Signal]) -> tuple[float, float]:
     """What the closest pair leaves unexplained of each other, and the share that it has in common."""
-    left = {k: signal.solved()[0] for k, signal in signals.items()}
+    left = {k: signal.left() for k, signal in signals.items()}
     closest = min(left, key=lambda k: left[k])
-    return left[closest], _shared(left[closest], alone[closest[0]].solved()[0])
+    return left[closest], _shared(left[closest], alone[closest[0]].left())
 
 
 def _shared(left: float, alone: float) -> float:
@@ -193,31 +242,38 @@ def show(
         What a model without it shall leave of each signal. Those of which the whole pool leaves less are given up.
     """
     count = nuisance.shape[1]
-    found = [
-        _Signal(nuisance, y, np.zeros((count, count)), pool_nuisance, pool_y)
-        for y, pool_y in zip(signals, pool_signals, strict=True)
-    ]
-    before, whole = np.array([s.solved()[0] for s in found]), np.array([s.with_all() for s in found])
+    normal = _Normal(nuisance, np.zeros((count, count)), pool_nuisance)
+    found = [_Signal(normal, nuisance, y, pool_y) for y, pool_y in zip(signals, pool_signals, strict=True)]
+    every = normal.with_all()
+    before, whole = np.array([s.left() for s in found]), np.array([s.with_all(every) for s in found])
     able = [k for k in range(len(found)) if whole[k] >= enough[k]]
     chosen = _choose([found[k] for k in able], [enough[k] for k in able], batch, most, cost) if able else []
     for k, signal in enumerate(found):
         if k not in able:
             for measurement in chosen:
                 signal.add(measurement)
-    return Showing(tuple(chosen), before, np.array([s.solved()[0] for s in found]), whole)
+    return Showing(tuple(chosen), before, np.array([s.left() for s in found]), whole)
+
+
+def _add(signals: Sequence[_Signal], k: int) -> None:
+    """Add a measurement of the pool to signals and, once each, to what is fitted beside them."""
+    for signal in signals:
+        signal.add(k)
+    for normal in {id(s.normal): s.normal for s in signals}.values():
+        normal.add(k)
 
 
 def _choose(
     signals: Sequence[_Signal], enough: Sequence[float], batch: int, most: int, cost: Array | None
 ) -> list[int]:
     """Add measurements to all signals until each leaves enough; their numbers."""
-    pool = len(signals[0].pool_X)
+    pool = len(signals[0].pool_y)
     price = np.ones(pool) if cost is None else cost
     goal: Array = np.asarray(enough, dtype=float)
     chosen: list[int] = []
 
     def reached() -> Array:
-        return np.asarray([signal.solved()[0] for signal in signals] / goal, dtype=float)
+        return np.asarray([signal.left() for signal in signals] / goal, dtype=float)
 
     share = reached()
     while share.min() < 1.0 and len(chosen) < min(most, pool):
@@ -225,7 +281,6 @@ def _choose(
             gains = signals[int(np.argmin(share))].gains() / price
             gains[chosen] = -np.inf
             chosen.append(int(np.argmax(gains)))
-            for signal in signals:
-                signal.add(chosen[-1])
+            _add(signals, chosen[-1])
             share = reached()
     return chosen

@@ -76,22 +76,37 @@ def seen_of(estimate: Estimate, candidates: Sequence[Candidate]) -> Seen:
     values, vectors = np.linalg.eigh(estimate.prior_precision * np.outer(size, size))
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size
     columns = [c.columns.dense(len(white.residual)) for c in candidates]
-    wide = np.hstack([white.jacobian, *columns])
-    told = np.hstack([root, np.zeros((len(root), wide.shape[1] - len(size)))])
-    whole = np.vstack([wide, told])
-    left = without_own(np.hstack([whole[:, :count], whole[:, len(size) :]]), whole[:, count : len(size)])
+    width = count + sum(c.shape[1] for c in columns)
+    own = (white.jacobian[:, count:], root[:, count:])
+    slots = (
+        [white.jacobian[:, :count], *columns],
+        [root[:, :count], np.zeros((len(root), width - count))],
+    )
+    left = _without_own(slots, own, width)
     return Seen(left[:, :count], tuple(_split(left[:, count:], candidates)))
 
 
 def without_own(columns: Array, own: Array) -> Array:
     """Columns ``(M, w)`` as ``(w, w)`` with the same products, what ``own`` ``(M, k)`` can take up taken off."""
-    length = np.linalg.norm(own, axis=0)
-    free = own[:, length > 0.0] / length[length > 0.0]
-    count, width = free.shape[1], columns.shape[1]
-    wide = np.hstack([free, columns])
-    ridge = np.hstack([FREE * np.eye(count), np.zeros((count, width))])
-    R = np.asarray(np.linalg.qr(np.vstack([wide, ridge, np.zeros((width, count + width))]), mode="r"), dtype=float)
-    return R[count : count + width, count:]
+    return _without_own(([columns],), (own,), columns.shape[1])
+
+
+def _without_own(parts: Sequence[Sequence[Array]], own: Sequence[Array], width: int) -> Array:
+    """The same of rows in parts, each of them several arrays side by side.
+
+    A block of rows at a time, so that the columns are never all copied.
+    """
+    length = np.sqrt(sum((np.einsum("mk,mk->k", A, A) for A in own), start=np.zeros(own[0].shape[1])))
+    free = length > 0.0
+    count = int(free.sum())
+    R = np.zeros((count + width, count + width))
+    R[:count, :count] = FREE * np.eye(count)
+    for beside, A in zip(parts, own, strict=True):
+        for first in range(0, len(A), 2 * len(R)):
+            block = slice(first, first + 2 * len(R))
+            more = np.hstack([A[block][:, free] / length[free], *(B[block] for B in beside)])
+            R = np.asarray(np.linalg.qr(np.vstack([R, more]), mode="r"), dtype=float)
+    return R[count:, count:]
 
 
 def _split(columns: Array, candidates: Sequence[Candidate]) -> list[Array]:

@@ -74,8 +74,8 @@ class Remains:
         """For people, where it does not matter."""
         size, at = error_text(self.size, unit), f" at {', '.join(self.where)}" if unit == "sigma" else ""
         return (
-            f"At the noise floor a pattern of {size} rms{at} is left that depends on {', '.join(self.depends_on)}; too "
-            f"small beside the floor of {error_text(floor, unit)} to change the verdict."
+            f"A pattern of {size} rms{at} is left that depends on {', '.join(self.depends_on)}. Compared with the "
+            f"noise floor of {error_text(floor, unit)} it is too small to change the verdict."
         )
 
 

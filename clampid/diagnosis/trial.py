@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -50,6 +50,7 @@ NO_FALL = "the held-out error does not fall"
 ONLY_BESIDE = "the held-out error falls only together with effects that these rows do not separate"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 TRIALS = 8  # of one look's candidates, after which no more are tried
+ROUND_SHARE = 0.15  # of the work left that a part of a round takes: nobody knows how many rounds there will be
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
 
@@ -95,7 +96,7 @@ class Bench:
     folds: Folds | None = None
     elsewhere: frozenset[Stage] = frozenset()
 
-    @substep("scoring the candidates")
+    @substep("scoring the candidates", ROUND_SHARE)
     def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
         """A look at what a fit leaves, with its own stream of flips."""
         found = look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
@@ -112,7 +113,7 @@ class Bench:
             return None
         return held_out(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
 
-    @substep("trying the best candidates")
+    @substep("trying the best candidates", ROUND_SHARE)
     def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
 
@@ -158,7 +159,7 @@ class Bench:
         if known is None:
             others += self._not_linear(look, fitted, best, step, refused)
         fits = [self._fitted_along(s, near, fitted, held) for s, near in ((best, step), *others)]
-        return self._judged(fits, look, held)
+        return self._judged(fits, look, held, {t.best.candidate.label for t in refused})
 
     def _undecided(
         self, best: Scored, rivals: Sequence[Scored], look: Look, fitted: FittedStage, held: HeldOut
@@ -226,8 +227,12 @@ class Bench:
         told = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
         return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told
 
-    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut) -> Tried | Undecided:
-        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted."""
+    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut, refused: Collection[str]) -> Tried | Undecided:
+        """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
+
+        Which is first without a part of the rows is asked of those that stand out and that no trial has ``refused``:
+        what explains more of these rows and nothing of others is first in most parts, whatever else is missing.
+        """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
         p_held, falls = self._falls(best, trial.estimate, kept, held, new)
         if not kept:
@@ -235,7 +240,7 @@ class Bench:
         if falls and level:
             return Undecided([best, *(fit.scored for fit in level)], look)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
-        first = first_without_parts(look.space, look.named, look.folds, self.seed)
+        first = first_without_parts(look.space, look.standing_out(refused), look.folds, self.seed)
         again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
         reason = "" if falls else NO_FALL
         if falls and again < STABLE:

@@ -46,6 +46,7 @@ __all__ = [
     "calibrated_chain",
     "dh_export",
     "dh_table",
+    "nominal_rows",
     "postures",
     "read_dh",
     "sensitivity",
@@ -68,6 +69,8 @@ COLUMNS = (
 )
 """Columns of the table; a column that does not belong to a row is empty there."""
 
+COLUMN_OF = {f"{name}_{unit}": name for name, unit in (column.rsplit("_", 1) for column in ROW_COLUMNS)}
+MOUNT_TURN_RAD = 0.05  # no zero offset of a working arm is larger; a probe is mounted at any angle
 NOUGHT = 1e-12  # m and rad: rounding of derivatives
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
 
@@ -90,24 +93,49 @@ class ExportedTable(Exported):
     ----------
     fit
         How its geometry was fitted to the whole model; None where it is the model's own.
+    nominal
+        The nominal robot's rows in the same convention, for comparison.
     """
 
     convention: Convention = "hayati"
     table: pd.DataFrame = field(default_factory=_no_table)
     fit: BestTable | None = None
+    nominal: tuple[DHRow, ...] = ()
 
     @property
     def said(self) -> tuple[str, ...]:
         """What it leaves, in sentences."""
         said = super().said if self.fit is None else (str(self.fit), *super().said)
         if not self.held:
-            return said
+            return (*said, *self._mount())
         found = [
-            f"{' '.join(row[HELD].split()).replace(' ', ', ')} of {'row ' if row['row'].isdigit() else ''}{row['row']}"
+            f"{'row ' if row['row'].isdigit() else ''}{row['row']}: "
+            + ", ".join(self._beside_nominal(str(row["row"]), column, row[column]) for column in row[HELD].split())
             for _, row in self.table.iterrows()
             if row[HELD]
         ]
-        return (*said, f"so these numbers have no standard error: {'; '.join(found)}")
+        unsure = f"these numbers depend on that choice and have no standard error: {'; '.join(found)}"
+        return (*said, unsure, *self._mount())
+
+    def _beside_nominal(self, row: str, column: str, value: float) -> str:
+        """``d_m 0.0913 (nominal 0.0922)``; base and tool have no nominal place."""
+        if not row.isdigit() or not self.nominal:
+            return column
+        return f"{column} {value:.4f} (nominal {getattr(self.nominal[int(row) - 1], COLUMN_OF[column]):.4f})"
+
+    def _mount(self) -> tuple[str, ...]:
+        """That the last row holds how a measured frame is mounted, where it is turned by more than any arm's error."""
+        if not self.nominal:
+            return ()
+        last = self.table[self.table["row"] == str(len(self.nominal))].iloc[0]
+        here, nominal = float(last["theta_offset_rad"]), self.nominal[-1].theta_offset
+        turned = float(np.remainder(here - nominal + np.pi, 2.0 * np.pi) - np.pi)
+        if abs(turned) < MOUNT_TURN_RAD:
+            return ()
+        return (
+            f"the measured frame is mounted at {np.degrees(turned):.1f} deg on the flange: row {last['row']} and the "
+            "row tool lead to that frame, not to the nominal flange",
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As of any export, and the table row by row."""
@@ -186,8 +214,9 @@ def dh_export(
     frame[LEFT[-1]] = " ".join(left.effects)
     frame[HELD] = frame.pop(HELD)  # the last column
     difference = float(frame["difference_m"].iloc[0])
-    text = table_text(frame)
-    return ExportedTable(text, temperature, difference, left, measured, held.combinations, convention, frame, best)
+    text, rows = table_text(frame), nominal_rows(nominal, convention)
+    combined = held.combinations
+    return ExportedTable(text, temperature, difference, left, measured, combined, convention, frame, best, rows)
 
 
 def dh_table(model: Model, convention: Convention, **options: Any) -> pd.DataFrame:
@@ -294,6 +323,15 @@ def _numbers(chain: CalibratedChain, convention: Convention) -> tuple[Array, lis
     rows = [(r.theta_offset, r.d, r.a, r.alpha, r.beta) for r in table.rows]
     ends = (_position_and_angles(chain.base @ table.base), _position_and_angles(table.tool))
     return np.concatenate([np.ravel(rows), *ends]), [row.sign for row in table.rows]
+
+
+def nominal_rows(robot: RobotDescription, convention: Convention) -> tuple[DHRow, ...]:
+    """The nominal robot's rows; none where it cannot be written in this convention."""
+    convert = hayati_from_poe if convention == "hayati" else standard_from_poe
+    try:
+        return tuple(convert(robot.screws, robot.flange, robot.dh).rows)
+    except DHError:
+        return ()
 
 
 def _position_and_angles(T: Array) -> Array:

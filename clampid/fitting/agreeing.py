@@ -75,8 +75,8 @@ class Agreement:
         else:
             where += f" ({self.low:.4g} to {self.high:.4g}, SI)"
         return (
-            f"{int(self.rows.sum())} rows of {self.visits} visits are as far off as outliers are and agree {where}: "
-            f"they are none, and stay in the fit (by chance in {100 * self.p:.2g} % of clean tables)."
+            f"{int(self.rows.sum())} rows of {self.visits} visits lie as far off as outliers, but agree {where}: they "
+            f"are not outliers and stay in the fit (by chance in {100 * self.p:.2g} % of clean tables)."
         )
 
     def to_json(self) -> dict[str, Any]:

@@ -111,8 +111,9 @@ class Noise:
         residual, jacobian = rows.in_noise_axes(residual), rows.in_noise_axes(jacobian)
         if not self.autocorrelations:
             channel, entry = np.nonzero(rows.used.T)
-            sigma = self.sigma[entry, channel]
-            return Whitened(residual[entry, channel] / sigma, jacobian[entry, channel] / sigma[:, None], entry, channel)
+            sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
+            columns /= sigma[:, None]  # in place: a long table's Jacobian is its largest array
+            return Whitened(residual[entry, channel] / sigma, columns, entry, channel)
         parts_r, parts_j, entries, channels = [], [], [], []
         for c in range(residual.shape[1]):
             used = rows.used[:, c]

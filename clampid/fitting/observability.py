@@ -63,6 +63,6 @@ def index_words(indices: Mapping[str, float]) -> str:
     """The five indices, as `observability` gives them, in a line for people."""
     named = ", ".join(f"{name} {value:.3g}" for name, value in indices.items() if name != "parameters")
     return (
-        f"observability of {indices['parameters']:.0f} combinations of parameters: {named} (of all, larger is better; "
-        "they compare measurements for one set of parameters, and say nothing by themselves)"
+        f"observability of {indices['parameters']:.0f} combinations of parameters: {named} (larger is better; use "
+        "them to compare measurements for one set of parameters)"
     )

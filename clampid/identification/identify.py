@@ -21,9 +21,10 @@ from clampid.progress import in_parts
 from clampid.slots import Layout, Term, parse_term
 from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.layout import layout_of
-from clampid.stages.log_facts import log_parts, steady_share
+from clampid.stages.log_facts import log_parts
 from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Rows
+from clampid.stages.steady_share import steady_share
 from clampid.stages.torques import torque_rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
@@ -47,7 +48,7 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "clamped": ("clamped",),
     "poses": ("poses", "distances"),
 }
-MOSTLY = 0.5  # of a log's motion
+FEW = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
 DYNAMICS = ("inertia", "link_inertia")
 
 
@@ -59,9 +60,9 @@ def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
 def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
     """The standard set for the tables present.
 
-    Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs whose
-    motion is accelerated for the most part get the inertia of rotors and links: hardly a row would count without.
-    Everything else is for diagnosis to find.
+    Poses alone get geometry, the drives' springs, and backlash where approach directions were recorded. Logs of which
+    less than a third would count without it get the inertia of rotors and links. Everything else is for diagnosis to
+    find.
     """
     found = stages_of(campaigns)
     names: dict[Stage, tuple[str, ...]] = {
@@ -76,7 +77,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
             (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in TABLES_OF["poses"] if t in c.tables
         )
         names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
-    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < MOSTLY:
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < FEW:
         names["free_air"] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 

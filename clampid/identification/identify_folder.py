@@ -13,7 +13,7 @@ from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
 from clampid.identification.identify import (
     DYNAMICS,
-    MOSTLY,
+    FEW,
     has_friction_state,
     has_inertia,
     held_out_folds,
@@ -23,7 +23,8 @@ from clampid.identification.identify_log import LogStage
 from clampid.models.model import Model, Round
 from clampid.slots import Term, parse_term
 from clampid.stages.layout import layout_of
-from clampid.stages.log_facts import LogPart, steady_share
+from clampid.stages.log_facts import LogPart
+from clampid.stages.steady_share import steady_share
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 from experiments.columns import LOGS, table_format
@@ -101,7 +102,7 @@ def identify_folder(
             if "free_air" not in catalogue[term.effect].stages:
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
-    elif steady_share(parts) < MOSTLY:
+    elif steady_share(parts) < FEW:
         terms = (*terms, *map(Term, DYNAMICS))
     if has_friction_state(terms, catalogue):
         raise EffectError(

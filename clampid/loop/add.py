@@ -148,7 +148,9 @@ def add(
     for stage, asked in wanted.items():
         if stage not in found:
             names = ", ".join(t.label for t in asked)
-            raise EffectError(f"{stage}: {names}: not identifiable from these rows, or active already")
+            there = all(_has(model.stages[stage].terms, term) for term in asked)
+            why = "in the model already" if there else "not identifiable from these rows"
+            raise EffectError(f"{stage}: {names}: {why}")
     result = _model_with(opened, mended, user_effects)
     if "poses" in found:
         without = result.with_stage(mended["poses"].unmended.model)
@@ -309,6 +311,11 @@ def _model_with(opened: Reopened, mended: Mapping[Stage, _Mended], user_effects:
         ledger=(*model.ledger, *(entry for m in mended.values() for entry in m.rounds)),
         user_effects=model.user_effects if user_effects is None else str(user_effects),
     )
+
+
+def _has(terms: Sequence[Term], asked: Term) -> bool:
+    """Whether a model has an effect: at its place, or wherever it acts if no place is asked for."""
+    return any(t.effect == asked.effect and (None in (t.place, asked.place) or t == asked) for t in terms)
 
 
 def _parse(

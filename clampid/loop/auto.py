@@ -74,11 +74,11 @@ def mend(
         steps[stage] = [*part.in_order, *(_one_curve(c) for c in found.simpler.get(stage, ()))]
         for step in part.alike:
             others = ", ".join(dict.fromkeys(c["effect"] for c in step.evidence["confusable_with"]))
-            progress(f"{stage}: added {step.label}; here it is the same model as with {others} instead")
+            progress(f"{stage}: added {step.label}; on these rows {others} would give the same model")
     with substep("adding", 1.0):
         mended, left_out = add_steps(model, campaigns, steps, seed=seed, user_effects=user_effects)
     for stage, step in left_out:
-        progress(f"{stage}: {step.label} is left out: beside the effects added before it is not identifiable")
+        progress(f"{stage}: {step.label} is left out: with the effects already added it is not identifiable")
     return mended, found
 
 

@@ -35,7 +35,7 @@ DRAWN = (
 
 ROBOT = "kuka_kr20_r1810"
 FOUND = "It was found."
-OPEN = "It is one of those that these data cannot tell apart."
+OPEN = "It is one of those that these data do not distinguish."
 MISSED = "It was not found."
 Working = Callable[[str], AbstractContextManager[None]]
 

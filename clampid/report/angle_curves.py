@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.charts import Axis, Band, Chart, Line, Mark, Panel, Points
 from clampid.charts.marks import COLORS
-from clampid.display import Scale, with_std
+from clampid.display import Scale, number, with_std
 from clampid.effect import Effect
 from clampid.models.curves import AngleErrors, SharedCurve, angle_errors, shared_curve
 from clampid.models.model import Model
@@ -66,7 +66,7 @@ def angle_curves_section(
     plot = Chart(tuple(panels), height, below="joint angle, degrees")
     caption = (
         "Error of each joint's angle over one turn, with a band of two standard errors. Where no pose came near, the "
-        "curve is drawn grey: there nothing is known but the error's usual size, and the model takes it for zero."
+        "curve is grey: the error is not identified there, and the model takes it as zero."
     )
     blocks: list[str | Table | Figure] = [Figure("angles", plot, caption)]
     one = shared_curve(stage, effects, np.linspace(0.0, 2 * np.pi, STEPS + 1))
@@ -75,12 +75,17 @@ def angle_curves_section(
     far = [f"joint {j + 1}: {100 * np.mean(found.extrapolated[:, j]):.0f} % of a turn" for j in joints]
     notes = [f"Not visited by any pose: {'; '.join(far)}."] if found.extrapolated.any() else []
     if one is not None and notes:
-        notes.append("On the curve that joints share, a pose of any of them counts for all.")
+        notes.append("On a shared curve a pose of any of its joints counts for all of them.")
     offered = () if diagnosis is None else diagnosis.get("stages", {}).get("poses", {}).get("simpler", ())
     notes += [
         f"Diagnosis: {c['summary']}. To fit it: clampid add {c['name']} MODEL CAMPAIGN -o MENDED." for c in offered
     ]
-    return Section("angles", "Errors of the joints' angles", (), tuple(blocks), tuple(notes))
+    sizes = np.sqrt(np.mean(found.error[:, joints] ** 2, axis=0))
+    worst = int(np.argmax(sizes))
+    finding = (
+        f"Largest error of a joint's angle: joint {joints[worst] + 1}, {number(1e6 * float(sizes[worst]))} µrad rms."
+    )
+    return Section("angles", "Errors of the joints' angles", (), tuple(blocks), tuple(notes), finding=finding)
 
 
 def _turns(one: SharedCurve) -> Table:
@@ -91,8 +96,9 @@ def _turns(one: SharedCurve) -> Table:
         mounted = "mirrored" if one.sense[k] < 0 else "as it is"
         rows.append((f"joint {j + 1}", mounted, with_std(phase, std, DEGREES) if k else "0 (the others count from it)"))
     caption = (
-        "Joints whose angle errors are one curve g: an error is s g(s q - phase), s = -1 where mirrored, and what the "
-        f"joint has of its own: once and twice per turn, and {1e6 * one.deviation:.0f} µrad rms beside."
+        "Joints whose angle errors share one curve g. The error of joint angle q is s g(s q - phase), with s = -1 "
+        "where mirrored, plus the joint's own part: harmonics once and twice per turn, and a remainder of "
+        f"{1e6 * one.deviation:.0f} µrad rms."
     )
     return as_table(("Joint", "Mounted", "Phase#"), rows, caption)
 

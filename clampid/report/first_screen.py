@@ -183,7 +183,17 @@ def _open(model: Model, found: Json) -> list[str]:
             variables = listed(list(part.get("depends_on") or ()), 4)
             out.append(f"{name}: an error that depends on {variables or 'no recorded variable'} has no known effect.")
         out += [text for text in notes(name, part, now) if "DH table" not in text]
-    return out[:MOST_OPEN]
+        if part["verdict"] == "ambiguous" and part.get("next_measurement"):
+            out.append(f"{name}: To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml")
+    # What to measure next is never cut off.
+    out = [*out[: MOST_OPEN - 1], *out[-1:]] if len(out) > MOST_OPEN else out
+    return [_alone(text, found) for text in out]
+
+
+def _alone(text: str, found: Json) -> str:
+    """A remark without the name of its stage where there is only one stage."""
+    stage, colon, rest = text.partition(": ")
+    return rest[:1].upper() + rest[1:] if colon and stage in found and len(found) == 1 else text
 
 
 def _errors(

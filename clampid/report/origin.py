@@ -57,6 +57,7 @@ def origin_section(model: Model, campaign: Campaign, effects: Mapping[str, Effec
         "Sources, and how to do it again",
         (),
         (as_table(("", ""), facts[:-1]), as_table(("Key", "Title", "For"), rows, caption)),
+        finding=f"Made by clampid {_version()}; the command below fits the model again.",
     )
 
 

@@ -21,6 +21,7 @@ from clampid.report.angle_curves import angle_curves_section
 from clampid.report.budget_section import budget_section
 from clampid.report.dh_section import dh_section
 from clampid.report.drives import drives_section
+from clampid.report.findings import findings
 from clampid.report.first_screen import FirstScreen, first_screen
 from clampid.report.measured import measured_section
 from clampid.report.origin import origin_section
@@ -78,19 +79,24 @@ def page(
     ]
     sections = [make() for make in in_parts(makers)]
     sentences = [*headline(model, first_model, comparison, diagnosis), *spread_sentences(sure)]
+    first = first_screen(model, first_model, stages, diagnosis)
+    heads = findings(model, first_model, campaign, stages, diagnosis, truth, first.verdict)
     return render(
         campaign.robot.title,
         campaign.name,
-        first_screen(model, first_model, stages, diagnosis),
-        [_with_sentences(s, sentences) for s in sections if s is not None],
+        first,
+        [_with_sentences(_headed(s, heads), sentences) for s in sections if s is not None],
     )
 
 
+def _headed(section: Section, heads: Mapping[str, str]) -> Section:
+    """With its finding as its heading; one that a section states itself stays."""
+    return section if section.finding else replace(section, finding=heads.get(section.key, ""))
+
+
 def _with_sentences(section: Section, sentences: Sequence[str]) -> Section:
-    """The findings in full, before the rounds that they are about."""
-    if section.key != "rounds":
-        return section
-    return replace(section, paragraphs=(*sentences, *section.paragraphs))
+    """The findings in full, folded, before the rounds that they are about."""
+    return section if section.key != "rounds" else replace(section, in_full=tuple(sentences))
 
 
 def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Section]) -> str:

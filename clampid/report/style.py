@@ -70,7 +70,17 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the page: paragraphs, then headings (text), tables and figures in order, then notes."""
+    """One section of the page: paragraphs, then headings (text), tables and figures in order, then notes.
+
+    Attributes
+    ----------
+    title
+        Its topic.
+    finding
+        What it shows, in one sentence: the heading, where there is one.
+    in_full
+        Paragraphs that the page shows once they are opened.
+    """
 
     key: str
     title: str
@@ -78,6 +88,8 @@ class Section:
     blocks: tuple[str | Table | Figure, ...] = ()
     notes: tuple[str, ...] = ()
     notes_title: str = ""
+    finding: str = ""
+    in_full: tuple[str, ...] = ()
 
 
 def as_table(columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> Table:

@@ -29,6 +29,7 @@ EDGE = 0.97  # of an axis
 def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | None:
     """Section "Where it fails"."""
     blocks: list[Any] = []
+    finding = ""
     for stage, data in stages.items():
         variables = variables_of(data)
         if not variables or not data.good.any():
@@ -36,6 +37,8 @@ def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | Non
         shares, chance = explained(data, variables, seed)
         order = sorted(range(len(variables)), key=lambda k: -shares[k])
         rows = [(variables[k].title, _percent(shares[k]), _percent(chance)) for k in order[:LISTED]]
+        if not finding or stage == "poses":
+            finding = _finding(variables[order[0]].title, shares[order[0]], chance)
         blocks.append(stage_title(stage))
         blocks.append(
             as_table(
@@ -46,7 +49,15 @@ def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | Non
         )
         blocks.append(_against(data, variables, order))
         blocks.append(sizes_figure(data))
-    return Section("where", "Where it fails", (), tuple(blocks)) if blocks else None
+    return Section("where", "Where it fails", (), tuple(blocks), finding=finding) if blocks else None
+
+
+def _finding(title: str, share: float, chance: float) -> str:
+    """On what the residual depends most, in one sentence."""
+    if not share > chance:
+        return "The residual depends on no recorded variable beyond chance."
+    what, part = title.rpartition(", ")[0] or title, _percent(share)
+    return f"The residual depends most on {what}: {part} of its variance, where chance gives up to {_percent(chance)}."
 
 
 def _beyond(shares: Sequence[float], chance: float) -> str:
@@ -59,10 +70,10 @@ def _beyond(shares: Sequence[float], chance: float) -> str:
     )
     if beyond:
         text += (
-            " Beyond chance need not be large: all that goes with the first is "
-            f"{_percent(1.0 - np.sqrt(1.0 - largest))} of the RMS error. The verdict asks more: that a known effect or "
-            "a curve over a variable, makes rows that no fit saw more predictable. Noise that goes on for a while, as "
-            "in logs, does not. So it may be “adequate”."
+            " A dependence beyond chance can be small: the largest one accounts for "
+            f"{_percent(1.0 - np.sqrt(1.0 - largest))} of the RMS error. The verdict requires more: a known effect, or "
+            "a curve over a variable, must lower the error of held-out rows. Slow noise in logs does not, so the "
+            "verdict may be “adequate” all the same."
         )
     return text
 

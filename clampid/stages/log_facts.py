@@ -29,7 +29,7 @@ from experiments.signals import (
 )
 from experiments.temperatures import filled
 
-__all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked", "steady_share"]
+__all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked"]
 
 WINDOW = 1 << 15  # rows at once: half as many cost a fifth more time
 REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
@@ -346,19 +346,6 @@ def _some_windows(table: LogTable, columns: Sequence[str], window: int, halo: in
     for w in windows(table, columns, window, halo):
         if (w.first + w.start) % CHOICE_EVERY < CHOICE_ROWS:
             yield w
-
-
-def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
-    """The share, 0 to 1, of a session's motion that is steady; 1 for a session without logs."""
-    steady = moving = 0
-    for part in parts:
-        facts = facts_of([part], window)
-        for w in windows(part.table, facts.motions.columns, window, facts.halo):
-            _, qd, qdd = (v[w.start : w.stop] for v in facts.motions.of(0, w))
-            moves = np.abs(qd) > np.maximum(facts.rest, facts.clear)
-            moving += int(moves.sum())
-            steady += int((moves & (np.abs(qdd) <= facts.steady)).sum())
-    return steady / moving if moving else 1.0
 
 
 def _missing(parts: Sequence[LogPart], names: Sequence[str]) -> bool:

@@ -20,7 +20,9 @@ def add(
     effects: Annotated[
         str,
         typer.Argument(
-            metavar="[STAGE=]EFFECT[@joint3][,…]", help="Effects to add, with their places.", show_default=False
+            metavar="EFFECTS",
+            help="What to add, as [STAGE=]EFFECT[@joint3][,…]: poses=backlash@joint3.",
+            show_default=False,
         ),
     ],
     model: ModelFile,

@@ -27,7 +27,8 @@ def demo_screen(result: DemoResult) -> Screen:
         rows.append((name, tuple(error_text(e, table["unit"]) for e in errors), ""))
     hidden = [named(item["effect"], [item["where"]]) for item in result.hidden]
     outcome = MISSED if not result.named else FOUND if _confirmed(result) else OPEN
-    added = [term.partition("=")[2] for terms in result.found.values() for term in terms]
+    labels = [term.partition("=")[2].partition("@") for terms in result.found.values() for term in terms]
+    added = [named(effect, [place] if place else []) for effect, _, place in labels]
     facts = [("added", listed(added, 4) if added else "nothing: no effect was confirmed")]
     return Screen(
         "Simulated a campaign with a hidden effect, fitted the standard model, diagnosed and mended it.",
@@ -39,7 +40,7 @@ def demo_screen(result: DemoResult) -> Screen:
         tuple(facts),
         headline(result.diagnosis["stages"], mended=True),
         "good" if result.named else "bad",
-        (f"Hidden had been: {listed(hidden)}. {outcome}", f"The report: {result.report}"),
+        (f"What was hidden: {listed(hidden)}. {outcome}", f"The report: {result.report}"),
         "Each step in sentences: --verbose.",
         (
             Next(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -97,6 +98,8 @@ def dh(
     _tell("table", found, output, out)
     _by_convention(loaded, out)
     _extrapolating(loaded, temperature, out)
+    if output is not None and campaign is None:
+        _measured_next(model, output, loaded.sessions[session - 1].name, out)
 
 
 @export.command(short_help="Errors of joint angles over their ranges.")
@@ -268,6 +271,18 @@ def _tell(kind: str, found: Exported, output: Path | None, out: Output) -> None:
         else:
             out.say(line)
     out.result({"file": None if output is None else str(output), **found.to_json()})
+
+
+def _measured_next(model: Path, output: Path, name: str, out: Output) -> None:
+    """The command that says what a table alone leaves of the points that the model was fitted on."""
+    from clampid.screen import Next, Screen
+    from clampid.verbs.next_step import free_name
+
+    beside = model.parent / name
+    folder = beside if (beside / "campaign.toml").is_file() else Path(name)
+    target = str(free_name(output))
+    command = shlex.join(["clampid", "export", "dh", str(model), "--campaign", str(folder), "-o", target])
+    out.show(Screen("", next=(Next("Next, see what the table alone leaves of the measured points:", command),)))
 
 
 def _by_convention(model: Model, out: Output) -> None:

@@ -101,7 +101,7 @@ def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
         off = with_error(p["shift"], p["std"], p["unit"])
         rows.append((p["name"], off, f"{abs(p['shift']) / p['std']:.1f}"))
     if rows:
-        out.table("spoiled by what was missing", ("parameter", "too large by", "in standard errors"), rows)
+        out.table("biased by what was missing", ("parameter", "too large by", "in standard errors"), rows)
 
 
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:

@@ -146,7 +146,8 @@ class _ProgressLines:
         now = time.monotonic()
         if now - self.last >= LINES_APART:
             self.last = now
-            self.say(f"  {self.text}: {names}; {now - self.start:.0f} s so far{left_in_words(done, now - self.start)}")
+            part = f"{self.text}: {names}" if names else self.text
+            self.say(f"  {part}; {now - self.start:.0f} s so far{left_in_words(done, now - self.start)}")
 
 
 def finite(data: Any) -> Any:

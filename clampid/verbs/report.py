@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +41,7 @@ def report(
     from clampid.models.model import load_model
     from clampid.report import write_report
     from clampid.screen import Next, Screen
+    from clampid.verbs.next_step import free_name
     from clampid.verbs.screens import typed
 
     loaded = load_model(model)
@@ -51,7 +53,9 @@ def report(
         compared = compare(loaded, read, seed=seed, user_effects=effects_from).to_json()
         write_report(target, loaded, read, comparison=compared, diagnosis=found, user_effects=effects_from)
     if found is not None:
-        out.show(Screen(f"Wrote {target}, with the kept diagnosis of {model} on {folder}."))
+        done = f"Wrote {target}, with the kept diagnosis of {model} on {folder}."
+        table = shlex.join(["clampid", "export", "dh", str(model), "-o", str(free_name(Path("dh.csv")))])
+        out.show(Screen(done, next=(Next("Next, export the corrected robot as a DH table:", table),)))
         return
     ask = typed("diagnose", model, folder, effects_from=effects_from)
     again = typed("report", model, folder, "-o", target, effects_from=effects_from)

@@ -148,7 +148,9 @@ def comparison_screen(
         beyond = table.get("extrapolating")
         if beyond and beyond["rows"]:
             kinds = listed(list(dict.fromkeys(q["quantity"] for q in beyond["quantities"])))
-            said.append(f"{name}: {beyond['rows']} of {beyond['of']} held-out rows lie outside the fitted {kinds}.")
+            said.append(
+                f"{name}: {beyond['rows']} of {beyond['of']} held-out rows lie outside the fitted range of {kinds}."
+            )
         far = table.get("extrapolated")
         if far and far["share"]:
             said.append(f"{name}: {100 * far['share']:.0f} % of held-out rows stand at joint angles no pose was near.")
@@ -211,7 +213,10 @@ def mended_screen(data: Json, model: Model, nominal: Mapping[Stage, float], done
             said.append(f"{name}: {weighted}.")
         before = found.get(name, {}).get("heldout_rms_before")
         errors = (_of(nominal, name), before, part["heldout_rms"], part["noise_floor"])
-        rows.append((name, tuple(error_text(e, part["unit"]) for e in errors), str(found[name]["verdict"])))
+        verdict = str(found[name]["verdict"])  # what was missing is in the model by now
+        rows.append(
+            (name, tuple(error_text(e, part["unit"]) for e in errors), "mended" if verdict == "missing" else verdict)
+        )
         labels = [label.partition("@") for r in model.ledger if r.stage == name for label in r.added]
         if labels:
             facts.append((f"{name}:", f"added {_grouped([(effect, place) for effect, _, place in labels])}"))
@@ -317,4 +322,5 @@ def history_screen(rounds: Sequence[Json], model: Path) -> Screen:
         tone,
         said,
         "Evidence of each round: --verbose, --json FILE.",
+        (Next("Next, write the report:", typed("report", model)),),
     )  # fmt: skip

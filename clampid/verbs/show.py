@@ -116,14 +116,15 @@ def _show_moved(model: Model, out: Output) -> None:
     out.say("all tables in one fit, with the parameters that they share")
     found = [(entry.stage, moved) for entry in model.ledger for moved in entry.evidence.get("moved") or ()]
     if not found:
-        out.say("stage by stage, the same rows say the same: no shared parameter differs by more than chance (5 %)")
+        out.say("joint fit and fits stage by stage agree: no shared parameter differs by more than chance (5 %)")
         return
-    out.warn("joint and stage by stage disagree by more than chance (5 %): some stage's rows contradict another's")
+    out.warn("joint fit and fits stage by stage differ by more than chance (5 %): some stage contradicts another")
     rows = []
     for stage, moved in found:
         figures = [f"{moved[key]:.4g} ± {moved[f'{key}_std']:.2g}" for key in ("apart", "joint")]
         rows.append((stage, moved["parameter"], moved["where"], *figures, f"{abs(moved['z']):.1f}"))
-    out.table("", ("stage", "parameter", "at", "stage alone, SI", "jointly, SI", "standard errors apart"), rows, left=3)
+    heads = ("stage", "parameter", "at", "stage alone, SI", "jointly, SI", "difference, standard errors")
+    out.table("", heads, rows, left=3)
 
 
 def _show_sessions(name: str, stage: StageModel, effects: Mapping[str, Effect], out: Output) -> None:
@@ -172,12 +173,12 @@ def bootstrap_words(stage: StageModel) -> str:
     """How standard errors by drawing poses anew compare with those of the formula."""
     known = [k for k, told in enumerate(stage.identified) if told]
     if stage.bootstrap is None or not known:
-        return "no parameter is known well enough for a bootstrap to say anything"
+        return "no parameter is identifiable, so that the bootstrap gives no standard errors"
     ratio = stage.bootstrap.std[known] / stage.std[known]
     least, most = (stage.slots[known[k]].label for k in (int(ratio.argmin()), int(ratio.argmax())))
     return (
-        f"{stage.bootstrap.count} draws of whole poses: standard errors are {ratio.min():.2f} ({least}) to "
-        f"{ratio.max():.2f} ({most}) times those above, {float(np.median(ratio)):.2f} times in the middle"
+        f"bootstrap, {stage.bootstrap.count} draws of whole poses: standard errors are {ratio.min():.2f} ({least}) to "
+        f"{ratio.max():.2f} ({most}) times those of the table, {float(np.median(ratio)):.2f} times in the median"
     )
 
 
@@ -199,8 +200,8 @@ def contradictions(model: Model) -> list[str]:
         if found:
             where = ", ".join(f"{a['parameter']} at {a['where']} ({abs(a['z']):.1f} standard errors)" for a in found)
             out.append(
-                f"{entry.stage}: contradict the clamped sweeps in {where}; no spring and no clearance was taken over "
-                "from these. Did the clamp yield, or are the poses' loads wrong? See `clampid diagnose`"
+                f"{entry.stage}: the poses contradict the clamped sweeps in {where}; springs and clearances of the "
+                "sweeps are not used. Did the clamp yield, or are the poses' loads wrong? See `clampid diagnose`"
             )
     return out
 

@@ -63,6 +63,7 @@ class EkiLink:
             stops=True,
             releases=True,
             records=True,
+            stops_at_once=True,
             longest_program=LONGEST_PROGRAM,
             signals=(
                 Signal("joint", "rad", "joint", "measured", TIMER, period),

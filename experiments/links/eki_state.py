@@ -14,6 +14,7 @@ from experiments.links.connection import Backoff, Connection, Wake, readable
 from experiments.links.protocol import LinkLostError, Status
 from experiments.links.schema import AXES, STATE, Kind, Mode, Reason, document
 from experiments.links.splitter import StreamError, values_of
+from experiments.links.turning import Turning
 
 __all__ = ["StateChannel", "status_of"]
 
@@ -61,6 +62,7 @@ class StateChannel:
         self._due = 0.0  # when the next question is, monotonic s
         self._wake = Wake()
         self.last: Status | None = None
+        self._turning = Turning()
         self.trouble = "not connected yet"
         self._broke = ""  # why the last connection ended
         self.malformed = 0
@@ -234,7 +236,7 @@ class StateChannel:
             self._take(values_of(STATE.send, texts))
 
     def _take(self, values: Values) -> None:
-        number, status = int(values["Robot/State/@Sequence"]), status_of(values)
+        number, status = int(values["Robot/State/@Sequence"]), self._turning.seen(status_of(values))
         with self._answered:
             with self._lock:
                 asked = self._asked.pop(number, None)

@@ -29,6 +29,7 @@ from experiments.links.read_only import ReadOnly
 from experiments.links.rsi_config import GEAR
 from experiments.links.schema import AXES, Element
 from experiments.links.splitter import Splitter, StreamError, values_of
+from experiments.links.turning import APART, turns
 
 __all__ = ["Cycle", "RsiCounts", "RsiLink", "connect", "cycle_of"]
 
@@ -147,12 +148,15 @@ class RsiLink(ReadOnly):
             if not self._kept:
                 raise LinkLostError("rsi: no datagram has come yet")
             last, received = self._kept[-1], self._received
+            older = (one for one in reversed(self._kept) if last.ipoc - one.ipoc >= 1000 * APART)
+            before = next(older, None)
         return Status(
             joints=last.joints,
             clock=last.ipoc / 1000,
             torque=last.gear_torque,
             current=last.current,
             newest=last.ipoc // self.cycle,
+            moves=None if before is None else turns(before.joints, last.joints, (last.ipoc - before.ipoc) / 1000),
             received=received,
         )
 

@@ -69,6 +69,8 @@ class Capabilities:
         Of its address.
     executes, stops, releases, records
         Whether it has those calls.
+    stops_at_once
+        Whether `stop` waits for nothing, neither for the controller nor for a network that is full.
     longest_program
         Points of one program; 0 if it executes none.
     signals
@@ -82,6 +84,7 @@ class Capabilities:
     stops: bool = False
     releases: bool = False
     records: bool = False
+    stops_at_once: bool = False
     longest_program: int = 0
     signals: tuple[Signal, ...] = ()
     cannot: tuple[str, ...] = ()
@@ -94,6 +97,7 @@ class Capabilities:
             "stops": self.stops,
             "releases": self.releases,
             "records": self.records,
+            "stops_at_once": self.stops_at_once,
             "longest_program": self.longest_program,
             "signals": [signal.to_json() for signal in self.signals],
             "cannot": list(self.cannot),
@@ -147,6 +151,9 @@ class Status:
         Of the motors ``(n,)``, degC.
     oldest, newest
         Numbers of the samples that the controller still has.
+    moves
+        Whether the joints turned between this status and those before; None: not known. An arm brakes on after its
+        program was aborted.
     received
         ``time.monotonic()`` when it came, s.
     """
@@ -170,6 +177,7 @@ class Status:
     temperature: Array | None = None
     oldest: int | None = None
     newest: int | None = None
+    moves: bool | None = None
     received: float = field(default_factory=time.monotonic)
 
     @property
@@ -196,6 +204,7 @@ class Status:
             "brakes_open": self.brakes_open,
             "estop": self.estop,
             "clock_s": self.clock,
+            "moves": self.moves,
             **{name: None if value is None else value.tolist() for name, value in arrays.items()},
         }
 

@@ -28,6 +28,7 @@ from experiments.links.protocol import (
 )
 from experiments.links.read_only import ReadOnly
 from experiments.links.schema import AXES
+from experiments.links.turning import Turning
 from experiments.links.varproxy_wire import Answers, Question, question_bytes
 
 __all__ = ["VarProxyLink", "axes_of", "connect"]
@@ -76,6 +77,7 @@ class VarProxyLink(ReadOnly):
         self._where, self._answers, self._number = (host, port), Answers(), 0
         self._socket: socket.socket | None = None
         self._last: Status | None = None
+        self._turning = Turning()
         self._temperature: Array | None = None
         self._first, self._closing = threading.Event(), threading.Event()
         self.trouble = "not connected yet"
@@ -110,7 +112,7 @@ class VarProxyLink(ReadOnly):
                     self._socket, self._answers = socket.create_connection(self._where, SILENCE), Answers()
                     self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 begun = time.monotonic()
-                self._last = self._read_status(count % SLOW == 0)
+                self._last = self._turning.seen(self._read_status(count % SLOW == 0))
                 self.trouble, count = "", count + 1
                 self._first.set()
                 backoff.reset()

@@ -29,6 +29,7 @@ __all__ = ["main"]
 LOOK = 0.1  # s between two readings of where the robot is
 MOST = {"gamma": (-180.0, 180.0), "delta": (-90.0, 90.0)}  # deg
 FARTHEST = 10.0  # m, of the radius: as far as the line protocol hears of
+LONGEST_MESSAGE = 65536  # bytes
 TEXT = 400  # characters
 
 
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 async def _serve(server: Server, locked: str, prefix: str, host: str, unit: str) -> None:
     from caproto.asyncio.server import start_server
 
+    _bound_messages()
     records = _records()(prefix, Robot(server, locked, unit))
 
     async def ready(_: Any) -> None:
@@ -64,6 +66,21 @@ async def _serve(server: Server, locked: str, prefix: str, host: str, unit: str)
         print(f"epics on {at} {' '.join(prefix + axis for axis in AXES)}", flush=True)
 
     await start_server(records.pvdb, interfaces=[host], startup_hook=ready)
+
+
+def _bound_messages() -> None:
+    """Hang up on who announces a message that no record takes: caproto would keep all of it, up to 4 GB."""
+    from caproto import RemoteProtocolError, VirtualCircuit
+
+    recv = VirtualCircuit.recv
+
+    def bounded(self: Any, *buffers: Any) -> Any:
+        commands, needed = recv(self, *buffers)
+        if needed > LONGEST_MESSAGE:
+            raise RemoteProtocolError(f"expected a message of at most {LONGEST_MESSAGE} bytes, found {needed} more")
+        return commands, needed
+
+    VirtualCircuit.recv = bounded
 
 
 class Robot:
@@ -208,6 +225,7 @@ def _records() -> Any:
         radius = SubGroup(Axis, prefix="radius", axis="radius", robot=None)
         refusal = pvproperty(value="", dtype=ChannelType.CHAR, max_length=TEXT, read_only=True)
         holder = pvproperty(value="", dtype=ChannelType.CHAR, max_length=TEXT, read_only=True)
+        trouble = pvproperty(value="", dtype=ChannelType.CHAR, max_length=TEXT, read_only=True)
         measured = pvproperty(value=[0.0, 0.0, 0.0], dtype=float, read_only=True)
         uncertainty = pvproperty(value=[0.0, 0.0, 0.0], dtype=float, read_only=True)
         stop = pvproperty(value=0, dtype=int)
@@ -228,12 +246,12 @@ def _records() -> Any:
             try:
                 told = await self.robot.combined.robot()
             except CallError as error:
-                for axis in self.axes:
-                    await axis.motor.field_inst.user_readback_value.alarm.write(
-                        severity=AlarmSeverity.INVALID_ALARM, status=AlarmStatus.COMM
-                    )
-                await self.refusal.write(str(error)[:TEXT], verify_value=False)
+                await self.alarm(AlarmSeverity.INVALID_ALARM, AlarmStatus.COMM)
+                await self.trouble.write(str(error)[:TEXT], verify_value=False)
                 return
+            if self.trouble.value:
+                await self.alarm(AlarmSeverity.NO_ALARM, AlarmStatus.NO_ALARM)
+                await self.trouble.write("", verify_value=False)
             for axis in self.axes:
                 await axis.show(told)
             at, scale = told["at"], self.robot.scale
@@ -245,6 +263,11 @@ def _records() -> Any:
             said = "" if who is None else f"{who['name'] or 'a client without a name'} ({who['address']})"
             if said != self.holder.value:
                 await self.holder.write(said[:TEXT], verify_value=False)
+
+        async def alarm(self, severity: Any, status: Any) -> None:
+            """Whether the readbacks are to be believed."""
+            for axis in self.axes:
+                await axis.motor.field_inst.user_readback_value.alarm.write(severity=severity, status=status)
 
         @measured.startup
         async def measured(self, instance: Any, async_lib: Any) -> None:

@@ -144,10 +144,17 @@ def _confirm(speaker: Speaker, given: Given, session: Session) -> Later:
     return Later(lambda _: confirm(), lambda _: Told({"link": finite(dict(robot.link.state()))}), "link")
 
 
-def _stop(speaker: Speaker, given: Given, session: Session) -> Later:
+def _stop(speaker: Speaker, given: Given, session: Session) -> Told | Later:
     robot = _linked(speaker, "stop", "there is nothing to stop")
     robot.stops += 1  # at once: what is being checked does not begin any more
-    return Later(lambda _: robot.stop(), lambda _: Told({"link": finite(dict(robot.link.state()))}), "stop")
+
+    def then(_: Any) -> Told:
+        return Told({"link": finite(dict(robot.link.state()))})
+
+    if robot.stops_at_once:  # a thread would only make it later
+        robot.stop()
+        return then(None)
+    return Later(lambda _: robot.stop(), then, "stop")
 
 
 MOVING: Mapping[str, Callable[[Speaker, Given, Session], Told | Later]] = {

@@ -204,6 +204,16 @@ class LinkedRobot:
         if self.stops != self._stops_then:  # a stop that came while it was being sent may have come before it
             self.link.stop()
 
+    @property
+    def executes(self) -> bool:
+        """Whether the link moves a robot at all; some only read."""
+        return bool(getattr(self.link, "executes", True))
+
+    @property
+    def stops_at_once(self) -> bool:
+        """Whether the link's `stop` waits for nothing, and needs no thread of its own."""
+        return bool(getattr(self.link, "stops_at_once", False))
+
     def stop(self) -> None:
         """Stop it at once, whoever moves it."""
         self.link.stop()

@@ -50,7 +50,7 @@ def ik_screen(
     done = f"{detector.robot.name}: {asked}, convention {ways.answer.convention['name']}."
     said = list(notes)
     if assumed:
-        said.append(f"{assumed} quantities are assumed, such as sample and tool, because no cell file says them.")
+        said.append(f"{assumed} quantities are assumed, such as sample and tool, because no cell file states them.")
     again = shlex.join(["clampid", "ik", *map(str, call)])
     if not ways.answer.reachable:
         return Screen(

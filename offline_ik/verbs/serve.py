@@ -20,7 +20,7 @@ from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assum
 if TYPE_CHECKING:
     from offline_ik.link import LinkedRobot
 
-__all__ = ["serve"]
+__all__ = ["linked_robot", "serve"]
 
 MAX_TOKEN = 256  # characters
 
@@ -73,7 +73,7 @@ def serve(
     with contextlib.ExitStack() as until_ready:
         for one in taken:
             until_ready.callback(one.close)
-        linked = None if link is None else _linked(link)
+        linked = None if link is None else linked_robot(link, out)
         if linked is not None:
             until_ready.callback(linked.close)
         with out.working("compiling"):
@@ -119,12 +119,22 @@ def _token(path: Path, out: Output) -> str:
     return text
 
 
-def _linked(address: str) -> LinkedRobot:
+def linked_robot(address: str, out: Output) -> LinkedRobot:
+    """The robot; one that moves for a server or a client that is gone is stopped: nobody else could do so now."""
     from experiments.links.address import open_link
     from experiments.links.protocol import LinkError
     from offline_ik.link import LinkedRobot
 
     try:
-        return LinkedRobot(open_link(address), address)
+        robot = LinkedRobot(open_link(address), address)
     except LinkError as error:
         raise DetectorError(f"--link {address}: {error}") from None
+    question = robot.link.open_question()
+    if question is not None and robot.link.capabilities.stops:
+        try:
+            robot.stop()
+        except DetectorError as error:
+            out.warn(f"--link {address}: {question}; it could not be stopped: {error}")
+        else:
+            out.warn(f"--link {address}: {question}; it was stopped. Look at the robot, then send confirm")
+    return robot

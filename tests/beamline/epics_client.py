@@ -64,6 +64,8 @@ class Client:
                 return bool(self.pv(given[0]).write(given[1].encode(), wait=True).status.success)
             case "limits":
                 return self.limits(*given)
+            case "alarm":
+                return int(self.pv(given[0]).read(data_type="time").metadata.severity)
             case "watch":
                 return self.watch(*given)
             case "seen":

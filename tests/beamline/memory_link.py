@@ -34,6 +34,7 @@ class MemoryLink:
         self.age = 0.0
         self.slow = 0.0  # s that `move` waits for the controller
         self.refuses = ""
+        self.executes, self.stops_at_once = True, False
         self._lock = threading.Lock()
         self._way = np.array([START, START])
         self._begun, self._takes = -1e9, 0.0

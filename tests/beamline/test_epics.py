@@ -12,6 +12,7 @@ from memory_link import MemoryLink
 from peers import Peer, free_udp_and_tcp, peer, side
 from serving_thread import Serving
 
+from clampid.verbs.errors import CallError
 from offline_ik.detector import Detector
 
 pytest.importorskip("caproto")
@@ -137,6 +138,24 @@ def test_who_holds_it_and_what_others_do_is_shown(epics: Peer, serving: Serving,
     soon(lambda: epics.ask("read gamma")["ok"] == pytest.approx([25.0], abs=1e-9))
     stds = epics.ask("read uncertainty")["ok"]
     assert all(0 < std < 5 for std in stds)
+
+
+def test_what_cannot_be_read_is_trouble_and_no_refusal(
+    epics: Peer, link: MemoryLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unknown() -> None:
+        raise CallError("the robot's posture is not known")
+
+    assert epics.ask("put radius 2500") == {"ok": [False]}
+    refusal = epics.ask("read refusal")["ok"]
+    with monkeypatch.context() as patched:
+        patched.setattr(link, "posture", unknown)
+        soon(lambda: "not known" in epics.ask("read trouble")["ok"])
+        assert epics.ask("alarm gamma.RBV")["ok"] == 3  # INVALID
+        assert epics.ask("read refusal")["ok"] == refusal
+    soon(lambda: epics.ask("read trouble")["ok"] == "")
+    assert epics.ask("alarm gamma.RBV")["ok"] == 0
+    assert epics.ask("read refusal")["ok"] == refusal
 
 
 def test_records_that_a_network_reaches_move_only_with_the_token(detector: Detector) -> None:

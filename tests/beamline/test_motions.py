@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import struct
+import threading
 import time
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from memory_link import START, MemoryLink
 from serving_thread import Serving
 
+from clampid.verbs.errors import CallError
 from offline_ik.detector import Detector
 from offline_ik.requests import WORDS
 
@@ -110,6 +113,25 @@ def test_stop_does_not_wait_for_a_link_that_waits_for_its_controller(serving: Se
         assert not link.state()["moving"]
 
 
+def test_a_stop_that_waits_for_nothing_needs_no_thread(
+    serving: Serving, link: MemoryLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link.stops_at_once, link.seconds, called = True, 30.0, []
+    stop = link.stop
+    monkeypatch.setattr(link, "stop", lambda: (called.append(threading.current_thread()), stop()))
+    with serving.client() as mover, serving.client(hello=False) as other:
+        assert mover.ask(MOVE)["moving"]
+        assert other.ask("stop")["link"]["moving"] is False
+        assert called == [serving._thread]
+        assert mover.ask("moved")["ended"]["outcome"] == "stopped"
+
+        def lost() -> None:
+            raise CallError("the controller could not be told")
+
+        monkeypatch.setattr(link, "stop", lost)
+        assert other.ask("stop") == {"ok": False, "error": "the controller could not be told"}
+
+
 def test_a_move_that_a_stop_overtakes_does_not_begin(serving: Serving, link: MemoryLink) -> None:
     with serving.client() as one:
         one.send("\n".join(["simulate gamma=0.3 delta=0.2 r=0.8", MOVE + " id=a", MOVE + " id=b", "stop", "state"]))
@@ -185,6 +207,28 @@ def test_a_connection_that_breaks_while_it_waits_ends_no_motion(serving: Serving
         assert told["moving"] is True
         assert other.ask("moved")["ended"]["outcome"] == "arrived"
     assert len(link.sent) == 1
+
+
+def test_a_client_that_has_closed_its_side_moves_nothing(serving: Serving, link: MemoryLink) -> None:
+    with serving.client("gone") as gone:
+        gone.send(MOVE)
+        gone.socket.shutdown(socket.SHUT_WR)
+        assert "the connection was closed before the move was checked; nothing moves" in gone.hear()["error"]
+    gone = serving.client("reset")
+    gone.send(MOVE)
+    gone.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    gone.close()
+    with serving.client() as other:
+        assert not other.ask("moved timeout=5")["moving"]
+        assert other.ask("robot")["number"] == 0
+    assert not link.sent
+
+
+def test_a_link_that_only_reads_is_told_at_hello(serving: Serving, link: MemoryLink) -> None:
+    link.executes = False
+    with serving.client(hello=False) as client:
+        told = client.ask("hello")
+    assert (told["linked"], told["moves"]) == (True, False)
 
 
 def test_a_server_that_a_network_reaches_without_a_token_moves_nothing(detector: Detector, link: MemoryLink) -> None:

@@ -42,7 +42,7 @@ def _tables() -> Tables:
         "free_air": _log(rng, moving=range(N)),
         "wrist": _log(rng, moving=range(3, N)),
         "clamped": _clamped(rng),
-        "poses": _poses(rng, poses=8, start=0.0),
+        "poses": _poses(rng, poses=12, start=0.0),
         "verification": _poses(rng, poses=5, start=1000.0),
     }
 

@@ -50,7 +50,7 @@ def test_a_good_table_is_read_and_passed(campaign: Campaign) -> None:
     ("edit", "words"),
     [
         (lambda t: t.drop(columns="anchor"), "a column 'anchor'"),
-        (lambda t: t.rename(columns={"distance_m": "distance_mm"}), "'distance_mm' (the contract wants 'distance_m')"),
+        (lambda t: t.rename(columns={"distance_m": "distance_mm"}), "'distance_mm' (expected 'distance_m')"),
         (lambda t: t.assign(distance_m=-t["distance_m"]), "expected a finite number not below 0"),
         (lambda t: t.assign(distance_m=t["distance_m"].where(t.index != 4)), "row 5 (line 6), column distance_m"),
         (
@@ -95,7 +95,7 @@ def test_a_distance_of_nothing_is_an_error(campaign: Campaign) -> None:
 def test_an_anchor_that_few_poses_see_is_named(campaign: Campaign) -> None:
     table = campaign.tables["distances"]
     (found,) = told(campaign, table[(table["anchor"] != "A2") | (table["pose"] <= 3)])
-    assert "anchor A2 is seen from 3 poses: its own place takes three" in found.message
+    assert "anchor A2 is seen from 3 poses: three are needed to locate the anchor itself" in found.message
 
 
 def test_too_few_distances_are_said(campaign: Campaign) -> None:
@@ -174,7 +174,7 @@ def test_a_zero_elsewhere_is_said(campaign: Campaign, constant: float, which: st
     wire = np.where(table["anchor"] == "A2", constant, 0.0)
     (found,) = told(campaign, table.assign(distance_m=table["distance_m"] + wire))
     assert found.severity == "warning"
-    assert f"distances to anchor A2 are all too {which}, by about" in found.message
+    assert f"distances to anchor A2 are all too {which} by about" in found.message
     assert "additive_constant" in found.message
 
 

@@ -98,16 +98,20 @@ def test_two_joints_exchanged_are_named(campaign: Campaign) -> None:
     assert any("they fit with joints 2 and 3 exchanged" in f.message and f.severity == "error" for f in found), found
 
 
-def test_too_few_poses_with_orientations(campaign: Campaign) -> None:
-    table = campaign.tables["poses"].query("target == 'T1' and pose <= 4").reset_index(drop=True)
+@pytest.mark.parametrize(("poses", "few"), [(4, "4 poses are fewer than"), (7, "7 poses are hardly more than")])
+def test_too_few_poses_with_orientations(campaign: Campaign, poses: int, few: str) -> None:
+    table = campaign.tables["poses"].query("target == 'T1' and pose <= @poses").reset_index(drop=True)
     robot = campaign.robot
     q = table[[f"q{i + 1}_rad" for i in range(6)]].to_numpy()
     place = forward(robot.screws, robot.flange, q @ robot.linkage.T)
     quaternion = Rotation.from_matrix(place[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     full = table.assign(target="flange", **dict(zip(("x_m", "y_m", "z_m"), place[:, :3, 3].T, strict=True)))
     full = full.assign(**dict(zip(("qw", "qx", "qy", "qz"), quaternion.T, strict=True)))
-    words = "4 poses are fewer than the 5 that the geometry of 6 joints and the flange needs (30 parameters)"
+    words = f"{few} the 5 that the geometry of 6 joints and the flange needs (30 parameters)"
     assert any(words in f.message for f in told(campaign, full)), told(campaign, full)
+    fitted = check_campaign(replace(campaign, tables={**campaign.tables, "poses": full}), fits=True)
+    assert any(words in f.message and f.severity == "error" for f in fitted), fitted
+    assert any(f.message.endswith("measure 10 or more") for f in fitted)
 
 
 @pytest.mark.parametrize(

@@ -125,7 +125,7 @@ def test_one_bad_row(tmp_path: Path) -> None:
         frame.loc[10, "z_m"] += 0.2
         return frame
 
-    finding = found(findings(tmp_path, change("poses", edit)), "warning", "poses", "1 of 27 positions")
+    finding = found(findings(tmp_path, change("poses", edit)), "warning", "poses", "1 of 39 positions")
     assert finding.row == 11
 
 
@@ -287,7 +287,7 @@ class TestStops:
 
     def test_copied_return(self, tmp_path: Path) -> None:
         def edit(frame: pd.DataFrame) -> pd.DataFrame:
-            frame.loc[24:, XYZ] = frame.loc[:2, XYZ].to_numpy()
+            frame.loc[36:, XYZ] = frame.loc[:2, XYZ].to_numpy()
             return frame
 
         found(findings(tmp_path, change("poses", edit)), "warning", "poses", "3 returns have exactly the position")
@@ -336,7 +336,7 @@ def test_holdings(tmp_path: Path) -> None:
         "sweeps": 6, "fixture": True,
     }  # fmt: skip
     poses = held["tables"]["poses"]
-    assert (poses["poses"], poses["visits"], poses["replicates"], poses["orientation"]) == (8, 9, 3, True)
+    assert (poses["poses"], poses["visits"], poses["replicates"], poses["orientation"]) == (12, 13, 3, True)
 
 
 CAMPAIGNS = sorted(p.parent for p in SHARED.glob("*/*/campaign.toml")) if SHARED.is_dir() else []

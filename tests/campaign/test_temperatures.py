@@ -103,7 +103,7 @@ def test_check_says_what_is_missing(campaign: Campaign) -> None:
     assert f"of {len(poses)} rows have no reading within 300 s" in long.message
     (never,) = told(broken, LINKS[2])
     assert (never.severity, never.message) == (
-        "warning", f"{LINKS[2]} has no reading: it is as if there were no such sensor",
+        "warning", f"{LINKS[2]} has no reading: the column is ignored",
     )  # fmt: skip
     assert told(campaign, LINKS[0]) == []
 
@@ -118,7 +118,7 @@ def test_fahrenheit_and_kelvin_are_refused_and_ambient_alone_is_said(campaign: C
     kelvin = changed(campaign, poses=poses.assign(**{c: poses[c] + 273.15 for c in names}))
     assert [f.severity for f in told(kelvin, LINKS[0])] == ["error"]
     alone = changed(campaign, poses=poses[[c for c in poses if c == "temp_ambient_C" or not c.startswith("temp_")]])
-    assert any("no link has a sensor (temp_ambient_C is taken for none)" in f.message for f in
+    assert any("no temperature sensor is on a link (temp_ambient_C is not)" in f.message for f in
                told(alone, "temp_ambient_C"))  # fmt: skip
 
 

@@ -166,3 +166,12 @@ def test_a_failed_write_leaves_the_old_file(clampid: Clampid, poses_only: Path, 
     assert clampid("identify", poses_only, "-o", old, "--effects", "nonsense").code == 2
     assert old.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["m.json"]
+
+
+@pytest.mark.parametrize("verb", ["identify", "add", "report", "compare", "import", "export dh", "plan poses", "ik"])
+def test_help_speaks_of_names_and_not_of_types(verb: str, clampid: Clampid, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    said = clampid(*verb.split(), "--help").out
+    assert max(map(len, said.splitlines())) <= 80
+    for type_of_python in ("list[", "<path>", "<str>", "<int", "<float", "{", "]]"):
+        assert type_of_python not in said

@@ -46,7 +46,7 @@ def test_the_demo_finds_what_was_hidden_and_tells_it_last(seed: int, clampid: Cl
     assert ran.code == 0, ran.err
     result = json.loads((tmp_path / "demo.json").read_text())
     assert result["named"]
-    told = ran.out.index("- Hidden had been:")
+    told = ran.out.index("- What was hidden:")
     assert told > ran.out.index("Error (rms) on held-out rows")
     assert len(ran.out.splitlines()) <= 24
     assert "<html" in (tmp_path / "demo" / "report.html").read_text(encoding="utf-8")[:2000]

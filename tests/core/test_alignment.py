@@ -187,7 +187,7 @@ def test_adding_it_takes_the_place_of_the_curves(one_disc: Campaign):
     added = addition.stages["poses"]
     assert [(a["name"], a["where"]) for a in added.added] == [(EFFECT.name, [f"joint{j}" for j in range(1, 7)])]
     assert added.after.heldout_rms < 1.05 * added.before.heldout_rms
-    with pytest.raises(EffectError, match="active already"):
+    with pytest.raises(EffectError, match="in the model already"):
         add(mended, one_disc, ["shared_angle_curve"])
     back, _ = undo(mended, one_disc)
     assert {t.label for t in back.stages["poses"].terms} == set(model.ledger[-1].effects)

@@ -11,7 +11,8 @@ import pytest
 from clampid.effect import EffectError
 from clampid.identification.identify import identify
 from clampid.identification.identify_folder import identify_folder
-from clampid.stages.log_facts import LogPart, log_parts, steady_share
+from clampid.stages.log_facts import LogPart, log_parts
+from clampid.stages.steady_share import steady_share
 from experiments.campaign import CampaignError, read_campaign, write_campaign
 from experiments.fingerprint import fingerprint
 from experiments.log_windows import LogTable

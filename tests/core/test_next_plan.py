@@ -218,3 +218,7 @@ def test_joints_that_come_from_one_side_only_are_named(simulated: Callable[..., 
     said = one_sided_words(one_sided(kept), kept, catalogue())
     assert "joint 3 (+)" in said
     assert "backlash" in said
+    unknown = replace(rows, signals={**rows.signals, "direction": np.zeros_like(rows.signals["direction"])})
+    said = one_sided_words(one_sided(unknown), unknown, catalogue())
+    assert said.count("not recorded") == 1
+    assert "at joints 1, 2, 3, 4, 5, 6, whose directions were not recorded: record the direction of approach" in said

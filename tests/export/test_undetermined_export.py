@@ -80,6 +80,13 @@ def test_the_ur10_table_keeps_its_nominal_last_offset(series_d):
     assert row["d_m"] == pytest.approx(0.0922, abs=0.002)
     assert np.isnan(row["std_d_m"])
     assert "d_m" in row[HELD].split()
+    said = dh_export(series_d[0], "hayati").said
+    assert any("row 6: d_m 0.091" in line and "(nominal 0.0922)" in line for line in said), said
+    assert any(line.startswith("the measured frame is mounted at -89.9 deg on the flange") for line in said), said
+
+
+def test_a_frame_mounted_straight_is_not_spoken_of(make_model):
+    assert not any("mounted" in line for line in dh_export(make_model("ur10", size=1e-3), "hayati").said)
 
 
 def test_the_best_table_leaves_no_more_than_a_geometric_fit(series_d):

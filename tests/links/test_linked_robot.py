@@ -136,6 +136,11 @@ def test_a_link_that_only_reads_is_a_robot_that_refuses_to_move() -> None:
         with pytest.raises(DetectorError, match="the controller's own stop"):
             robot.stop()
         assert robot.state()["accepted"] is None
+        assert not robot.executes
+        until(lambda: robot.link.status().moves is False)
+        values["$AXIS_ACT_MEAS"] = values["$AXIS_ACT_MEAS"].replace("A2 -90", "A2 -88")
+        until(lambda: robot.state()["moving"])  # by whoever
+        until(lambda: not robot.state()["moving"])
     finally:
         robot.close()
         server.close()

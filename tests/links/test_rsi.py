@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import socket
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_splitter import spoilt
 
 from experiments.links.address import LinkAddress
 from experiments.links.protocol import CannotError, Link, LinkLostError
@@ -95,6 +97,30 @@ def test_what_is_no_cycle_is_counted(listener: RsiLink, data: bytes) -> None:
     assert (listener.counts.malformed, listener.counts.received) == (1, 0)
     listener.take(datagram(8), "b")  # who sent rubbish first does not keep the robot out
     assert listener.counts.received == 1
+
+
+@pytest.mark.parametrize("count", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_spoilt_datagrams_over_the_socket_keep_no_cycle_out(count: int, listener: RsiLink) -> None:
+    rng = random.Random(3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rude:
+        for k in range(count):
+            rude.sendto(spoilt(rng, datagram(4 * k))[:60_000], ("127.0.0.1", listener.port))
+            counts = listener.counts
+            if k % 20 == 0:  # no more than the socket's buffer holds: each is to be read, not dropped by the system
+                end = time.monotonic() + 10.0
+                while counts.malformed + counts.received + counts.late + counts.foreign < k + 1:
+                    assert time.monotonic() < end, counts
+                    time.sleep(0.0005)
+    assert listener.counts.malformed > count / 2
+    assert len(listener.cycles()) <= listener._kept.maxlen
+    assert len(listener.counts.gaps) <= 1000
+
+
+def test_joints_that_turn_are_told(listener: RsiLink) -> None:
+    for k, a1 in enumerate((1.0, 1.1, 1.2, 1.3, 1.3, 1.3, 1.3)):
+        listener.take(datagram(1000 + 4 * k, a1), "10.0.0.1")
+        if k in (0, 3, 6):
+            assert listener.status().moves is {0: None, 3: True, 6: False}[k]
 
 
 def test_memory_is_bounded(listener: RsiLink) -> None:

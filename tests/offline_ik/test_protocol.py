@@ -350,3 +350,12 @@ def test_a_move_with_an_approach_goes_through_its_point(detector: Detector) -> N
     assert found["moving"] is True
     through = [found["approach"]["through_q_rad"], found["solutions"][0]["q_rad"]]
     assert np.allclose(arm.told[0][0], through, atol=1e-9)
+
+
+def test_frames_stand_beside_the_joints_in_state_and_start(speaker: Speaker) -> None:
+    session, q = Session(greeted=True), ",".join(map(str, START))
+    assert say(speaker, "state", session)["frames"] is None  # nobody has said where it is
+    begun, shown = say(speaker, f"start q={q}", session), say(speaker, f"at q={q}", session)
+    told = say(speaker, "state", session)["frames"]
+    for name in ("detector", "flange", "controller_flange"):
+        assert begun[name] == told[name] == shown[name]

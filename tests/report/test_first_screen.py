@@ -50,7 +50,7 @@ def test_what_is_missing_still_is_open() -> None:
     assert "now in the model" not in screen.verdict
     assert not screen.good
     assert screen.mended == ()
-    assert screen.open == ("poses: gear eccentricity at joint 2 is not in the model yet.",)
+    assert screen.open == ("Gear eccentricity at joint 2 is not in the model yet.",)
 
 
 def test_what_another_effect_took_the_place_of_is_not_called_missing() -> None:
@@ -108,3 +108,12 @@ def test_the_first_screen_needs_no_script_and_comes_before_any(monkeypatch: pyte
     assert "<svg" in head
     assert isinstance(screen, FirstScreen)
     assert not re.search(r"\son[a-z]+=", head)
+
+
+def test_what_is_ambiguous_says_how_to_plan_what_separates_it() -> None:
+    one, other = ({**GEAR, "effect": e, "name": e, "alternative": True} for e in ("bearing_tilt", "link_bending"))
+    plan = {"for": "parting", "helps": True, "sigma_before": 2.0, "sigma_after": 5.8, "count": 20}
+    data = found("ambiguous", one, other, next_measurement="20 poses", next_plan=plan)
+    lines = first_screen(a_model(held_out=(1.07e-4,)), None, {}, data).open
+    assert lines[-1] == "To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml"
+    assert "The closest two differ by 2 σ; 20 proposed poses raise this to 5.8 σ." in lines

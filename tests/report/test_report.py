@@ -210,7 +210,7 @@ def test_colours_follow_the_scheme_of_the_reader_and_paper_is_light(page):
 
 def test_every_section(page):
     _, text = parse(page)
-    heads = re.findall(r"<h2>(.*?)</h2>", page.read_text(encoding="utf-8"))
+    heads = re.findall(r"<h2>(?:<small>)?(.*?)</(?:small|h2)>", page.read_text(encoding="utf-8"))
     numbered = [re.sub(r"^\d+\s+", "", head) for head in heads]
     assert [s for s in SECTIONS if s not in numbered] == []
     assert "KUKA KR20 R1810: calibration report" in text
@@ -341,3 +341,14 @@ def test_angle_errors_are_drawn_as_curves(tmp_path: Path):
     for panel in panels:
         assert [n for n in panel.iter(f"{SVG}path") if n.get("class") == "band blue"]
     assert "joint_angle_curve is drawn as curves" in text
+
+
+def test_each_part_has_its_finding_as_its_heading(page):
+    """A sentence with the number, not only the topic; the findings in full are folded."""
+    text = page.read_text(encoding="utf-8")
+    heads = dict(re.findall(r"<h2><small>\d+\s+(.*?)</small>(.*?)</h2>", text))
+    for topic in ("The error, round by round", "The errors in space", "The model with standard errors", "Drives"):
+        assert re.search(r"\d", heads[topic]), topic
+    assert all(head.endswith(".") for head in heads.values())
+    assert heads["The error, round by round"].startswith("The held-out error ")
+    assert "<details><summary>The findings in full</summary>" in text

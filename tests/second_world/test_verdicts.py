@@ -79,3 +79,33 @@ def test_no_link_without_length_bends():
         arm = draw_robot(name, 1).nominal
         for place in HIDDEN["link_bending"].places(arm.n):
             assert np.linalg.norm(arm.joints[int(place.removeprefix("link"))].xyz_m) > 0.05
+
+
+def test_a_log_that_is_accelerated_nearly_everywhere_has_inertia_from_the_start(tmp_path):
+    """Two runs of quick moves: without inertia 2 % of their rows count, and one run says nothing of the other."""
+    robot = draw_robot("small6", 58)
+    measure(robot, tmp_path / "c", log="trapezoids_250hz", tables=("free_air",), noise="white", seed=58)
+    campaign = read_campaign(tmp_path / "c")
+    assert {"inertia", "link_inertia"} <= {t.effect for t in standard_effects([campaign])["free_air"]}
+    errors = identify(campaign).ledger[-1]
+    assert errors.heldout_rms < 1.5 * errors.noise_floor  # without inertia: 14
+    measure(robot, tmp_path / "slow", log="five_speeds", tables=("free_air",), noise="white", seed=58)
+    slow = read_campaign(tmp_path / "slow")
+    assert "link_inertia" not in {t.effect for t in standard_effects([slow])["free_air"]}
+
+
+def test_a_name_that_was_refused_does_not_stand_before_what_the_other_rows_confirm(tmp_path):
+    """Rotors explain more of the rows that are fitted, and nothing of others; an offset that follows warmth does both."""
+    robot = draw_robot("seven7", 41, mounting="ceiling")
+    session = {"log": "two_warmths", "noise": "stereo", "seed": 41}
+    magnitude = magnitude_for(
+        robot, "ambient_torque", "joint5", 0.8 * robot.n**-0.5, beyond_standard=True, program="quick", **session
+    )
+    hidden = [("ambient_torque", "joint5", magnitude)]
+    measure(robot, tmp_path / "c", tables=("free_air",), program="quick", hidden=hidden, **session)
+    campaign = read_campaign(tmp_path / "c")
+    effects = ("gravity", "coulomb_friction", "viscous_friction")
+    found = diagnose(identify(campaign, effects), campaign).stages["free_air"]
+    assert found.verdict in ("missing", "ambiguous")
+    families = {(c["effect"], tuple(c["where"])) for c in found.candidates}
+    assert ("torque_offset", ("joint5",)) in families

@@ -73,7 +73,7 @@ def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
     assert (words or "compensated in full") in poses["summary"]
     assert "With the joint values to which that sent the robot: " in poses["summary"]
     if mistake == "degrees":  # springs and weights are known to some parts in a thousand, times 57
-        assert "It multiplies what springs and weights are off by 57" in poses["summary"]
+        assert "It multiplies errors of springs and weights by 57" in poses["summary"]
     else:  # what it did to the points is called nothing else
         assert poses["verdict"] == "adequate"
         assert poses["heldout_rms_before"] < 1.2 * poses["noise_floor"]

@@ -1,0 +1,51 @@
+"""How much of a log counts in a model without inertia: where that is little, the model needs the bodies' dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from clampid.stages.counting import counting, motion_signals, negligible
+from clampid.stages.layout import layout_of
+from clampid.stages.loads import inertia_torque
+from clampid.stages.log_facts import WINDOW, LogPart, facts_of
+from experiments.log_windows import windows
+
+__all__ = ["steady_share"]
+
+WEIGHED = 20_000
+"""Rows of a table of which the bodies' inertia is computed; of a longer one every so many."""
+
+
+def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
+    """The share, 0 to 1, of the motors' rows in motion that count without inertia; 1 for a session without logs.
+
+    Such a row is hardly accelerated, and what the bodies as described need there is little against the noise
+    (:func:`clampid.stages.counting.negligible`).
+    """
+    if not parts:
+        return 1.0
+    steady = moving = 0
+    facts = facts_of(parts, window)
+    for p, part in enumerate(parts):
+        robot, runs = part.campaign.robot, np.flatnonzero(facts.runs[:, 0] == p)
+        T, wrist = np.asarray(robot.transmission), layout_of([part.campaign]).wrist
+        every = max(1, part.table.rows // WEIGHED)
+        last_run, moved = -1, np.zeros(robot.n, dtype=bool)
+        for w in windows(part.table, facts.motions.columns, window, facts.halo):
+            chosen = np.arange(w.start, w.stop)
+            chosen = chosen[(w.first + chosen) % every == 0]
+            run = runs[0] + np.searchsorted(facts.runs[runs, 1], w.columns["run"].astype(np.int64))
+            motion = facts.motions.of(p, w)
+            signals = motion_signals(motion, T, facts, run, w.columns["time_s"])
+            still = signals["joint_motion"] == 0.0
+            signals["joint_motion"][still & (run == last_run)[:, None] & moved] = 1.0  # moved in an earlier window
+            moves, calm = (counting(signals, T, facts, run, wrist, kind)[chosen] for kind in (True, False))
+            moving += int(moves.sum())
+            some = np.flatnonzero(calm.any(axis=1))
+            torque = inertia_torque(part.campaign, *(v[chosen[some]] for v in motion)) @ T.T
+            steady += int((calm[some] & negligible(torque, facts)).sum())
+            last_run = int(run[w.stop - 1])
+            moved = np.any(signals["joint_motion"][: w.stop][run[: w.stop] == last_run] != 0.0, axis=0)
+    return steady / moving if moving else 1.0
