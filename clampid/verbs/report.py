@@ -51,7 +51,7 @@ def report(
         compared = compare(loaded, read, seed=seed, user_effects=effects_from).to_json()
         try:
             write_report(target, loaded, read, comparison=compared, diagnosis=found, user_effects=effects_from)
-        except (LookupError, TypeError, AttributeError, ValueError) as error:
+        except (ArithmeticError, LookupError, TypeError, AttributeError, ValueError) as error:
             if found is None or is_wrong_input(error):
                 raise
             raise CallError(  # it is a file like any other, and comes along with a model from somebody else
