@@ -100,21 +100,21 @@ def find_stops(time: FloatArray, values: FloatArray, false_alarms: float = FALSE
     noise, mean_noise = _noise(values, shifts, window)
     limit = float(norm.isf(false_alarms / (2 * values.size)))
     moving = np.any(np.abs(np.nan_to_num(shifts)) > limit * mean_noise, axis=1)
-    found = [row for begin, end in pieces for row in _runs(moving, begin, end, window, time)]
-    rows = np.array(found, dtype=np.int64).reshape(-1, 4)
+    found = [(*row, begin, end) for begin, end in pieces for row in _runs(moving, begin, end, window, time)]
+    rows = np.array(found, dtype=np.int64).reshape(-1, 6)
     start, end, first, last, center = [], [], [], [], []
-    for a, b, from_motion, to_motion in rows:
+    for a, b, from_motion, to_motion, begin, stop in rows:
         trim = window if b - a > 4 * window else 0
         core = slice(a + trim * from_motion, b - trim * to_motion)
         middle = np.median(values[core], axis=0)
         near = limit * noise
         low, high = int(a), int(b)
-        while from_motion and low > a - window and np.all(np.abs(values[low - 1] - middle) <= near):
+        while from_motion and low > max(begin, a - window) and np.all(np.abs(values[low - 1] - middle) <= near):
             low -= 1
-        while to_motion and high < b + window and np.all(np.abs(values[high] - middle) <= near):
+        while to_motion and high < min(stop, b + window) and np.all(np.abs(values[high] - middle) <= near):
             high += 1
-        start.append((time[low] + time[low - 1]) / 2 if from_motion else time[low])
-        end.append((time[high] + time[high - 1]) / 2 if to_motion and high < len(time) else time[high - 1])
+        start.append(time[low] - step / 2 if from_motion else time[low])
+        end.append(time[high - 1] + step / 2 if to_motion else time[high - 1])
         first.append(core.start)
         last.append(core.stop)
         center.append(middle)
