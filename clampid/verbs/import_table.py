@@ -38,7 +38,8 @@ def import_table(
         list[Path] | None,
         typer.Argument(
             metavar="FILE…",
-            help="Tables as the instrument wrote them, where the mapping does not name them.",
+            help="Tables as the instrument wrote them, where the mapping does not name them; with [pairing] the "
+            "robot's log last.",
             show_default=False,
         ),
     ] = None,

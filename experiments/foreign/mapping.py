@@ -38,7 +38,8 @@ __all__ = ["FORMAT", "Join", "Mapping", "RobotLog", "Source", "TableMapping", "r
 FORMAT = "clampid-mapping/1"
 READING = ("encoding", "delimiter", "decimal", "thousands", "skip_lines", "skip_after_names", "comment", "names")
 TABLE = (
-    "table", "files", "columns", "position", "orientation", "join", "pairing", "repeats", "lost", "directions", "units", *READING
+    "table", "files", "columns", "position", "orientation", "join", "pairing", "repeats", "lost", "directions", "units",
+    *READING,
 )  # fmt: skip
 NUMBERINGS: dict[str, tuple[str, ...]] = {"pose": ("rows", "postures"), "visit": ("returns",)}
 MANY_JOINTS = 20  # of the names of columns that a mapping may know before the robot is

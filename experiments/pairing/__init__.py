@@ -6,5 +6,6 @@ from experiments.pairing.pairs import LeftOut, Pair, Pairing, confirmed, pair_lo
 from experiments.pairing.stops import Stops, find_stops
 
 __all__ = [
-    "ClockFit", "LeftOut", "Pair", "Pairing", "Stops", "confirmed", "find_stops", "fit_clocks", "pair_logs", "rigid_residuals",
+    "ClockFit", "LeftOut", "Pair", "Pairing", "Stops", "confirmed", "find_stops", "fit_clocks", "pair_logs",
+    "rigid_residuals",
 ]  # fmt: skip

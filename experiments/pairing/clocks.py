@@ -28,7 +28,7 @@ MAX_VOTERS = 500  # events of the instrument that vote; all are used by the fit
 FIRST_TOLERANCE_S = 0.5  # a few bins
 SAME_OFFSET_S = 1.0  # candidates nearer than this are one
 RIVAL = 0.9  # of the best candidate's events: another one with so many cannot be ruled out
-GIVEN_WITHIN_S = 5.0  # how well an offset is known that a person gives
+GIVEN_WITHIN_S = 2.0  # how well an offset is known that a person gives
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def fit_clocks(instrument: Stops, robot: Stops, near_s: float | None = None) -> 
     Parameters
     ----------
     near_s
-        Robot time minus instrument time, known within 5 s; None: anything.
+        Robot time minus instrument time, known within 2 s; None: anything.
 
     Raises
     ------
@@ -93,7 +93,9 @@ def fit_clocks(instrument: Stops, robot: Stops, near_s: float | None = None) -> 
     candidates: list[_Line] = []
     for offset, drift in _votes(ours, theirs, bin_s, near):
         line = _refined(ours, theirs, offset, drift, max(FIRST_TOLERANCE_S, 2 * bin_s), floor)
-        if line is not None and abs(line.drift) <= 2 * MAX_DRIFT + 5 * line.std[1]:
+        if line is None or abs(line.drift) > 2 * MAX_DRIFT + 5 * line.std[1]:
+            continue
+        if near is None or abs(line.offset - near) < GIVEN_WITHIN_S:
             candidates.append(line)
     if not candidates:
         raise ValueError("expected stops that both logs saw, found no offset of the clocks that matches any")
@@ -110,7 +112,8 @@ def fit_clocks(instrument: Stops, robot: Stops, near_s: float | None = None) -> 
     # What both logs see differently need not be the same at starts and ends; no number of events averages that out.
     systematic = robot.step_s / np.sqrt(12), best.lag
     return ClockFit(
-        offset_s=best.offset + base - middle, offset_std_s=float(np.linalg.norm([best.std[0], *systematic])), drift=best.drift, drift_std=best.std[1],
+        offset_s=best.offset + base - middle, offset_std_s=float(np.linalg.norm([best.std[0], *systematic])),
+        drift=best.drift, drift_std=best.std[1],
         middle_s=middle, scatter_s=best.scatter, tolerance_s=float(norm.isf(FALSE_ALARMS / (2 * n))) * best.scatter,
         events=n,
     )  # fmt: skip

@@ -29,8 +29,9 @@ def rigid_residuals(points: FloatArray, flanges: FloatArray) -> FloatArray:
         ``(P, 4, 4)``: the flange in the base frame.
     """
     f, F = flanges[:, :3, 3], flanges[:, :3, :3]
-    c, weight = np.zeros(3), np.ones(len(points))
-    off = np.zeros(len(points))
+    c: FloatArray = np.zeros(3)
+    weight: FloatArray = np.ones(len(points))
+    off: FloatArray = np.zeros(len(points))
     for _ in range(ROUNDS):
         carried = f + F @ c
         R, t = _rigid(carried, points, weight)

@@ -1,7 +1,7 @@
 """Pairs the stops of an instrument's log with those of a robot's log.
 
-A pair is one stop of the robot and all still samples of the instrument within it. What is doubtful is left out, with the
-reason: a wrong pair in a calibration costs more than a missing one.
+A pair is one stop of the robot and all still samples of the instrument within it. What is doubtful is left out, with
+the reason: a wrong pair in a calibration costs more than a missing one.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def pair_logs(
     robot_time, joints
         ``(M,)`` s on the robot's clock and ``(M, n)`` rad.
     near_s
-        Robot time minus instrument time, known within 5 s.
+        Robot time minus instrument time, known within 2 s.
     false_alarms
         Expected false detections of motion per log.
 
@@ -143,9 +143,7 @@ def pair_logs(
     return Pairing(tuple(pairs), tuple(left_out), clock, (len(ours), len(theirs)))
 
 
-def _doubt(
-    ours: Stops, theirs: Stops, one: list[int], j: int, at: tuple[FloatArray, FloatArray], slack: float
-) -> str:
+def _doubt(ours: Stops, theirs: Stops, one: list[int], j: int, at: tuple[FloatArray, FloatArray], slack: float) -> str:
     """Why the instrument's intervals ``one`` may not belong to the robot's stop j; empty where they do."""
     centers = ours.center[one]
     # Any two of the intervals may differ by what two windows' means do.
@@ -196,8 +194,8 @@ def confirmed(pairing: Pairing, flanges: FloatArray) -> Pairing:
     size = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
     if middle > size / 4:
         raise ValueError(
-            f"expected points that a rigid body on this robot's flange can take, found {1e3 * middle:.3g} mm off in the "
-            f"median, of points {1e3 * size:.3g} mm from their middle; the joints' order, signs, units or robot are wrong"
+            "expected points that a rigid body on this robot's flange can take, found them "
+            f"{1e3 * middle:.3g} mm off in the median; the joints' order, signs, units or the robot may be wrong"
         )
     noise = max(float(np.median([pair.scatter for pair in pairing.pairs])), 1e-9)
     bad = off > OUTLIER * max(middle, noise)

@@ -88,7 +88,9 @@ def find_stops(time: FloatArray, values: FloatArray, false_alarms: float = FALSE
         raise ValueError(f"expected at least 10 rows, found {len(time)}")
     steps = np.diff(time)
     if not np.all(steps > 0.0):
-        raise ValueError(f"expected times that increase, found {time[int(np.argmin(steps > 0.0)) + 1]:.9g} s after more")
+        raise ValueError(
+            f"expected times that increase, found {time[int(np.argmin(steps > 0.0)) + 1]:.9g} s after more"
+        )
     step = float(np.median(steps))
     window = max(1, round(WINDOW_S / step))
     values = values - np.median(values, axis=0)

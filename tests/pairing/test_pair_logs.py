@@ -6,7 +6,7 @@ import log_maker
 import numpy as np
 import pytest
 
-from experiments.pairing import Pairing, find_stops, pair_logs
+from experiments.pairing import Pairing, pair_logs
 
 
 def judged(logs: log_maker.Logs, found: Pairing) -> tuple[set[int], int]:
@@ -49,3 +49,21 @@ def test_all_pairs_of_400_poses() -> None:
 @pytest.mark.parametrize("seed", range(2, 14))
 def test_all_pairs_of_400_poses_seeds(seed: int) -> None:
     check(log_maker.make_logs(seed, lost=0.15), 20e-6)
+
+
+def test_cycles_that_repeat_exactly_are_ambiguous_until_an_offset_is_given() -> None:
+    rng = np.random.default_rng(4)
+    # Stops of 3 s every 5 s, between two postures in turn; the instrument began two cycles late.
+    knots = np.cumsum(np.r_[0.0, np.tile([3.0, 2.0], 60)])
+    angle = np.r_[0.0, np.repeat(np.arange(60) % 2, 2)[1:], 0.0]
+
+    def log(start: float, step: float, noise: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+        t = np.arange(start, knots[-2], step)
+        return t, np.interp(t, knots, angle)[:, None] * np.ones(count) + noise * rng.standard_normal((len(t), count))
+
+    time, points = log(11.0, 0.01, 2e-5, 3)
+    robot_time, joints = log(0.05, 0.1, 2e-6, 6)
+    with pytest.raises(ValueError, match=r"expected one offset of the clocks, found .* and .*state it as offset"):
+        pair_logs(time, points, robot_time + 100.0, joints)
+    found = pair_logs(time, points, robot_time + 100.0, joints, near_s=101.0)
+    assert found.clock.offset_s == pytest.approx(100.0, abs=0.15)
