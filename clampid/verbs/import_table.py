@@ -82,7 +82,7 @@ def import_table(
 
 def _json(table: Imported) -> dict[str, Any]:
     rows = {"rows": len(table.frame), "samples": table.samples}
-    out = {**rows, "scatter_m": table.scatter, "notes": list(table.notes)}
+    out: dict[str, Any] = {**rows, "scatter_m": table.scatter, "notes": list(table.notes)}
     if table.pairing is not None:
         found = table.pairing
         out["pairing"] = {

@@ -6,12 +6,15 @@ that neither has to be known. Points far off weigh little, so that they do not d
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
 __all__ = ["MIN_CONFIRMED", "OUTLIER", "rigid_residuals"]
 
 FloatArray = npt.NDArray[np.float64]
+Array = npt.NDArray[np.floating[Any]]
 
 MIN_CONFIRMED = 12  # pairs, of 9 unknowns in 36 equations
 OUTLIER = 8.0  # medians: 12 standard deviations of an axis; errors of an uncalibrated arm are not normal
@@ -29,9 +32,9 @@ def rigid_residuals(points: FloatArray, flanges: FloatArray) -> FloatArray:
         ``(P, 4, 4)``: the flange in the base frame.
     """
     f, F = flanges[:, :3, 3], flanges[:, :3, :3]
-    c: FloatArray = np.zeros(3)
-    weight: FloatArray = np.ones(len(points))
-    off: FloatArray = np.zeros(len(points))
+    c: Array = np.zeros(3)
+    weight: Array = np.ones(len(points))
+    off: Array = np.zeros(len(points))
     for _ in range(ROUNDS):
         carried = f + F @ c
         R, t = _rigid(carried, points, weight)
@@ -45,10 +48,10 @@ def rigid_residuals(points: FloatArray, flanges: FloatArray) -> FloatArray:
         R, t = _rigid(carried, points, weight)
         off = np.linalg.norm(points - carried @ R.T - t, axis=1)
         weight = 1.0 / (1.0 + (off / max(float(np.median(off)), 1e-12) / 2) ** 2) ** 2
-    return off
+    return np.asarray(off, dtype=np.float64)
 
 
-def _rigid(a: FloatArray, b: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rigid(a: Array, b: Array, weight: Array) -> tuple[Array, Array]:
     """Rotation and translation that take ``a`` to ``b`` (Kabsch 1976)."""
     w = weight / weight.sum()
     ma, mb = w @ a, w @ b
