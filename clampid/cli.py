@@ -30,7 +30,7 @@ __all__ = ["app", "main"]
 
 GROUP = "clampid.verbs"
 LONGEST_LINE = 4000  # characters of an error: a file may bring names of any length
-OUTPUTS = frozenset({"output", "out", "report", "plan", "svg", "json"})
+OUTPUTS = frozenset({"output", "out", "report", "plan", "svg", "json", "truth"})
 """Parameters of verbs that name what is written; files that others name are read."""
 VERBS = {
     "demo": "Run the whole loop on a virtual robot: start here.",

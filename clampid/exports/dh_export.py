@@ -105,9 +105,13 @@ class ExportedTable(Exported):
     @property
     def said(self) -> tuple[str, ...]:
         """What it leaves, in sentences."""
-        said = super().said if self.fit is None else (str(self.fit), *super().said)
+        return super().said if self.fit is None else (str(self.fit), *super().said)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """As of any export; which numbers depend on a choice, and how a measured frame is mounted."""
         if not self.held:
-            return (*said, *self._mount())
+            return self._mount()
         found = [
             f"{'row ' if row['row'].isdigit() else ''}{row['row']}: "
             + ", ".join(self._beside_nominal(str(row["row"]), column, row[column]) for column in row[HELD].split())
@@ -115,7 +119,7 @@ class ExportedTable(Exported):
             if row[HELD]
         ]
         unsure = f"these numbers depend on that choice and have no standard error: {'; '.join(found)}"
-        return (*said, unsure, *self._mount())
+        return (*super().cautions, unsure, *self._mount())
 
     def _beside_nominal(self, row: str, column: str, value: float) -> str:
         """``d_m 0.0913 (nominal 0.0922)``; base and tool have no nominal place."""

@@ -48,8 +48,13 @@ class Exported:
         """What it leaves, in sentences."""
         lines = [str(self.left), f"not in it: {self.left.worth}"]
         lines += [] if self.measured is None else [f"this alone leaves {self.measured}"]
+        return (*lines, *self.cautions)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What the data do not determine, and what a reader may take for something else."""
         said = "not determined by the data, held at its nominal value: a combination of "
-        return (*lines, *(f"{said}{words}" for words in self.held))
+        return tuple(f"{said}{words}" for words in self.held)
 
     def to_json(self) -> dict[str, Any]:
         """For programs; SI but for the temperatures."""

@@ -14,6 +14,7 @@ from typing import Any
 
 from experiments.campaign import Campaign
 from experiments.outputs import write_text
+from kinematics.reading import json_of, read_text
 
 __all__ = ["keep_diagnosis", "kept_diagnosis", "kept_file"]
 
@@ -47,7 +48,7 @@ def keep_diagnosis(model: Path, campaigns: Sequence[Campaign], diagnosis: Mappin
 def kept_diagnosis(model: Path, campaign: Campaign) -> Mapping[str, Any] | None:
     """The diagnosis of this model on this campaign, alone or with others, or None where none was kept."""
     try:
-        data = json.loads(kept_file(model).read_text(encoding="utf-8"))
+        data = json_of(read_text(kept_file(model)))
     except (OSError, ValueError):
         return None
     if not isinstance(data, dict) or data.get("format") != FORMAT:

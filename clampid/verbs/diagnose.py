@@ -67,7 +67,10 @@ def diagnose(
     wanted = None if target is None else names_of(plan_for) or ()
     loaded = load_model(model)
     with out.working("reading"):
-        read = read_checked(campaigns, out)
+        # Every fold is fitted again: poses too few for a geometry would leave "structure" that is the lack of rows.
+        stage = loaded.stages.get("poses")
+        fits = stage is not None and any(term.effect == "geometry" for term in stage.terms)
+        read = read_checked(campaigns, out, fits=fits)
     with out.working("diagnosing"):
         found = look_for_missing(loaded, read, seed=seed, flips=flips, user_effects=effects_from, plan_for=wanted)
     data = found.to_json()

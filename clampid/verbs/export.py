@@ -18,6 +18,7 @@ from clampid.verbs.units import Units
 if TYPE_CHECKING:
     from clampid.exports.exported import Exported
     from clampid.models.model import Model
+    from clampid.screen import Next
     from experiments.campaign import Campaign
     from experiments.targets import Kind
     from kinematics.robot import RobotDescription
@@ -95,11 +96,10 @@ def dh(
     )
     if output is not None or json != "-":
         _written(found.text if layout == "csv" else thesis_layout(found, nominal), output)
-    _tell("table", found, output, out)
     _by_convention(loaded, out)
     _extrapolating(loaded, temperature, out)
-    if output is not None and campaign is None:
-        _measured_next(model, output, loaded.sessions[session - 1].name, out)
+    further = () if output is None or campaign else _measured_next(model, output, loaded.sessions[session - 1].name)
+    _tell("DH table", found, output, out, further)
 
 
 @export.command(short_help="Errors of joint angles over their ranges.")
@@ -258,31 +258,29 @@ def _read(folder: Path | None) -> Campaign | None:
     return None if folder is None else read_campaign(folder)
 
 
-def _tell(kind: str, found: Exported, output: Path | None, out: Output) -> None:
-    """What was written and what it leaves; on stderr where the file itself went to stdout."""
-    where = "" if output is None else f"{output}; "
-    first = (
-        f"{kind}: {where}static geometry at {found.temperature:g} degC, read back within {found.difference:.1e} m of "
-        "the model's"
-    )
-    for line in (first, *found.said):
-        if output is None:
+def _tell(kind: str, found: Exported, output: Path | None, out: Output, further: tuple[Next, ...] = ()) -> None:
+    """What was written and what it leaves; in lines on stderr where the file itself went to stdout."""
+    from clampid.verbs.export_screen import export_screen
+
+    if output is None:
+        exact = f"read back within {found.difference:.1e} m of the model's"
+        for line in (f"{kind}: static geometry at {found.temperature:g} degC, {exact}", *found.said):
             out.step(line)
-        else:
-            out.say(line)
+    else:
+        out.show(export_screen(kind, found, output, further))
     out.result({"file": None if output is None else str(output), **found.to_json()})
 
 
-def _measured_next(model: Path, output: Path, name: str, out: Output) -> None:
+def _measured_next(model: Path, output: Path, name: str) -> tuple[Next, ...]:
     """The command that says what a table alone leaves of the points that the model was fitted on."""
-    from clampid.screen import Next, Screen
+    from clampid.screen import Next
     from clampid.verbs.next_step import free_name
 
     beside = model.parent / name
     folder = beside if (beside / "campaign.toml").is_file() else Path(name)
     target = str(free_name(output))
     command = shlex.join(["clampid", "export", "dh", str(model), "--campaign", str(folder), "-o", target])
-    out.show(Screen("", next=(Next("Next, see what the table alone leaves of the measured points:", command),)))
+    return (Next("Next, see what the table alone leaves of the measured points:", command),)
 
 
 def _by_convention(model: Model, out: Output) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,8 +20,11 @@ if TYPE_CHECKING:
     from experiments.finding import Finding
     from experiments.foreign import Imported, Mapping
     from experiments.header import Header
+    from experiments.pairing import Pairing
 
 __all__ = ["import_table"]
+
+MAX_REASONS = 5  # shown why stops are left out
 
 
 def import_table(
@@ -33,7 +38,8 @@ def import_table(
         list[Path] | None,
         typer.Argument(
             metavar="FILE…",
-            help="Tables as the instrument wrote them, where the mapping does not name them.",
+            help="Tables as the instrument wrote them, where the mapping does not name them; with [pairing] the "
+            "robot's log last.",
             show_default=False,
         ),
     ] = None,
@@ -67,6 +73,8 @@ def import_table(
         if table.scatter is not None:
             scatter = ", ".join(f"{1e6 * s:.3g}" for s in table.scatter)
             facts.append(("", f"scatter of one sample along x, y, z: {scatter} µm"))
+        if table.pairing is not None:
+            facts += _pairing_facts(table.pairing)
     ask = Next("Next, look at what it holds:", shlex.join(["clampid", "check", str(output)]))
     out.show(Screen(f"Wrote the campaign {output}.", facts=tuple(facts), next=(ask,)))
     out.result({"campaign": str(output), "tables": {table.table: _json(table) for table in tables}})
@@ -74,7 +82,33 @@ def import_table(
 
 def _json(table: Imported) -> dict[str, Any]:
     rows = {"rows": len(table.frame), "samples": table.samples}
-    return {**rows, "scatter_m": table.scatter, "notes": list(table.notes)}
+    out: dict[str, Any] = {**rows, "scatter_m": table.scatter, "notes": list(table.notes)}
+    if table.pairing is not None:
+        found = table.pairing
+        out["pairing"] = {
+            "pairs": len(found.pairs), "stops": list(found.stops), "clock": asdict(found.clock),
+            "left_out": [asdict(one) for one in found.left_out], "geometry_rms_m": found.geometry_rms_m,
+        }  # fmt: skip
+    return out
+
+
+def _pairing_facts(pairing: Pairing) -> list[tuple[str, str]]:
+    """What a person should see of two paired logs."""
+    clock, (ours, theirs) = pairing.clock, pairing.stops
+    offset = f"{clock.offset_s:.3f} ± {clock.offset_std_s:.2g} s at {clock.middle_s:.0f} s of the instrument's clock"
+    facts = [
+        ("pairs", f"{len(pairing.pairs)}, of {ours} stops of the instrument and {theirs} of the robot"),
+        ("robot's clock", f"instrument's + {offset}"),
+        ("drift", f"{1e6 * clock.drift:.2f} ± {1e6 * clock.drift_std:.2g} ppm, from {clock.events} starts and ends"),
+    ]
+    if pairing.geometry_rms_m is not None:
+        facts.append(("geometry", f"rms {1e3 * pairing.geometry_rms_m:.3g} mm about the nominal arm"))
+    counts = Counter(f"{one.log}: {one.reason}" for one in pairing.left_out)
+    for reason, count in counts.most_common(MAX_REASONS):
+        facts.append(("left out", f"{count} of {reason}"))
+    if len(counts) > MAX_REASONS:
+        facts.append(("left out", f"{len(counts) - MAX_REASONS} further reasons: --json lists all"))
+    return facts
 
 
 def _header(mapping: Mapping) -> Header:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from clampid.verbs.errors import CallError
+from clampid.verbs.errors import CallError, is_wrong_input
 from clampid.verbs.inputs import read_checked
 from clampid.verbs.options import EffectsFrom, ModelFile, Quiet, Seed
 from clampid.verbs.output import Output, output_file
@@ -37,7 +37,7 @@ def report(
     target = output_file(model.with_suffix(".html") if output is None else output, "markup")
 
     from clampid.comparison.compare import compare
-    from clampid.loop.kept_diagnosis import kept_diagnosis
+    from clampid.loop.kept_diagnosis import kept_diagnosis, kept_file
     from clampid.models.model import load_model
     from clampid.report import write_report
     from clampid.screen import Next, Screen
@@ -51,7 +51,15 @@ def report(
     found = kept_diagnosis(model, read)
     with out.working("writing the report"):
         compared = compare(loaded, read, seed=seed, user_effects=effects_from).to_json()
-        write_report(target, loaded, read, comparison=compared, diagnosis=found, user_effects=effects_from)
+        try:
+            write_report(target, loaded, read, comparison=compared, diagnosis=found, user_effects=effects_from)
+        except (ArithmeticError, LookupError, TypeError, AttributeError, ValueError) as error:
+            if found is None or is_wrong_input(error):
+                raise
+            raise CallError(  # it is a file like any other, and comes along with a model from somebody else
+                f"{kept_file(model)}: expected a diagnosis as clampid diagnose keeps it, found another form "
+                f"({type(error).__name__}: {error}); diagnose again"
+            ) from error
     if found is not None:
         done = f"Wrote {target}, with the kept diagnosis of {model} on {folder}."
         table = shlex.join(["clampid", "export", "dh", str(model), "-o", str(free_name(Path("dh.csv")))])

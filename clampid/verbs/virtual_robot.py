@@ -13,6 +13,8 @@ from clampid.verbs.output import Output
 
 __all__ = ["virtual_robot"]
 
+MAX_CONFIG = 1_000_000  # bytes of a config file; those that link-files writes have a few thousand
+
 
 def virtual_robot(
     robot: Annotated[str, typer.Option(help="A bundled robot, or the path of a description.")] = "kuka_kr20_r1810",
@@ -87,7 +89,9 @@ def virtual_robot(
 
 
 def _text(file: Path) -> str:
+    from kinematics.reading import read_text
+
     try:
-        return file.read_text(encoding="utf-8")
+        return read_text(file, MAX_CONFIG)
     except (OSError, UnicodeDecodeError) as error:
         raise CallError(f"{file}: expected a config file that clampid link-files wrote: {error}") from None

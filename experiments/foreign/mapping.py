@@ -33,12 +33,13 @@ from experiments.foreign.units import DATE, UNITS, kind_of, units_of
 from experiments.toml_file import read_toml
 from kinematics.section import Section, shown
 
-__all__ = ["FORMAT", "Join", "Mapping", "Source", "TableMapping", "read_mapping"]
+__all__ = ["FORMAT", "Join", "Mapping", "RobotLog", "Source", "TableMapping", "read_mapping"]
 
 FORMAT = "clampid-mapping/1"
 READING = ("encoding", "delimiter", "decimal", "thousands", "skip_lines", "skip_after_names", "comment", "names")
 TABLE = (
-    "table", "files", "columns", "position", "orientation", "join", "repeats", "lost", "directions", "units", *READING
+    "table", "files", "columns", "position", "orientation", "join", "pairing", "repeats", "lost", "directions", "units",
+    *READING,
 )  # fmt: skip
 NUMBERINGS: dict[str, tuple[str, ...]] = {"pose": ("rows", "postures"), "visit": ("returns",)}
 MANY_JOINTS = 20  # of the names of columns that a mapping may know before the robot is
@@ -97,6 +98,28 @@ class Join:
 
 
 @dataclass(frozen=True)
+class RobotLog:
+    """The robot's raw log beside an instrument's raw log, whose clocks are unknown to each other.
+
+    Attributes
+    ----------
+    time
+        Where its time comes from.
+    prefix
+        Put before the names of its columns.
+    offset
+        Robot time minus instrument time in s, known within some seconds; None: anything.
+    """
+
+    files: tuple[Path, ...]
+    reading: Reading
+    time: Source
+    prefix: str
+    offset: float | None
+    key: str
+
+
+@dataclass(frozen=True)
 class TableMapping:
     """How one table of the campaign is made."""
 
@@ -111,6 +134,7 @@ class TableMapping:
     lost: tuple[str, ...] | None
     directions: bool
     key: str
+    pairing: RobotLog | None = None
 
 
 @dataclass(frozen=True)
@@ -162,11 +186,14 @@ def _table(at: Section, folder: Path, files: Sequence[Path]) -> TableMapping:
     table = at.text("table", TABLES, "poses")
     units = _units(at)
     named = _files(at, folder)
+    pairing = _pairing(at, table, units, folder, files) if at.has("pairing") else None
+    if pairing is not None and files and pairing.files == tuple(files[-1:]):
+        files = files[:-1]
     if bool(named) == bool(files):
         expected = "files in the mapping or in the call" if named else "files, here or in the call"
         raise at.fault("files", expected, "both" if named else "none")
     stops, points = table in POSES, table in ("poses", "verification")
-    for key in ("position", "orientation", "repeats", "lost", "directions"):
+    for key in ("position", "orientation", "pairing", "repeats", "lost", "directions"):
         fits = stops if key in ("lost", "directions") else points
         if at.has(key) and not fits and not (key == "lost" and at.place):
             raise at.fault(key, f"no such key for {table}", shown(at.content[key]))
@@ -188,7 +215,30 @@ def _table(at: Section, folder: Path, files: Sequence[Path]) -> TableMapping:
         lost=at.texts("lost", alone=True) if at.has("lost") and stops else None,
         directions=at.text("directions", ("previous",), "") != "",
         key=f"{at.place}." if at.place else "",
+        pairing=pairing,
     )
+
+
+def _pairing(at: Section, table: str, units: dict[str, str], folder: Path, files: Sequence[Path]) -> RobotLog:
+    """The robot's log; where the mapping does not name its file, the last one of the call."""
+    for key in ("join", "repeats", "orientation", "directions"):
+        if at.has(key):
+            raise at.fault(key, "no such key beside [pairing]", shown(at.content[key]))
+    inherited = {key: at.content[key] for key in ("encoding", "delimiter", "decimal", "thousands") if at.has(key)}
+    own = at.section("pairing")
+    section = at.part("pairing", {**inherited, **own.content})
+    named = _files(section, folder) or tuple(files[-1:])
+    if not named:
+        raise section.fault("files", "the robot's log, here or last in the call", "none")
+    if not section.has("time"):
+        raise section.fault("time", "{from, unit}, where the robot's time comes from", "no such key")
+    time = _source(section, table, "time", units)
+    if not time.columns:
+        raise section.fault("time", "{from, unit}, where the robot's time comes from", shown(section.content["time"]))
+    offset = section.number("offset", default=None) if section.has("offset") else None
+    log = RobotLog(named, _reading(section), time, section.text("prefix", default=""), offset, section.place)
+    section.done()
+    return log
 
 
 def _files(at: Section, folder: Path) -> tuple[Path, ...]:

@@ -20,7 +20,9 @@ from experiments.foreign.joins import joined
 from experiments.foreign.mapping import Mapping, Source, TableMapping
 from experiments.foreign.medians import medians
 from experiments.foreign.numbering import directions, postures, returns
+from experiments.foreign.two_logs import paired
 from experiments.foreign.units import DATE, UNITS, campaign_name, kind_of, to_si
+from experiments.pairing import Pairing
 from experiments.tables import TableFile
 from experiments.validate import validate_table
 from kinematics.description import RobotDescription
@@ -84,6 +86,8 @@ class Imported:
         Words what is wrong in it.
     notes
         What a person should know of how it was made.
+    pairing
+        How two raw logs were paired, where the table is made of them.
     """
 
     table: str
@@ -92,6 +96,7 @@ class Imported:
     scatter: tuple[float, float, float] | None
     source: ImportedFile
     notes: tuple[str, ...]
+    pairing: Pairing | None = None
 
 
 def import_tables(mapping: Mapping, robot: RobotDescription, targets: Sequence[str]) -> tuple[Imported, ...]:
@@ -116,7 +121,7 @@ def import_tables(mapping: Mapping, robot: RobotDescription, targets: Sequence[s
         # One clock for all tables: its zero is the earliest of their times.
         frame = one.frame.assign(time_s=one.frame["time_s"] - start) if i in dated else one.frame
         frame = validate_table(frame, table_format(one.table, robot.n), one.source, targets)
-        out.append(Imported(one.table, frame, one.samples, one.scatter, one.source, one.notes))
+        out.append(Imported(one.table, frame, one.samples, one.scatter, one.source, one.notes, one.pairing))
     return tuple(out)
 
 
@@ -135,7 +140,14 @@ def _one(mapping: Mapping, part: TableMapping, robot: RobotDescription) -> Impor
         if lost.all():
             raise fault(part.files[0], expected="a row with a position", found=f"{len(cells)} lost ones")
         cells = cells.take(np.flatnonzero(~lost))
+    logs = None
+    if part.pairing is not None:
+        logs = paired(mapping.path, part, cells, robot)
+        cells = logs.cells
+        notes += logs.notes
     frame = _columns(mapping.path, part, cells, robot)
+    if logs is not None:
+        frame = frame.assign(**logs.columns(frame))
     frame = _completed(mapping.path, part, frame, cells, robot)
     _refuse_units(mapping.path, part, frame, robot)
     named = {
@@ -144,6 +156,9 @@ def _one(mapping: Mapping, part: TableMapping, robot: RobotDescription) -> Impor
         for at in ([cells.find(source.columns[0], mapping.path, source.key)] if source.columns else [])
     }
     source = ImportedFile(mapping.path, 0, cells.origins[0], np.arange(len(frame)), named)
+    if logs is not None:
+        count = int(frame["samples"].sum())
+        return Imported(part.table, frame, count, logs.scatter, source, tuple(notes), logs.pairing)
     keys = ["pose", "visit", "target"]
     if part.table not in ("poses", "verification") or not frame.duplicated(keys).any():
         return Imported(part.table, frame, len(frame), None, source, tuple(notes))

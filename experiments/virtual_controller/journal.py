@@ -18,6 +18,11 @@ from experiments.virtual_controller.errors import ControllerError
 
 __all__ = ["Journal", "journal_file"]
 
+AXES = 6
+MAX_BYTES = 200_000_000  # of a journal: weeks of moves
+MAX_BOOT = 2**31 - 1  # an INT of KRL
+MAX_DEG = 3600.0  # of an axis: ten turns
+
 
 def journal_file(truth: Path) -> Path:
     """Return where the events of a truth file are."""
@@ -53,14 +58,14 @@ class Journal:
 
     def _go_on(self, truth: Path) -> None:
         try:
-            found = json.loads(truth.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            found = json.loads(_text(truth))
+        except (OSError, ValueError, RecursionError) as error:
             raise ControllerError(f"{truth}: expected the truth of a virtual robot, found none: {error}") from None
         told = {key: found.get(key) if isinstance(found, dict) else None for key in self._individual}
         if told != self._individual:
             raise ControllerError(f"{truth}: expected the truth of {self._individual}, found that of {told}")
         for event in read_events(truth):
-            self.boot = max(self.boot, int(event["boot"]) + 1)
+            self.boot = max(self.boot, event["boot"] + 1)
             self.posture = event.get("at", self.posture)
 
     def begin(self, hidden: Sequence[Mapping[str, Any]], more: Mapping[str, Any]) -> None:
@@ -100,14 +105,45 @@ class Journal:
 
 
 def read_events(truth: Path) -> list[dict[str, Any]]:
-    """Return the events of a truth file's journal in order; a line that was cut is left out."""
+    """Return the events of a truth file's journal in order; a line that was cut is left out.
+
+    Raises
+    ------
+    ControllerError
+        The journal cannot be read, or a whole line of it is no event.
+    """
     file = journal_file(truth)
+    try:
+        lines = _text(file).splitlines() if file.exists() else []
+    except (OSError, UnicodeDecodeError) as error:
+        raise ControllerError(f"{file}: cannot be read: {error}") from None
     events = []
-    for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
+    for number, line in enumerate(lines, 1):
         try:
             event = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if isinstance(event, dict) and "boot" in event:
+            if not _is_event(event):
+                raise ControllerError(f"{file}, line {number}: expected an event of a virtual robot, found another")
             events.append(event)
     return events
+
+
+def _text(file: Path) -> str:
+    """A file's text; one that is no regular file, or longer than could be meant, is an OSError."""
+    if not file.is_file():
+        raise OSError("expected a regular file")
+    with file.open("rb") as opened:
+        data = opened.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise OSError(f"expected at most {MAX_BYTES} bytes")
+    return data.decode("utf-8")
+
+
+def _is_event(event: Mapping[str, Any]) -> bool:
+    """Whether boot number and posture, which a controller goes on from, can be meant."""
+    boot, at = event["boot"], event.get("at", [0.0] * AXES)
+    whole = isinstance(boot, int) and not isinstance(boot, bool) and 0 < boot < MAX_BOOT
+    axes = isinstance(at, list) and len(at) == AXES and all(type(x) in (int, float) and abs(x) <= MAX_DEG for x in at)
+    return whole and axes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -46,3 +47,13 @@ def test_nor_are_they_diagnosed_or_fitted_again(
     said = capsys.readouterr().err
     assert "LinAlgError" not in said
     assert code in ((2,) if verb == "diagnose" else (0, 2)), said
+
+
+@pytest.mark.parametrize("count", [6, 7, 8, 9])
+def test_a_verdict_from_too_few_poses_is_none(
+    arm: Campaign, model: Model, count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Degrees of freedom are left, or nearly; yet "a structure that nothing explains" would be the missing rows."""
+    save_model(model, tmp_path / "model.json")
+    assert run(["diagnose", str(tmp_path / "model.json"), str(with_rows(arm, count, tmp_path)), "-q"]) == 2
+    assert re.search(r"the geometry of 6 joints and \d targets? needs .* measure \d+ or more", capsys.readouterr().err)

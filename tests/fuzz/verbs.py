@@ -119,6 +119,7 @@ def inputs(folder: Path) -> dict[str, tuple[str, list[list[str]]]]:
     os.chdir(folder)
     (folder / "out").mkdir()
     assert run(["identify", "arm", "-o", "model.json", "-q"]) == 0
+    assert run(["diagnose", "model.json", "arm", "-q"]) == 0
     (folder / "robot.toml").write_bytes((ROOT / "appendix_data" / "robots" / "kuka_kr20_r1810.toml").read_bytes())
     report = ["report", "model.json", "arm", "-o", "out/r.html"]
     base = ["base", "touched.toml", "--rigid", "--json", "out/base.json"]
@@ -126,6 +127,7 @@ def inputs(folder: Path) -> dict[str, tuple[str, list[list[str]]]]:
     dh = ["export", "dh", "model.json", "-o", "out/dh.csv"]
     return {
         "model": ("model.json", [["history", "model.json"], dh, report]),
+        "diagnosis": ("model.diagnosis.json", [report]),
         "campaign": ("arm/campaign.toml", [["check", "arm"], report]),
         "poses": ("arm/poses.csv", [["check", "arm"], report]),
         "circles": ("circles/campaign.toml", [rigid]),

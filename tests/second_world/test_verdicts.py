@@ -95,7 +95,7 @@ def test_a_log_that_is_accelerated_nearly_everywhere_has_inertia_from_the_start(
 
 
 def test_a_name_that_was_refused_does_not_stand_before_what_the_other_rows_confirm(tmp_path):
-    """Rotors explain more of the rows that are fitted, and nothing of others; an offset that follows warmth does both."""
+    """Rotors explain more of the fitted rows and nothing of others; an offset that follows warmth does both."""
     robot = draw_robot("seven7", 41, mounting="ceiling")
     session = {"log": "two_warmths", "noise": "stereo", "seed": 41}
     magnitude = magnitude_for(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from controller_client import HOME, STEP, configs, inside, move, process
 
+from clampid.cli import run
 from clampid.verbs.errors import CallError
 from clampid.verbs.virtual_robot import virtual_robot
 from experiments.virtual_controller.config import read_config
@@ -138,3 +139,41 @@ def test_a_disk_that_is_full_ends_it_and_nobody_is_told_of_what_is_not_kept(tmp_
 
     with pytest.raises(ControllerError, match=r"truth.journal.jsonl: cannot be written: "):
         asyncio.run(play())
+
+
+def test_a_truth_that_is_there_is_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The truth is an output: the call that names it again is no call that writes onto what it reads."""
+    truth = tmp_path / "truth.json"
+    built(Asked(load_robot("kuka_kr20_r1810"), configs(), truth=truth)).journal.close()
+    with process("--truth", str(truth)):
+        pass
+    assert [json.loads(line)["boot"] for line in (tmp_path / "truth.journal.jsonl").read_text().splitlines()] == [1, 2]
+    assert run(["virtual-robot", "--listen", "127.0.0.1:0", "--seed", "3", "--truth", str(truth)]) == 2
+    assert "expected the truth of" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "line", ['{"boot": "x"}', '{"boot": 0}', '{"boot": 1, "at": ["a"]}', '{"boot": 1, "at": [1e99, 0, 0, 0, 0, 0]}']
+)
+def test_a_journal_that_is_none_is_refused(line: str, tmp_path: Path) -> None:
+    truth = tmp_path / "truth.json"
+    robot = load_robot("kuka_kr20_r1810")
+    built(Asked(robot, configs(), truth=truth)).journal.close()
+    with (tmp_path / "truth.journal.jsonl").open("a") as journal:
+        journal.write(f"{'[' * 100_000}\n{line}\n")  # the nested line is one that was cut
+    with pytest.raises(ControllerError, match=r"truth\.journal\.jsonl, line 3: expected an event"):
+        built(Asked(robot, configs(), truth=truth))
+
+
+@pytest.mark.parametrize("held", ["[" * 100_000, "\udcff", "[1e999]"])
+def test_a_truth_that_is_none_is_refused(held: str, tmp_path: Path) -> None:
+    (tmp_path / "truth.json").write_bytes(held.encode("utf-8", "surrogateescape"))
+    with pytest.raises(ControllerError, match=r"truth\.json: expected the truth"):
+        built(Asked(load_robot("kuka_kr20_r1810"), configs(), truth=tmp_path / "truth.json"))
+
+
+@pytest.mark.parametrize("to", ["/dev/zero", "/"])
+def test_a_device_is_no_config_file(to: str, tmp_path: Path) -> None:
+    (tmp_path / "ClampidMotion.xml").symlink_to(to)
+    with pytest.raises(CallError, match=r"ClampidMotion\.xml: expected a config file"):
+        virtual_robot(listen="127.0.0.1:0", files=tmp_path)

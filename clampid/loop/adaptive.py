@@ -1,0 +1,84 @@
+"""Further measurements that diagnose itself proposes, while two effects explain the same, up to a budget."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from clampid.diagnosis.diagnose import diagnose
+from clampid.effect import EffectError, Stage
+from clampid.fitting.solve import FitError
+from clampid.identification.identify import identify
+from clampid.loop.live_fit import campaign_so_far
+from clampid.models.model import ModelError
+from experiments.campaign import Campaign
+from experiments.errors import CampaignError
+from experiments.plans.errors import PlanError
+from experiments.plans.model import Kind, Plan
+from experiments.runs.extension import extended
+
+__all__ = ["Adaptive"]
+
+STAGE: Mapping[Kind, Stage] = {"free_air": "free_air", "wrist": "free_air", "clamping": "clamped", "poses": "poses"}
+
+
+class Adaptive:
+    """Decides, when a plan is done, what is measured next; says what it decided and why.
+
+    Parameters
+    ----------
+    plan
+        The plan that the run began with.
+    before
+        What the campaign's folder held before.
+    budget
+        Visits, runs or sweeps that may be added.
+    say
+        Takes a line for a person.
+    seed
+        Of diagnose.
+    """
+
+    def __init__(
+        self, plan: Plan, before: Campaign | None, budget: int, say: Callable[[str], None], seed: int = 0
+    ) -> None:
+        self._length, self._before, self._budget, self._say, self._seed = _length(plan), before, budget, say, seed
+
+    def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan, str] | None:
+        """The plan that goes on, and why; None: nothing more is to be measured."""
+        left = self._budget - (_length(plan) - self._length)
+        if left <= 0:
+            return self._enough(f"the budget of {self._budget} is used up")
+        stage = STAGE[plan.kind]
+        try:
+            campaign = campaign_so_far(plan, entries, self._before)
+            found = diagnose(identify(campaign), campaign, seed=self._seed, stages=(stage,)).stages[stage]
+        except (FitError, EffectError, CampaignError, ModelError) as error:
+            return self._enough(f"diagnose cannot judge what was measured: {error}")
+        if found.verdict != "ambiguous":
+            return self._enough(f"no two effects explain the same (verdict: {found.verdict})")
+        names = " and ".join(
+            dict.fromkeys(str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"])
+        )
+        proposed = found.next_plan
+        if proposed is None or proposed.plan is None:
+            return self._enough(
+                f"{names} explain the same, and {'nothing is proposed' if proposed is None else proposed.nothing}"
+            )
+        try:
+            grown = extended(plan, proposed.plan, left)
+        except PlanError as error:
+            return self._enough(f"{names} explain the same, but what separates them cannot be run here: {error}")
+        count = _length(grown) - _length(plan)
+        sentence = f"{proposed.sentence[:1].upper()}{proposed.sentence[1:]}"
+        words = f"Adaptive: {count} more, because {names} explain the same. {sentence}."
+        self._say(words)
+        return grown, words
+
+    def _enough(self, why: str) -> tuple[Plan, str] | None:
+        self._say(f"Adaptive: nothing more is measured: {why}.")
+        return None
+
+
+def _length(plan: Plan) -> int:
+    return len(plan.visits) + len(plan.runs) + len(plan.sweeps)

@@ -1,0 +1,158 @@
+"""What a campaign tells while it is measured: a fit of what is recorded so far, after a block, in a few lines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clampid.catalogue import catalogue
+from clampid.display import scale_for, with_std
+from clampid.effect import EffectError
+from clampid.fitting.solve import FitError
+from clampid.identification.identify import identify
+from clampid.loop.until import Until
+from clampid.models.model import Model, StageModel
+from experiments.campaign import Campaign, read_campaign, write_campaign
+from experiments.errors import CampaignError
+from experiments.outputs import temporary_folder
+from experiments.plans.model import Plan
+from experiments.runs.context import Block
+from experiments.runs.folder import header_of, tables_of
+
+__all__ = ["LiveFit", "campaign_so_far"]
+
+Entries = Sequence[Mapping[str, Any]]
+GROWN = 1.4  # times the rows of the last fit
+SHARE = 0.2  # of the time that fits may take
+ODD = 1.3  # times the noise floor
+MOST_LINES = 10
+
+
+def campaign_so_far(plan: Plan, entries: Entries, before: Campaign | None) -> Campaign:
+    """What is recorded, and what the campaign's folder held before, as a campaign.
+
+    Raises
+    ------
+    CampaignError
+        There are no rows yet, or they are no campaign.
+    """
+    tables = {} if before is None else dict(before.tables)
+    with temporary_folder() as place:
+        folder = Path(place) / "so_far"
+        write_campaign(folder, header_of(plan.cell, folder), tables | tables_of(entries))
+        return read_campaign(folder)
+
+
+class LiveFit:
+    """Called after every block; fits when there is enough new, and says what is known then.
+
+    Parameters
+    ----------
+    plan
+        Which is run.
+    entries
+        Gives what the journal holds.
+    before
+        What the folder held before.
+    say
+        Takes a line for a person.
+    until
+        Conditions that end the run when all of them hold.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        entries: Callable[[], Entries],
+        before: Campaign | None,
+        say: Callable[[str], None],
+        until: Sequence[Until] = (),
+    ) -> None:
+        self._plan, self._entries, self._before, self._say, self._until = plan, entries, before, say, until
+        self._rows, self._took, self._last = 0, 0.0, time.monotonic()
+        self._std: dict[str, float] = {}
+        self.model: Model | None = None
+
+    def finished(self, block: Block) -> str | None:
+        """Fit, if it is time; returns why the run may end, if enough is known."""
+        rows = sum(len(frame) for frame in tables_of(self._entries()).values())
+        waited = time.monotonic() - self._last
+        if rows < GROWN * self._rows or (waited < self._took / SHARE and not self._until):
+            return None
+        start = time.monotonic()
+        try:
+            campaign = campaign_so_far(self._plan, self._entries(), self._before)
+            self.model = identify(campaign)
+        except (FitError, EffectError, CampaignError) as error:
+            self._say(f"After {block.name}: no fit yet: {error}")
+            self._rows = rows
+            return None
+        self._rows, self._took, self._last = rows, time.monotonic() - start, time.monotonic()
+        for line in self._lines(self.model, block, rows):
+            self._say(line)
+        return self._enough(self.model)
+
+    def _enough(self, model: Model) -> str | None:
+        if not self._until:
+            return None
+        reached = [(condition, *condition.reached(model)) for condition in self._until]
+        for condition, value, _ in reached:
+            self._say(f"  until {condition.text}: now {condition.shown(value)}")
+        if all(enough for _, _, enough in reached):
+            told = " and ".join(condition.text for condition in self._until)
+            return f"Stopped early, as asked: {told}."
+        return None
+
+    def _lines(self, model: Model, block: Block, rows: int) -> list[str]:
+        name = {"free_air": "free_air", "wrist": "free_air", "clamped": "clamped"}.get(block.table, "poses")
+        stage = next((model.stages[s] for s in model.stages if s == name), None)
+        if stage is None:
+            return []
+        known = sum(stage.identified)
+        head = f"After {block.name}: {rows} rows; {known} of {len(stage.slots)} parameters of {name} are known."
+        lines = [head, *self._parameters(stage)]
+        last = next((entry for entry in reversed(model.ledger) if entry.stage == name), None)
+        if last is not None and last.noise_floor > 0 and last.rms > ODD * last.noise_floor:
+            lines.append(
+                f"  odd: residuals are {last.rms / last.noise_floor:.1f} times the noise: an effect may be missing"
+            )
+        if stage.outliers:
+            lines.append(f"  odd: {len(stage.outliers)} rows do not fit the others")
+        unknown = [slot.label for slot, yes in zip(stage.slots, stage.identified, strict=True) if not yes]
+        if unknown:
+            more = f" and {len(unknown) - 4} more" if len(unknown) > 4 else ""
+            lines.append(f"  still unknown, to be measured next: {', '.join(unknown[:4])}{more}")
+        return lines
+
+    def _parameters(self, stage: StageModel) -> list[str]:
+        """A line for each parameter but those of the geometry, which have one together; how far errors fell."""
+        units = {(e.name, p.name): p.unit for e in catalogue().values() for p in e.parameters}
+        std = np.sqrt(np.diag(stage.covariance))
+        lines, shrunk = [], []
+        for k, slot in enumerate(stage.slots):
+            if not stage.identified[k]:
+                continue
+            before = self._std.get(slot.label)
+            self._std[slot.label] = float(std[k])
+            if slot.effect == "geometry":
+                shrunk.append(1.0 if before is None else std[k] / before)
+                continue
+            unit = units.get((slot.effect, slot.parameter), "")
+            scale = scale_for(unit, [float(stage.theta[k]), float(std[k])])
+            fell = "" if before is None else f"  (standard error was {_text(before, unit)})"
+            lines.append(f"  {slot.label}  {with_std(float(stage.theta[k]), float(std[k]), scale)}{fell}")
+        if shrunk:
+            lines.insert(0, f"  geometry: {len(shrunk)} known, standard errors {np.median(shrunk):.2f} of those before")
+        rest = len(lines) - MOST_LINES
+        return lines if rest <= 0 else [*lines[:MOST_LINES], f"  … and {rest} more"]
+
+
+def _text(value: float, unit: str) -> str:
+    if not np.isfinite(value):
+        return "not known"
+    scale = scale_for(unit, [value])
+    return f"{value * scale.factor:.3g} {scale.unit}"

@@ -1,0 +1,53 @@
+"""Where a clamping campaign stands, as its journal says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+__all__ = ["ClampState", "clamp_state"]
+
+
+@dataclass
+class ClampState:
+    """What is done, and how the flange is.
+
+    Attributes
+    ----------
+    done
+        Numbers of sweeps that are finished, or were ended by a limit.
+    clamping
+        Which place the flange is clamped in; 0: it is free.
+    boot
+        Of the controller, when it was clamped.
+    current, step
+        The sweep that was begun and not finished, and its last recorded step.
+    """
+
+    done: set[int] = field(default_factory=set)
+    clamping: int = 0
+    boot: int | None = None
+    current: int | None = None
+    step: int = 0
+
+
+def clamp_state(entries: Sequence[Mapping[str, Any]]) -> ClampState:
+    """Work out the state from a journal."""
+    state = ClampState()
+    for entry in entries:
+        match entry["what"]:
+            case "clamped":
+                state.clamping, state.boot = entry["clamping"], entry["boot"]
+            case "released":
+                state.clamping = 0
+            case "row":
+                state.current, state.step = entry["key"][1], entry["key"][2]
+            case "swept" | "cut":
+                state.done.add(entry["sweep"])
+                state.current, state.step = None, 0
+            case "void":
+                state.done -= set(entry["sweeps"])
+                if state.current in entry["sweeps"]:
+                    state.current, state.step = None, 0
+    return state

@@ -1,0 +1,23 @@
+"""Every posture to which a run of a plan may ever send the robot: a test can hold against it what moved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.plans.model import Plan
+from experiments.plans.motion import Array
+
+__all__ = ["targets_of"]
+
+
+def targets_of(plan: Plan) -> list[Array]:
+    """Postures ``(n,)``, rad: approaches and poses, knots, clamped postures and their steps."""
+    visits = [posture for visit in plan.visits for posture in (visit.via, visit.q)]
+    knots = [knot for run in plan.runs for knot in run.course.knots]
+    steps = []
+    for sweep in plan.sweeps:
+        for offset in (0.0, *sweep.offset):
+            posture = np.array(sweep.posture)
+            posture[sweep.joint] += offset
+            steps.append(posture)
+    return [*visits, *knots, *steps]

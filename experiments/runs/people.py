@@ -1,0 +1,137 @@
+"""The person at the robot: is asked before a first motion, after a break, and to close or open the clamp."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from collections.abc import Callable
+from typing import Protocol
+
+from experiments.plans.errors import PlanError
+from experiments.runs.errors import RunStopped
+
+__all__ = ["Console", "Person", "VirtualOperator", "Yes", "host_and_port"]
+
+Say = Callable[[str], None]
+PATIENCE = 10.0  # s for the virtual operator's answer
+
+
+class Person(Protocol):
+    """Somebody who looks at the robot, and whose hands close the clamp."""
+
+    def confirm(self, facts: str, question: str) -> None:
+        """Ask for a yes.
+
+        Raises
+        ------
+        RunStopped
+            It was not given.
+        """
+
+    def clamp(self, where: str) -> None:
+        """Have the flange clamped; returns when it is. Raises `RunStopped` if it will not be."""
+
+    def release(self) -> None:
+        """Have the clamp opened; returns when it is."""
+
+
+class Console:
+    """A person at the terminal."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+
+    def confirm(self, facts: str, question: str) -> None:
+        """Print what is known, and read an answer; only ``yes`` is a yes."""
+        for line in facts.splitlines():
+            self._say(line)
+        if not sys.stdin.isatty():
+            raise RunStopped(f"{question} Nobody is there to answer: give --yes if you have looked at the robot")
+        if self._answer(f"{question} [yes/no] ") != "yes":
+            raise RunStopped("a person said no")
+
+    def clamp(self, where: str) -> None:
+        """Ask for the clamp to be closed."""
+        self.confirm(where, "Close the clamp now, without force from the block. Is it closed?")
+
+    def release(self) -> None:
+        """Ask for the clamp to be opened."""
+        self.confirm("The drives are unwound.", "Open the clamp now. Is it open?")
+
+    def _answer(self, question: str) -> str:
+        print(question, end="", file=sys.stderr, flush=True)
+        return sys.stdin.readline().strip().lower()
+
+
+class Yes:
+    """A script that answers for a person who has looked; it has no hands for a clamp."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+
+    def confirm(self, facts: str, question: str) -> None:
+        """Say what was confirmed."""
+        for line in facts.splitlines():
+            self._say(line)
+        self._say(f"{question} --yes")
+
+    def clamp(self, where: str) -> None:
+        """Nobody is there."""
+        raise RunStopped("clamp: --yes has no hands; leave it out, or give --operator HOST:PORT of a virtual robot")
+
+    def release(self) -> None:
+        """Nobody is there."""
+        raise RunStopped("clamp: --yes has no hands; open it, and resume")
+
+
+class VirtualOperator:
+    """The hands at ``clampid virtual-robot --operator HOST:PORT``; questions go to somebody else.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT``.
+    asked
+        Who answers questions.
+    """
+
+    def __init__(self, address: str, asked: Person) -> None:
+        self._where, self._asked = host_and_port(address, "--operator"), asked
+
+    def confirm(self, facts: str, question: str) -> None:
+        """Ask the person."""
+        self._asked.confirm(facts, question)
+
+    def clamp(self, where: str) -> None:
+        """Close the clamp."""
+        self._do("clamp")
+
+    def release(self) -> None:
+        """Open the clamp."""
+        self._do("release")
+
+    def _do(self, line: str) -> None:
+        try:
+            with socket.create_connection(self._where, PATIENCE) as peer, peer.makefile("r", encoding="utf-8") as read:
+                peer.sendall(f"{line}\n".encode())
+                answer = json.loads(read.readline() or "{}")
+        except (OSError, ValueError) as error:
+            raise RunStopped(f"the virtual operator does not answer: {error}") from None
+        refusal = str(answer.get("error", ""))
+        if refusal and "already" not in refusal:
+            raise RunStopped(f"the virtual operator cannot {line}: {refusal}")
+
+
+def host_and_port(text: str, what: str) -> tuple[str, int]:
+    """Read ``HOST:PORT``.
+
+    Raises
+    ------
+    PlanError
+        It is none.
+    """
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise PlanError(f"{what}: expected HOST:PORT, found {text[:80]!r}")
+    return host.strip("[]"), int(port)

@@ -1,0 +1,63 @@
+"""Further measurements: put behind the plan, on the disk before they are run, and no more than the budget."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import CLAMPED, Controller, clamping_plan
+
+from clampid.loop.adaptive import Adaptive
+from experiments.campaign import read_campaign
+from experiments.plans import Cell, Limits, Plan, PlanError
+from experiments.runs.errors import RunStopped
+from experiments.runs.extension import extended
+from experiments.runs.runner import run
+
+
+def test_a_plan_goes_on_with_numbers_of_its_own(poses: Plan, free_air: Plan, cell: Cell, limits: Limits) -> None:
+    grown = extended(poses, poses, 3)
+    assert [v.pose for v in grown.visits[-3:]] == [7, 8, 9]
+    assert len({(v.table, v.pose, v.visit) for v in grown.visits}) == len(poses.visits) + 3
+    assert len(extended(free_air, free_air, 1).runs) == 3
+    clamping = clamping_plan(cell, limits, [(1, 1, CLAMPED)])
+    assert [s.clamping for s in extended(clamping, clamping, 5).sweeps] == [1, 2]
+    with pytest.raises(PlanError, match="expected poses of"):
+        extended(poses, free_air, 1)
+
+
+def test_what_was_decided_is_run_and_survives_a_break(controller: Controller, poses: Plan, tmp_path: Path) -> None:
+    short = replace(poses, visits=poses.visits[:2])
+    asked = controller.asked()
+    asked.more = lambda plan, entries: (extended(plan, poses, 2), "a reason") if len(plan.visits) == 2 else None
+    asked.progress = lambda done, text: controller.operate("drives off") if "pose 4" in text else None
+    with pytest.raises(RunStopped):
+        run(short, tmp_path / "C", asked)
+    controller.operate("drives on")
+    outcome = run(short, tmp_path / "C", controller.asked(resume=True))
+    assert outcome.rows == {"poses": 12}
+    assert outcome.notes == ("a reason",)
+    assert read_campaign(tmp_path / "C").tables["poses"]["pose"].unique().tolist() == [1, 2, 3, 4]
+    assert (tmp_path / "C" / "journals" / "poses-1-2.toml").is_file()
+
+
+def test_nothing_is_added_where_nothing_is_ambiguous_or_the_budget_is_used_up(poses: Plan) -> None:
+    said: list[str] = []
+    adaptive = Adaptive(poses, None, 2, said.append)
+    assert adaptive.more(extended(poses, poses, 2), []) is None
+    assert "the budget of 2 is used up" in said[-1]
+    assert adaptive.more(poses, []) is None
+    assert "diagnose cannot judge" in said[-1]
+    rows = []
+    rng = np.random.default_rng(1)
+    for visit in poses.visits[:3]:
+        for target in visit.targets:
+            row = {"pose": visit.pose, "visit": visit.visit, "time_s": float(len(rows)), "target": target}
+            row |= {f"q{i + 1}_rad": float(v) for i, v in enumerate(visit.q)}
+            row |= {f"dir{i + 1}": int(v) for i, v in enumerate(visit.direction)}
+            row |= dict(zip(("x_m", "y_m", "z_m"), rng.normal(size=3), strict=True))
+            rows.append({"what": "row", "table": "poses", "row": row})
+    assert adaptive.more(poses, rows) is None
+    assert said[-1].startswith("Adaptive: nothing more is measured")

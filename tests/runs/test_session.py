@@ -1,0 +1,20 @@
+"""One session, from an empty folder to the compensated table, with nothing but commands of this suite."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from run_session import session
+
+
+@pytest.mark.slow
+def test_a_hidden_effect_is_found_and_the_error_falls(tmp_path: Path) -> None:
+    found = session(tmp_path)
+    hidden = json.loads((tmp_path / "truth.json").read_text())["hidden"]
+    assert [item["effect"] for item in hidden] == ["gear_eccentricity"]
+    assert "poses=gear_eccentricity@joint2" in found["found"]
+    assert found["after"] < 0.7 * found["before"]
+    assert found["after"] < 1.5 * found["noise_floor"]
+    assert (tmp_path / "dh.csv").read_text().startswith("row")
