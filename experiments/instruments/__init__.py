@@ -1,6 +1,6 @@
 """Instruments that measure where a target is: over a socket, or through the files that their own program writes."""
 
-from experiments.instruments.connect import connect_instrument
+from experiments.instruments.connect import connect_instrument, instrument_of
 from experiments.instruments.protocol import (
     Instrument,
     InstrumentError,
@@ -18,4 +18,5 @@ __all__ = [
     "NotStillError",
     "Sample",
     "connect_instrument",
+    "instrument_of",
 ]

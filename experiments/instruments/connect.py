@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -9,7 +10,7 @@ from experiments.instruments.folder import FolderInstrument, reading_of
 from experiments.instruments.line import LineInstrument
 from experiments.instruments.protocol import Instrument, InstrumentError
 
-__all__ = ["connect_instrument"]
+__all__ = ["connect_instrument", "instrument_of"]
 
 KINDS = "tcp://HOST:PORT or folder:DIR[?key=value&…]"
 LAST_PORT = 65535
@@ -23,11 +24,22 @@ def connect_instrument(address: str) -> Instrument:
     InstrumentError
         The address is none, nobody answers there, or the folder does not exist.
     """
+    return instrument_of(address)()
+
+
+def instrument_of(address: str) -> Callable[[], Instrument]:
+    """What connects to an address; as `connect_instrument`, nothing is opened yet.
+
+    Raises
+    ------
+    InstrumentError
+        The address is none.
+    """
     if address.startswith("tcp://"):
         host, _, port = address.removeprefix("tcp://").rpartition(":")
         if not host or not port.isdecimal() or not 0 < int(port) <= LAST_PORT:
             raise InstrumentError(f"instrument: expected {KINDS}, found {address[:80]!r}")
-        return LineInstrument(host.strip("[]"), int(port))
+        return lambda: LineInstrument(host.strip("[]"), int(port))
     if address.startswith("folder:"):
         path, mark, query = address.removeprefix("folder:").partition("?")
         try:
@@ -37,5 +49,6 @@ def connect_instrument(address: str) -> Instrument:
         keys = [key for key, _ in pairs]
         if twice := sorted({key for key in keys if keys.count(key) > 1}):
             raise InstrumentError(f"instrument: expected each key once, found {twice[0]} twice")
-        return FolderInstrument(Path(path), reading_of(dict(pairs)))
+        reading = reading_of(dict(pairs))
+        return lambda: FolderInstrument(Path(path), reading)
     raise InstrumentError(f"instrument: expected {KINDS}, found {address[:80]!r}")
