@@ -146,7 +146,7 @@ def kill_and_resume(
 
         def asked(resume: bool = not first) -> Any:
             made = controller.asked(resume=resume and journal.is_file())
-            from experiments.runs.tracker_line import connect_instrument
+            from experiments.instruments import connect_instrument
 
             made.instrument = lambda: connect_instrument(f"tcp://127.0.0.1:{relay.port}")
             return made

@@ -39,7 +39,7 @@ def run(
     ] = None,
     instrument: Annotated[
         str | None,
-        typer.Option(metavar="tcp://HOST:PORT", help="What measures points, for poses.", show_default=False),
+        typer.Option(metavar="tcp://HOST:PORT|folder:DIR", help="What measures points, for poses.", show_default=False),
     ] = None,
     operator: Annotated[
         str | None,
@@ -73,6 +73,7 @@ def run(
     out = Output(quiet, json, verbose=dry_run)
 
     from clampid.loop.until import parse_until
+    from experiments.instruments import InstrumentError, instrument_of
     from experiments.links.address import open_link, parse_address
     from experiments.links.protocol import LinkError
     from experiments.plans.read import read_plan
@@ -81,7 +82,6 @@ def run(
     from experiments.runs.people import host_and_port
     from experiments.runs.runner import Asked, begun
     from experiments.runs.runner import run as run_plan
-    from experiments.runs.tracker_line import InstrumentError, connect_instrument
 
     plan = read_plan(plan_file)
     conditions = () if until is None else parse_until(until)
@@ -96,11 +96,15 @@ def run(
         parse_address(link)
     except LinkError as error:
         raise CallError(str(error)) from None
+    try:
+        connect = None if instrument is None else instrument_of(instrument)
+    except InstrumentError as error:
+        raise CallError(f"--{error}") from None
     if operator is not None:
         host_and_port(operator, "--operator")
     asked = Asked(
         link=lambda: open_link(link),
-        instrument=None if instrument is None else lambda: connect_instrument(instrument),
+        instrument=connect,
         person=_person(yes, operator, out),
         resume=resume,
         say=out.step,

@@ -9,12 +9,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from experiments.instruments import Instrument
 from experiments.plans.model import Plan
 from experiments.plans.motion import Array
 from experiments.runs.journal import Journal
 from experiments.runs.people import Person
 from experiments.runs.robot import ARRIVED, LinkedRobot
-from experiments.runs.tracker_line import Instrument
 
 __all__ = ["SLOW", "Block", "Context", "place_on", "straight_to"]
 

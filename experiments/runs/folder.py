@@ -80,7 +80,7 @@ def check_folder_for(plan: Plan, folder: Path) -> Campaign | None:
         if key in held and held[key] != wanted:
             raise PlanError(f"{folder}: expected a campaign of the plan's cell: {key} {wanted}, found {held[key]}")
     campaign = read_campaign(folder)
-    for name in table_of(plan.kind):
+    for name in (*table_of(plan.kind), *(("distances",) if plan.kind == "poses" else ())):
         if name in campaign.tables:
             raise PlanError(f"{folder}: expected no table {name} yet, found one; run this plan to another folder")
     return campaign

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
+from experiments.instruments import Instrument, InstrumentError, LineOfSightError, Sample
 from experiments.plans.model import Visit
 from experiments.plans.motion import Array
 from experiments.plans.validate import visit_course
 from experiments.runs.context import Block, Context, place_on, straight_to
 from experiments.runs.errors import RunStopped
 from experiments.runs.robot import ARRIVED, share_of
-from experiments.runs.tracker_line import Instrument, InstrumentError, LineOfSightError, Sample
 
 __all__ = ["run_poses"]
 
 READINGS_PER_SECOND = 20.0  # of the plan's time for a point, the rest goes into waiting until it is still
 FEWEST, MOST = 5, 100  # readings of one target
-TRIES = 3  # without a line of sight
-BETWEEN = 0.5  # s between them
+ANCHOR = "instrument"  # what measured distances are to
 PATIENCE = 10.0  # s on top of the plan's time
 
 
@@ -112,25 +110,35 @@ def _measure(context: Context, visit: Visit, targets: list[str], name: str) -> N
         row: dict[str, Any] = {"pose": visit.pose, "visit": visit.visit, "time_s": robot.now(before)}
         row |= {f"q{i}_rad": float(v) for i, v in enumerate(q, 1)}
         row |= {f"dir{i}": int(v) for i, v in enumerate(visit.direction, 1)}
-        row |= {"target": target} | dict(zip(("x_m", "y_m", "z_m"), map(float, sample.point_m), strict=True))
+        table, measured = _measured(visit, sample)
+        row |= {"target": target} | measured
         if after.temperature is not None:
             row |= {f"temp_motor{i}_C": round(float(v), 2) for i, v in enumerate(after.temperature, 1)}
         row |= {f"temp_{place}_C": float(v) for place, v in _temperatures(instrument).items()}
-        std = [float(v) for v in sample.std_m]
-        context.journal.add("row", key=key, table=visit.table, row=row, std_m=std, count=sample.count)
+        std = [float(v) if np.isfinite(v) else None for v in sample.std_m]
+        context.journal.add("row", key=key, table=table, row=row, std_m=std, count=sample.count)
 
 
 def _seen(instrument: Instrument, target: str, measure_time: float) -> Sample:
-    """Measure a target; without a line of sight, try again."""
+    """Measure a target; the instrument looks for it again by itself."""
     count = int(np.clip(round(READINGS_PER_SECOND * measure_time), FEWEST, MOST))
-    for left in range(TRIES - 1, -1, -1):
-        try:
-            return instrument.measure(target, count, PATIENCE + measure_time)
-        except LineOfSightError:
-            if not left:
-                raise
-            time.sleep(BETWEEN)
-    raise AssertionError("unreachable")
+    return instrument.measure(target, count, PATIENCE + measure_time)
+
+
+def _measured(visit: Visit, sample: Sample) -> tuple[str, dict[str, Any]]:
+    """Table and columns of a reading: a point, or a distance to the instrument.
+
+    Raises
+    ------
+    RunStopped
+        A distance was measured for verification, which is of points.
+    """
+    x, *others = (float(v) for v in sample.point_m)
+    if np.all(np.isfinite(others)):
+        return visit.table, dict(zip(("x_m", "y_m", "z_m"), (x, *others), strict=True))
+    if visit.table != "poses":
+        raise RunStopped(f"{visit.table}: expected points, found an instrument that measures distances")
+    return "distances", {"anchor": ANCHOR, "distance_m": x}
 
 
 def _temperatures(instrument: Instrument) -> dict[str, float]:

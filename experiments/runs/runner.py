@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from experiments.instruments import Instrument, InstrumentError
 from experiments.links.protocol import Link, LinkError, LinkLostError, Status
 from experiments.outputs import write_text
 from experiments.plans.errors import PlanError
@@ -30,7 +31,6 @@ from experiments.runs.people import Person
 from experiments.runs.poses import run_poses
 from experiments.runs.robot import LinkedRobot
 from experiments.runs.sweeps import run_sweeps
-from experiments.runs.tracker_line import Instrument, InstrumentError
 
 __all__ = ["Asked", "Outcome", "begun", "run"]
 

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from clampid.planning.clamping import Press, planned_sweep, press_limits, stiffness_of
+from experiments.instruments import connect_instrument
 from experiments.links.address import open_link
 from experiments.plans import Cell, Course, Limits, Plan, Run, Sweep, Visit, cell_of, limits_of
 from experiments.plans.limits import course_of
 from experiments.plans.press import rated_motor_torque
 from experiments.runs.people import VirtualOperator, Yes
 from experiments.runs.runner import Asked
-from experiments.runs.tracker_line import connect_instrument
 
 CLAMPED = np.array([0.0, -1.2, 1.6, 0.5, 0.9, 0.0])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from conftest import Controller
 
 from experiments.campaign import read_campaign
+from experiments.instruments import Sample, connect_instrument
 from experiments.plans import Plan, PlanError
 from experiments.runs.errors import RunStopped
 from experiments.runs.folder import work_folder
@@ -39,8 +41,48 @@ def test_a_hidden_target_is_tried_again_then_skipped_and_listed(
     asked = controller.asked()
     asked.progress = lambda done, text: controller.operate("sight lost 3") if "pose 2, visit 1" in text else None
     outcome = run(poses, tmp_path / "C", asked)
-    assert outcome.skipped == ("T1 at pose 2: instrument: line of sight lost",)
+    assert outcome.skipped == (
+        f"T1 at pose 2: instrument at {controller.tracker.removeprefix('tcp://')}: line of sight lost",
+    )
     assert outcome.rows == {"poses": 20, "verification": 3}
+
+
+def test_distances_become_a_table_of_their_own(controller: Controller, poses: Plan, tmp_path: Path) -> None:
+    station = np.array([4.0, 1.0, 0.5])
+
+    class Interferometer:
+        """Measures how far a target is, by means of the tracker."""
+
+        def __init__(self) -> None:
+            self.tracker = connect_instrument(controller.tracker)
+            self.targets = self.tracker.targets
+            self.truth: list[float] = []
+
+        def measure(self, target: str, count: int, patience: float) -> Sample:
+            seen = self.tracker.measure(target, count, patience)
+            self.truth.append(float(np.linalg.norm(seen.point_m - station)))
+            return Sample(np.array([self.truth[-1], np.nan, np.nan]), np.full(3, np.nan), 1, seen.time_s)
+
+        def temperatures(self) -> dict[str, float]:
+            return {}
+
+        def close(self) -> None:
+            self.tracker.close()
+
+    made: list[Interferometer] = []
+    asked = controller.asked()
+    asked.instrument = lambda: made.append(Interferometer()) or made[0]
+    plan = replace(poses, visits=tuple(v for v in poses.visits if v.table == "poses"))
+    assert run(plan, tmp_path / "C", asked).rows == {"distances": 21}
+    table = read_campaign(tmp_path / "C").tables["distances"]
+    np.testing.assert_allclose(table["distance_m"], made[0].truth)
+    assert set(table["anchor"]) == {"instrument"}
+    with pytest.raises(PlanError, match="expected no table distances yet"):
+        run(plan, tmp_path / "C", controller.asked())
+    again = controller.asked()
+    again.instrument = Interferometer
+    with pytest.raises(RunStopped, match="verification: expected points, found an instrument that measures distances"):
+        run(replace(poses, visits=poses.visits[-1:]), tmp_path / "D", again)
 
 
 def test_a_silent_instrument_stops_the_run_and_resume_goes_on(
@@ -49,7 +91,7 @@ def test_a_silent_instrument_stops_the_run_and_resume_goes_on(
     monkeypatch.setattr("experiments.runs.poses.PATIENCE", 0.3)
     asked = controller.asked()
     asked.progress = lambda done, text: controller.operate("sight silent 1") if "pose 4" in text else None
-    with pytest.raises(RunStopped, match="the instrument does not answer within"):
+    with pytest.raises(RunStopped, match=r"no answer to .* within"):
         run(poses, tmp_path / "C", asked)
     with pytest.raises(PlanError, match="--resume"):
         run(poses, tmp_path / "C", controller.asked())
@@ -90,8 +132,6 @@ def test_a_stop_at_the_controller_ends_the_run_safely(controller: Controller, po
 
 
 def test_another_plan_does_not_go_on_with_a_stopped_run(controller: Controller, poses: Plan, tmp_path: Path) -> None:
-    from dataclasses import replace
-
     asked = controller.asked()
     asked.finished = lambda block: (_ for _ in ()).throw(RunStopped("enough for a test"))
     with pytest.raises(RunStopped, match="enough"):

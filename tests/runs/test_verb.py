@@ -93,6 +93,8 @@ def test_calls_that_cannot_be_meant(app: typer.Typer, poses: Plan, tmp_path: Pat
     for words, said in (
         (["-o", "C"], "--link: expected the robot's address"),
         (["-o", "C", "--link", "eki://a:1"], "--instrument: expected"),
+        (["-o", "C", "--link", "eki://a:1", "--instrument", "http://x"], "--instrument: expected tcp://HOST:PORT or"),
+        (["-o", "C", "--link", "eki://a:1", "--instrument", "folder:D?unit=inch"], "--instrument: unit: expected m,"),
         (["-o", "C", "--link", "nonsense", "--instrument", "tcp://a:1"], "expected SCHEME://HOST:PORT"),
         (["-o", "C", "--link", "eki://a:1", "--instrument", "tcp://a:1", "--operator", "a"], "--operator: expected"),
         (["-o", "C", "--link", "eki://a:1", "--until", "much"], "--until: expected std"),
