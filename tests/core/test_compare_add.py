@@ -217,7 +217,7 @@ def test_add_without_a_place_goes_wherever_it_can_be_told(eccentric: Campaign, e
     [
         ("gremlins", "gremlins"),
         ("gear_eccentricity@joint9", "joint9"),
-        ("backlash", "active"),
+        ("backlash", "in the model already"),
         ("stribeck_friction", "does not act"),
         ("clamped=backlash", "clamped"),
         ("pose=backlash", "stage"),
