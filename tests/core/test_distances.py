@@ -299,7 +299,7 @@ def test_repeatability_beside_a_fine_instrument_is_nothing_unknown(simulated: Si
     found = diagnose(identify(campaign, [*effects, "gravity"]), campaign).stages["poses"]
     assert (found.verdict, found.candidates) == ("adequate", [])
     assert found.before > 1.5 * found.noise_floor
-    assert "the floor is only what the instrument is stated to do" in found.summary
+    assert "the floor is the instrument's stated noise alone" in found.summary
     # The masses are not those of the description, so that springs sag otherwise: without it, that is what is missing.
     lacking = diagnose(identify(campaign, effects), campaign).stages["poses"]
     assert (lacking.verdict, [c["name"] for c in lacking.candidates]) == ("missing", ["gravity"])
