@@ -17,7 +17,9 @@ __all__ = [
     "AT_A_SLIDE",
     "CAST_ARM",
     "FAMILIES",
+    "JOINT_ANGLE_PERIODIC",
     "PRESLIDING_LENGTHS",
+    "PROBES",
     "RELAXATION_TIMES",
     "SIGNALS",
     "STAGES",
@@ -70,6 +72,11 @@ PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""
 RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Times in which these states relax at rest, s; every length goes with every time, times running faster."""
+
+JOINT_ANGLE_PERIODIC = "joint_angle_periodic"
+"""Name of the probe that reveals effects of any periodic shape."""
+PROBES: tuple[str, ...] = (JOINT_ANGLE_PERIODIC,)
+"""The probes that an effect may wait for (``revealed_by``)."""
 
 
 @dataclass(frozen=True)
@@ -374,6 +381,7 @@ class Effect:
             ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
             ("signal", (*self.needs, *((self.without,) if self.without else ())), tuple(SIGNALS)),
+            ("probe", (self.revealed_by,) if self.revealed_by is not None else (), PROBES),
             ("stage", (*self.stages, *((self.differs_from,) if self.differs_from else ())), STAGES),
         ):
             for name in found:

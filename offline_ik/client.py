@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import re
 import socket
 from collections import deque
@@ -25,7 +26,8 @@ TURN = 8  # requests of one client before others have their turn
 WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
 PATIENCE = 30.0  # s for a line to be completed
 CLIENTS = 256
-RESERVED = 8  # connections beyond, on which nothing but `stop` is answered
+RESERVED = 8  # connections beyond, on which nothing but `stop` is answered; a further one takes the oldest's place
+_NUMBERS = itertools.count()  # of connections, in the order in which they came
 STOP_WITHIN = 5.0  # s that such a connection may stay without saying it
 IDLE = 3600.0  # s without a whole line, after which a connection is ended
 SILENT = 300.0  # s for the first line
@@ -89,7 +91,7 @@ class Client(asyncio.Protocol):
     """One connection: splits lines, answers in order, and stops reading while either side is behind."""
 
     def __init__(self, server: Host) -> None:
-        self.server, self.session = server, Session()
+        self.server, self.session, self.number = server, Session(), next(_NUMBERS)
         self.loop = asyncio.get_running_loop()
         self.partial = b""
         self.skipping = False
@@ -109,7 +111,7 @@ class Client(asyncio.Protocol):
         self.transport = transport
         self.transport.set_write_buffer_limits(high=WRITE_BYTES)
         limits, here = self.server.limits, len(self.server.clients)
-        if here >= limits.clients + limits.reserved:
+        if here >= limits.clients + limits.reserved and not self._make_room():
             self.tell_end(self._too_many())
             return
         self.server.clients.add(self)
@@ -120,6 +122,16 @@ class Client(asyncio.Protocol):
         at = self.transport.get_extra_info("peername")
         self.session.address = f"{at[0]}:{at[1]}" if at else ""
         self._rest()
+
+    def _make_room(self) -> bool:
+        """Hang up on whoever has had a place for a `stop` longest: who means to stop has said so by then."""
+        kept = (c for c in self.server.clients if c.session.only_stop)
+        oldest = min(kept, key=lambda c: c.number, default=None)
+        if oldest is None:
+            return False
+        oldest.tell_end(self._too_many())
+        self.server.clients.discard(oldest)
+        return True
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget it, and what it waits for."""

@@ -109,7 +109,7 @@ def unseen_by_probes(free: Sequence[Scored]) -> dict[str, list[str]]:
 
 
 def above_floor(
-    after: float, floor: float, source: str, outliers: int, free: Sequence[Scored]
+    after: float, floor: float, source: str, outliers: int, free: Sequence[Scored], few: float = 1.0
 ) -> dict[str, Any] | None:
     """By how much a held-out error lies above its floor, and what may be the reason; None where it does not.
 
@@ -123,16 +123,22 @@ def above_floor(
         How many rows were rejected.
     free
         The probes, scored on what the fit leaves.
+    few
+        How many times the floor the error may be for the error of the estimates alone, where the rows are few.
     """
     if not after > ABOVE * floor or not floor > 0:
         return None
     reasons = [WHY_FLOOR[source], "robot or instrument may have drifted, or noise may be larger in some places"]
+    if few > 1.0:
+        reasons.insert(
+            0, f"the poses are few: the error of the estimates alone brings the floor to {few:.2g} times itself"
+        )
     if outliers:
         reasons.append(f"{outliers} rows were rejected as outliers, and others may be wrong by less")
     reasons.append("effects below their detection limits, or that cannot be tested here, may add up")
     return {
         "times_floor": after / floor,
-        "share_of_square": 1.0 - (floor / after) ** 2,
+        "share_of_square": max(1.0 - (few * floor / after) ** 2, 0.0),
         "reasons": reasons,
         "unseen": unseen_by_probes(free),
     }

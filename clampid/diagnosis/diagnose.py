@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
+from clampid.diagnosis.few_rows import refuse_unjudged
 from clampid.diagnosis.headline import headline, notes
 from clampid.diagnosis.look import refuse_few_flips
 from clampid.diagnosis.next_measurement import NextPlan
@@ -159,6 +160,8 @@ def _one(
         return found
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
+    if opened.stages[stage].told is None:  # else the model knows more than these rows
+        refuse_unjudged(fitted, verification is not None)
 
     refused: list[str] = []
 

@@ -11,6 +11,7 @@ from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
+from clampid.effect import JOINT_ANGLE_PERIODIC
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, Levers, Products, channel_starts, columns_from
 from clampid.evidence.of_size import SIZES
@@ -28,8 +29,6 @@ SWINGS = 8  # of an instrument's readings over the campaign: air conditioning, d
 RANGES = 6  # of a motor's speed
 PERIODIC = 40  # harmonics of a joint's revolution: with 32 or fewer much of a ragged curve stays behind
 PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions and encoders are off by
-JOINT_ANGLE_PERIODIC = "joint_angle_periodic"
-"""Name of the probe that reveals effects of any periodic shape."""
 
 
 def probes(estimate: Estimate) -> list[Candidate]:

@@ -18,6 +18,7 @@ from clampid.diagnosis.entries import (
     variables_of,
     with_stand_ins,
 )
+from clampid.diagnosis.few_rows import estimates_share
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HeldOut
 from clampid.diagnosis.look import Look
@@ -100,7 +101,8 @@ def _looked_through(fitted: FittedStage, bench: Bench, propose: Propose | None) 
     result.considered = [*refused, *considered_of(look.named, look.named_null)]
     tested = None if verification is None else held.rows
     result.outliers = _rejected(fitted.estimate, verification, held)
-    excess = result.after > FAR_OFF * (floor.most if stage == "poses" else 1.0)
+    few = estimates_share(fitted.estimate, verification is not None)
+    excess = result.after > FAR_OFF * few * (floor.most if stage == "poses" else 1.0)
     left = remains_of(look, fitted.estimate, held, tested, seed)
     if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
         _unknown(result, look, fitted.estimate, seed)
@@ -111,7 +113,7 @@ def _looked_through(fitted: FittedStage, bench: Bench, propose: Propose | None) 
     result.candidates = merged(result.candidates)
     result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.experiment.rows)
     result.omission, result.fitted, result.look = omission_of(first, fitted.estimate), fitted, look
-    _in_words(result, look, floor.source, first.experiment.rows, effects)
+    _in_words(result, look, floor.source, first.experiment.rows, effects, few)
     return result
 
 
@@ -143,10 +145,12 @@ def _set_down(
     return [entry for label, entry in refused.items() if label not in labels]
 
 
-def _in_words(result: StageDiagnosis, look: Look, source: str, rows: Rows, effects: dict[str, Effect]) -> None:
+def _in_words(
+    result: StageDiagnosis, look: Look, source: str, rows: Rows, effects: dict[str, Effect], few: float
+) -> None:
     """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
     if result.verdict in ("adequate", "missing"):
-        result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free)
+        result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free, few)
     result.one_sided = one_sided(rows)
     said = one_sided_words(result.one_sided, rows, effects)
     result.warnings += [found.sentence for found in result.agreeing]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.algebra import harmonics
-from clampid.effect import Effect, Parameter
+from clampid.effect import JOINT_ANGLE_PERIODIC, Effect, Parameter
 
 HARMONICS = 48
 """Shapes down to 4 degrees; a disc's flaw of that width is smeared by the reading head, finer ones more so."""
@@ -60,6 +60,6 @@ EFFECT = Effect(
     source=("UniversalModel", "Landgraf2021"),
     sized_by="rms",
     tried="jointly",
-    revealed_by="joint_angle_periodic",
+    revealed_by=JOINT_ANGLE_PERIODIC,
     meaning="periodic in the joint's angle, of any shape",
 )  # fmt: skip

@@ -36,7 +36,7 @@ from clampid.stages.experiment import experiment
 from clampid.stages.pose_rows import Anchors, anchors_of
 from clampid.stages.rows import Array, Rows
 
-__all__ = ["Cost", "FittedStage", "active_slots", "fit_stage"]
+__all__ = ["Cost", "FittedStage", "active_slots", "fit_stage", "freedom_of"]
 
 Cost = Literal["least-squares", "mean-norm"]
 
@@ -228,14 +228,19 @@ def _model_of(
 
 def _refuse_no_freedom(estimate: Estimate) -> None:
     """Refuse rows that the parameters can follow whatever was measured: what is left of them is no noise."""
-    numbers = len(estimate.whitened.residual)
-    told = int(observability(_information(estimate), numbers)["parameters"])
+    numbers, told = freedom_of(estimate)
     if told >= numbers:
         raise FitError(
             f"{estimate.experiment.stage}: expected more measured numbers than parameters that they determine, found "
             f"{numbers} and {told}: no degree of freedom is left; measure more, or fit "
             "fewer effects (--effects)"
         )
+
+
+def freedom_of(estimate: Estimate) -> tuple[int, int]:
+    """How many numbers were measured, and how many parameters they determine."""
+    numbers = len(estimate.whitened.residual)
+    return numbers, int(observability(_information(estimate), numbers)["parameters"])
 
 
 def _information(estimate: Estimate) -> Array:

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any
 
+import numpy as np
+
 from clampid.catalogue import catalogue
 from clampid.effect import STAGES, Effect
 from clampid.slots import Layout, Slot, find_parameter
@@ -22,6 +24,8 @@ MOST_NAMES = 10_000
 LONGEST = 200  # characters of a name
 LONGEST_PATH = 4096
 LARGEST_TOOL = 1e4  # kg
+RIGID = 1e-6  # of a rotation written with all its digits
+FARTHEST = 1e5  # m: of an instrument from its robot, with room for coordinates of a hall or a site
 LARGEST = {"rad": 100.0, "m": 100.0, "kg": 1e5, "kg m": 1e6, "kg m^2": 1e7, "s": 1e9, "rad/s": 1e6, "Nm": 1e8, "N": 1e8}
 """Of a value, by its unit: beyond, it is in another unit or spoiled."""
 LARGEST_OF_ALL = 1e15
@@ -113,7 +117,7 @@ def _session(at: Section) -> None:
     at.texts("targets", longest=LONGEST)
     for key, count, most in (("tool_com_m", 3, 100.0), ("gravity_m_s2", 3, 100.0), ("temperature_C", 2, 1e4)):
         at.vector(key, count, -most, most, default=None)
-    _numbers(at, "base_reference")
+    _rigid(at, "base_reference")
     anchors = at.section("anchors_m")
     for name in anchors.keys():  # noqa: SIM118 - not a dict
         anchors.vector(name)
@@ -159,6 +163,18 @@ def _stage(at: Section, layout: Layout) -> None:
         at.has(key)  # what reads them says what is wrong
         _no_flags(at, key, at.content.get(key))
     at.done()
+
+
+def _rigid(at: Section, key: str) -> None:
+    """A homogeneous transformation that turns and moves, and nothing else; or null."""
+    if at.value(key, "numbers", None) is None:
+        return
+    rows = np.array(_matrix(at, key, 4, 4), dtype=float)
+    turn, far = rows[:3, :3], np.abs(rows[:3, 3]).max()
+    with np.errstate(all="ignore"):
+        stiff = np.abs(turn @ turn.T - np.eye(3)).max() < RIGID and np.linalg.det(turn) > 0
+    if not (stiff and far <= FARTHEST and np.array_equal(rows[3], [0, 0, 0, 1])):
+        raise at.fault(key, f"a rotation and a shift of at most {FARTHEST:g} m", shown(rows.tolist()))
 
 
 def _matrix(at: Section, key: str, count: int, width: int) -> list[list[float]]:

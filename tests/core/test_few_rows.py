@@ -5,11 +5,17 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from clampid.cli import run
+from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.few_rows import estimates_share, refuse_unjudged
+from clampid.diagnosis.stage import FAR_OFF
 from clampid.fitting.solve import FitError
+from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
+from clampid.identification.reopen import reopen
 from clampid.models.model import Model, save_model
 from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.simulate import simulate
@@ -25,6 +31,11 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
 @pytest.fixture(scope="module")
 def model(arm: Campaign) -> Model:
     return identify(arm)
+
+
+def fit_of(model: Model, arm: Campaign) -> FittedStage:
+    opened = reopen(model, arm, None)
+    return opened.refit("poses", opened.rows("poses"))
 
 
 def with_rows(arm: Campaign, count: int, folder: Path) -> Path:
@@ -57,3 +68,40 @@ def test_a_verdict_from_too_few_poses_is_none(
     save_model(model, tmp_path / "model.json")
     assert run(["diagnose", str(tmp_path / "model.json"), str(with_rows(arm, count, tmp_path)), "-q"]) == 2
     assert re.search(r"the geometry of 6 joints and \d targets? needs .* measure \d+ or more", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("count", [6, 8, 9])
+def test_no_verdict_is_given_on_a_robot_without_fault_from_fewer_rows_than_tell(
+    arm: Campaign, model: Model, count: int, tmp_path: Path
+) -> None:
+    """They said *unknown*: the error of too few poses on left-out poses was taken for a missing effect."""
+    rows = arm.tables["poses"].sample(count, random_state=0).sort_index()
+    few = read_campaign(write_campaign(tmp_path / "few", arm.header, {"poses": rows}, "csv"))
+    with pytest.raises(FitError, match=r"degrees? of freedom"):
+        diagnose(model, few)
+
+
+def test_few_rows_of_a_robot_without_fault_are_no_unknown_effect(arm: Campaign, model: Model, tmp_path: Path) -> None:
+    """The error of the estimates themselves is no structure, and the summary says how much of it there is."""
+    rows = arm.tables["poses"].sample(18, random_state=0).sort_index()
+    few = read_campaign(write_campaign(tmp_path / "few", arm.header, {"poses": rows}, "csv"))
+    found = diagnose(model, few).stages["poses"]
+    assert found.after > FAR_OFF * found.noise_floor
+    assert found.verdict == "adequate"
+    assert found.above is not None
+    assert "the poses are few" in found.summary
+
+
+def test_a_large_error_of_few_rows_is_still_said(arm: Campaign, model: Model, tmp_path: Path) -> None:
+    """Many times what the estimates' own error could be."""
+    rows = arm.tables["poses"].sample(24, random_state=0).sort_index()
+    wrong = np.random.default_rng(0).normal(scale=3e-3, size=(len(rows), 3))
+    rows[["x_m", "y_m", "z_m"]] += wrong
+    few = read_campaign(write_campaign(tmp_path / "few", arm.header, {"poses": rows}, "csv"))
+    assert diagnose(model, few).stages["poses"].verdict == "unknown"
+
+
+def test_many_rows_are_judged_as_ever(model: Model, arm: Campaign) -> None:
+    fitted = fit_of(model, arm)
+    assert estimates_share(fitted.estimate, verified=False) == 1.0
+    refuse_unjudged(fitted, verified=False)

@@ -35,8 +35,8 @@ def test_what_is_no_address(text: str) -> None:
 
 def test_an_unknown_scheme_lists_what_is_installed() -> None:
     assert {"eki", "rsi", "varproxy"} <= set(installed())
-    with pytest.raises(LinkError, match=r"installed schemes \(.*eki.*varproxy.*\), found rtde"):
-        open_link("rtde://robot:30004")
+    with pytest.raises(LinkError, match=r"installed schemes \(.*eki.*varproxy.*\), found abb"):
+        open_link("abb://robot:30004")
 
 
 @pytest.mark.parametrize("query", ["speed=3", "torque=kg", "current=mA", "patience=0", "patience=x", "patience=nan"])
@@ -55,7 +55,7 @@ def test_another_vendor_is_one_entry_point(monkeypatch: pytest.MonkeyPatch) -> N
 def test_serve_says_it_in_a_line(tmp_path: object, capsys: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "model.json"
     model.write_text("{}", encoding="utf-8")
-    assert run(["serve", str(model), "--listen", "127.0.0.1:0", "--link", "rtde://robot:30004"]) == 2
+    assert run(["serve", str(model), "--listen", "127.0.0.1:0", "--link", "abb://robot:30004"]) == 2
     err = capsys.readouterr().err
-    assert "clampid: --link rtde://robot:30004: link rtde://robot:30004: expected one of the installed schemes" in err
+    assert "clampid: --link abb://robot:30004: link abb://robot:30004: expected one of the installed schemes" in err
     assert err.count("\n") == 1

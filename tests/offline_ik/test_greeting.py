@@ -139,8 +139,10 @@ def test_stop_is_heard_when_all_places_are_taken(detector: Detector) -> None:
             assert await reader.read() == b""
             async with connected(host, port) as third, connected(host, port) as fourth:
                 assert "only stop" in json.loads(await third[0].readline())["error"]
-                assert "too many" in json.loads(await fourth[0].readline())["error"]
-                assert await fourth[0].read() == b""
+                assert "too many" in json.loads(await third[0].readline())["error"]  # the later one has its place
+                assert await third[0].read() == b""
+                assert "only stop" in json.loads(await fourth[0].readline())["error"]
+                assert (await ask(*fourth, b"stop"))["do"] == "stop"
 
     serving(detector, talk, Limits(clients=1, reserved=1))
 

@@ -1,0 +1,60 @@
+"""Verdicts from few poses: whether errors of rows that no fit has seen can be judged, and what estimates add to them.
+
+A fit of p parameters predicts rows that it has not seen worse than it follows its own. Where the model is right and n
+numbers are fitted, the mean square of the errors is 1 + p / (n - p - 1) times that of the noise.
+
+Source: Breiman and Freedman, How many variables should be entered in a regression equation?, J. Am. Stat. Assoc. 78,
+1983: the mean squared error of prediction, of normal regressors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clampid.fitting.solve import Estimate, FitError
+from clampid.identification.fitted_stage import FittedStage, freedom_of
+
+__all__ = ["estimates_share", "refuse_unjudged"]
+
+FITTED = 0.8  # of the rows: what is left where each fifth is predicted from the others
+NOTABLE = 1.3  # from this factor on the error of the estimates is a part of what is judged
+
+
+def _factor(estimate: Estimate) -> float:
+    """How many times the noise the error of held-out poses is, under a right model; infinite where none can be told."""
+    numbers, told = freedom_of(estimate)
+    left = FITTED * numbers - told - 1.0
+    return float(np.sqrt(1.0 + told / left)) if left > 0.0 else float("inf")
+
+
+def estimates_share(estimate: Estimate, verified: bool) -> float:
+    """How many times the noise floor held-out poses may be off for the error of the estimates alone; 1 if hardly more.
+
+    Parameters
+    ----------
+    verified
+        Whether a table of its own verifies the fit, for which nothing is left out.
+    """
+    if verified or estimate.experiment.stage != "poses":
+        return 1.0
+    found = _factor(estimate)
+    return found if found >= NOTABLE else 1.0
+
+
+def refuse_unjudged(fitted: FittedStage, verified: bool) -> None:
+    """Refuse poses of which four fifths determine nothing beyond their parameters: no error would tell of an effect.
+
+    Raises
+    ------
+    FitError
+        Too few numbers were measured.
+    """
+    estimate = fitted.estimate
+    if verified or estimate.experiment.stage != "poses" or np.isfinite(_factor(estimate)):
+        return
+    numbers, told = freedom_of(estimate)
+    raise FitError(
+        "poses: expected measured numbers of which four fifths are more than the parameters that they determine, "
+        f"found {numbers} and {told}: too few degrees of freedom are left to tell a missing effect from the "
+        "error of the fit; measure more poses, or a table verification"
+    )
