@@ -81,6 +81,9 @@ def _arrive(context: Context, visit: Visit, before: Array | None, name: str) -> 
     robot = context.robot
     course = visit_course(visit, before)
     here = robot.rest().joints
+    stays = before is not None and np.array_equal(before, visit.q) and np.array_equal(visit.via, visit.q)
+    if stays and context.begun and np.max(np.abs(here - visit.q)) < ARRIVED:
+        return  # a move to where it stands would make it settle anew
     place = place_on(course.knots, here)
     if before is None or place is None:
         if not context.begun or np.max(np.abs(here - visit.via)) > ARRIVED:

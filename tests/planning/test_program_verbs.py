@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
+from clampid.verbs.check import check
 from clampid.verbs.errors import CallError
 from clampid.verbs.plan import plan
 from experiments.plans import read_plan
+from experiments.plans.virtual import run_virtually
 
 CUBE = ["--cube", "1.1,0,1.0,0.4"]
 LINE = ["--from", "0.9,-0.3,1.0", "--to", "0.9,0.3,1.0"]
@@ -76,3 +79,18 @@ def test_calls_that_cannot_be_meant(tmp_path: Path, words: list[str], said: str)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "plan.toml").exists()
+
+
+def test_five_poses_are_enough_for_the_metrics_though_not_for_a_fit(tmp_path: Path) -> None:
+    call("iso9283", *CUBE, "--cycles", "4", "--both-sides", "-o", str(tmp_path / "plan.toml"))
+    campaign = run_virtually(read_plan(tmp_path / "plan.toml"), tmp_path / "C", ["backlash@joint2"], seed=1)
+    verb = typer.Typer()
+    verb.command()(check)
+    told = tmp_path / "told.json"
+    found = CliRunner().invoke(verb, [str(campaign), "--iso9283", "--json", str(told)])
+    assert found.exception is None, found.exception
+    metrics = json.loads(told.read_text())["iso9283"]["poses"]["position"]
+    assert metrics["RP"]["places"] == 10
+    assert metrics["vAP"]["mean"] > 3 * metrics["RP"]["mean"]  # the clearance shows between the sides
+    fit = CliRunner().invoke(verb, [str(campaign)])
+    assert "5 poses are fewer than" in str(fit.exception)

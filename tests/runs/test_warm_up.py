@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import Controller
 
-from clampid.planning.returns import Returns
+from clampid.planning.returns import Returns, plan_fixed
 from clampid.planning.scene import Scene
 from clampid.planning.warm_up import WarmUp, plan_warm_up
 from experiments.campaign import read_campaign
@@ -38,6 +38,19 @@ def test_swings_are_made_and_the_reference_is_measured(controller: Controller, w
     time = read_campaign(tmp_path / "C").tables["poses"]["time_s"].to_numpy()
     rests = [v.wait for v in visits if v.targets]
     assert np.all(np.diff(time) >= rests[1:])
+
+
+def test_a_fixed_point_is_measured_without_a_move(
+    controller: Controller, cell: Cell, limits: Limits, tmp_path: Path
+) -> None:
+    returns = Returns(np.array([0.0, 0.0, -1.0]), ("T1",), True, measure_time=0.5)
+    plan = plan_fixed(cell, limits, Scene.floor_only(cell), returns, HOME, readings=6, pause=1.0)
+    before = len(controller.executions())
+    assert run(plan, tmp_path / "C", controller.asked()).rows == {"poses": 6}
+    assert len(controller.executions()) - before <= 2  # there, and the last move
+    table = read_campaign(tmp_path / "C").tables["poses"]
+    spread = table[["x_m", "y_m", "z_m"]].to_numpy().std(axis=0, ddof=1)
+    assert np.all(spread < 12e-6)  # 28 µm of one reading, 3 µm of the median of 120
 
 
 def test_what_was_swung_before_a_break_is_not_swung_again(
