@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from clampid.display import number, scale_for
 from clampid.verbs.errors import CallError
 from clampid.verbs.grouped import grouped
 from clampid.verbs.inputs import numbers_of
 from clampid.verbs.options import Json, Quiet, Seed, Verbose
-from clampid.verbs.output import Output, output_file
-from clampid.verbs.plan_options import Acceleration, Surroundings, TorqueReadings, names_of
+from clampid.verbs.plan_options import Acceleration, Effects, PlanFile, Surroundings, TorqueReadings, names_of
+from clampid.verbs.plan_programs import PROGRAMS
+from clampid.verbs.plan_screen import begin, finish, refusals
 
 if TYPE_CHECKING:
     from clampid.planning.sight import Sight
-    from clampid.screen import Screen
     from clampid.stages.rows import Array
     from clampid.verbs.units import Units
-    from experiments.plans.model import Expected, Plan
 
 __all__ = ["plan"]
 
@@ -31,13 +26,7 @@ LAST_MOVE = 0.05  # rad, of every joint to a pose
 
 plan = typer.Typer(help="Plan measurements that identify what is asked.", no_args_is_help=True)
 
-PlanFile = Annotated[
-    Path, typer.Option("--output", "-o", metavar="PLAN.toml", help="Plan file to write.", show_default=False)
-]
 Time = Annotated[float, typer.Option(metavar="S", help="Time budget, seconds.")]
-Effects = Annotated[
-    str | None, typer.Option(metavar="A,B,…", help="Effects to plan for; otherwise the stage's standard set.")
-]
 Speeds = Annotated[str, typer.Option(metavar="A,B,…", help="Shares of the top speeds, one run each.")]
 
 
@@ -57,8 +46,8 @@ def free_air(
     quiet: Quiet = False,
 ) -> None:
     """Plan a motion in free air that identifies gravity and friction."""
-    out = _begin(output, json, quiet, verbose)
-    with _refusals():
+    out = begin(output, json, quiet, verbose)
+    with refusals():
         from clampid.planning.free_air import plan_free_air
         from clampid.planning.logs import STANDARD
 
@@ -70,7 +59,7 @@ def free_air(
                 effects=names_of(effects) or STANDARD, scene=where.scene(cell), seed=seed,
                 assumed=(*assumed, *more),
             )  # fmt: skip
-        _finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
+        finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
 
 
 @plan.command(short_help="Swings of a coupled wrist: friction of its gears.")
@@ -89,8 +78,8 @@ def wrist(
     quiet: Quiet = False,
 ) -> None:
     """Plan swings of a coupled wrist that separate friction of the motors from friction of the arm's side."""
-    out = _begin(output, json, quiet, verbose)
-    with _refusals():
+    out = begin(output, json, quiet, verbose)
+    with refusals():
         from clampid.planning.wrist import SWING_STOPS, plan_wrist
 
         cell, limits, assumed = where.cell(acceleration)
@@ -101,7 +90,7 @@ def wrist(
                 scene=where.scene(cell), seed=seed, assumed=(*assumed, *more),
             )  # fmt: skip
         swings = sum(len(run.course.duration) for run in made.runs) // SWING_STOPS
-        _finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
+        finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
 
 
 @plan.command(short_help="Sweeps against a clamped flange: springs and clearances.")
@@ -136,8 +125,8 @@ def clamping(
     quiet: Quiet = False,
 ) -> None:
     """Plan sweeps against a clamped flange that identify springs, clearances and friction within load limits."""
-    out = _begin(output, json, quiet, verbose)
-    with _refusals():
+    out = begin(output, json, quiet, verbose)
+    with refusals():
         import numpy as np
 
         from clampid.planning.clamping import STANDARD, Press, plan_clamping, press_limits, stiffness_of
@@ -160,7 +149,7 @@ def clamping(
         force = max(float(s.force.max()) for s in made.sweeps)
         moment = max(float(s.moment.max()) for s in made.sweeps)
         load = f"on the clamp at most {force:.0f} N of {max_force:g} N and {moment:.0f} Nm of {max_moment:g} Nm"
-        _finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings", (load,))
+        finish(made, output, out, f"{len(made.sweeps)} sweeps in {made.sweeps[-1].clamping} clampings", (load,))
 
 
 @plan.command(short_help="Poses to measure: geometry, springs and clearances.")
@@ -220,8 +209,8 @@ def poses(
     quiet: Quiet = False,
 ) -> None:
     """Plan poses to measure: visible, clear of obstacles, informative, approached from both sides, in a short order."""
-    out = _begin(output, json, quiet, verbose)
-    with _refusals():
+    out = begin(output, json, quiet, verbose)
+    with refusals():
         from clampid.planning.poses import PoseWishes, balance_of, plan_poses
         from clampid.planning.region import box_of, sphere_part_of
 
@@ -243,7 +232,7 @@ def poses(
         own = sum(visit.table == "poses" for visit in made.visits)
         balance = balance_of(made)
         what = f"{count} poses in {own} visits, {len(made.visits) - own} for verification"
-        _finish(made, output, out, what, (balance.words,), approaches=balance.to_json())
+        finish(made, output, out, what, (balance.words,), approaches=balance.to_json())
 
 
 def _sight(
@@ -281,87 +270,5 @@ def _postures(texts: list[str] | None, n: int, units: Units) -> Array | None:
     return np.array(rows)
 
 
-def _begin(output: Path, json: str | None, quiet: bool, verbose: bool) -> Output:
-    out = Output(quiet, json, verbose)
-    output_file(output, "text")
-    if output.suffix.lower() != ".toml":
-        raise CallError(f"{output}: expected a name that ends in .toml")
-    return out
-
-
-@contextmanager
-def _refusals() -> Iterator[None]:
-    """Errors of plans are wrong calls."""
-    from experiments.plans.errors import PlanError
-
-    try:
-        yield
-    except PlanError as error:
-        raise CallError(str(error)) from error
-
-
-def _finish(made: Plan, output: Path, out: Output, what: str, notes: Sequence[str] = (), **more: Any) -> None:
-    """Write the plan, and say what it is and what it will tell."""
-    from experiments.plans.write import write_plan
-
-    write_plan(made, output)
-    if made.expected is not None:
-        _tell(made.expected, out)
-    out.show(_screen(made, output, what, notes))
-    out.result(_as_json(made, output) | more)
-
-
-def _screen(made: Plan, output: Path, what: str, said: Sequence[str]) -> Screen:
-    """What was planned, and what it will identify."""
-    from clampid.screen import Screen
-
-    facts = [("assumed", sentence) for sentence in made.assumed]
-    verdict, notes = "", list(said)
-    if made.expected is not None:
-        known = sum(p.identified for p in made.expected.parameters)
-        verdict = f"It identifies {known} of {len(made.expected.parameters)} parameters."
-        notes += [f"not identified: {sentence}" for sentence in made.expected.not_identified]
-    return Screen(
-        f"Wrote {output}: {made.kind} of {made.cell.robot.name}, {what}, {made.duration / 60:.1f} min.",
-        facts=tuple(facts),
-        verdict=verdict,
-        notes=tuple(notes),
-        more="Expected errors of all parameters: --verbose, --json FILE." if verdict else "",
-    )
-
-
-def _tell(expected: Expected, out: Output) -> None:
-    """What a plan will tell, for people."""
-    from clampid.fitting.observability import index_words
-
-    out.say(index_words(expected.indices))
-    rows = []
-    for p in expected.parameters:
-        scale = scale_for(p.unit, [min(p.std, p.size)])
-        told = (number(v * scale.factor, 2) for v in (p.std, p.size))
-        rows.append((p.name, scale.unit, *told, "" if p.identified else "not identified"))
-    out.table("", ("parameter", "unit", "expected error", "plausible size", ""), rows, left=2)
-    for sentence in expected.not_identified:
-        out.say(f"not identified: {sentence}")
-
-
-def _as_json(made: Plan, output: Path) -> dict[str, Any]:
-    expected = made.expected
-    return {
-        "plan": str(output),
-        "kind": made.kind,
-        "robot": made.cell.reference,
-        "duration_s": made.duration,
-        "runs": len(made.runs),
-        "sweeps": len(made.sweeps),
-        "visits": len(made.visits),
-        "assumed": list(made.assumed),
-        "indices": {} if expected is None else dict(expected.indices),
-        "parameters": []
-        if expected is None
-        else [
-            {"name": p.name, "unit": p.unit, "std": p.std, "size": p.size, "identified": p.identified}
-            for p in expected.parameters
-        ],
-        "not_identified": [] if expected is None else list(expected.not_identified),
-    }
+for _name, (_verb, _short) in PROGRAMS.items():
+    plan.command(_name, short_help=_short)(grouped(_verb))

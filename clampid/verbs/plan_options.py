@@ -20,7 +20,14 @@ if TYPE_CHECKING:
 ARM_RADIUS = 0.08
 """Of the capsules that stand for the arm, m: half a forearm of a robot of this size."""
 
-__all__ = ["Acceleration", "Surroundings", "TorqueReadings", "names_of"]
+__all__ = ["Acceleration", "Effects", "PlanFile", "Surroundings", "TorqueReadings", "names_of"]
+
+PlanFile = Annotated[
+    Path, typer.Option("--output", "-o", metavar="PLAN.toml", help="Plan file to write.", show_default=False)
+]
+Effects = Annotated[
+    str | None, typer.Option(metavar="A,B,…", help="Effects to plan for; otherwise the stage's standard set.")
+]
 
 Acceleration = Annotated[
     str | None,

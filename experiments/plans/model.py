@@ -13,7 +13,19 @@ from experiments.plans.limits import Limits
 from experiments.plans.motion import Array, Course
 from kinematics.description import RobotDescription
 
-__all__ = ["KINDS", "Cell", "Expected", "ExpectedParameter", "Kind", "Plan", "Run", "Sweep", "Visit", "table_of"]
+__all__ = [
+    "KINDS",
+    "Cell",
+    "Expected",
+    "ExpectedParameter",
+    "Kind",
+    "Plan",
+    "Run",
+    "Steady",
+    "Sweep",
+    "Visit",
+    "table_of",
+]
 
 Kind = Literal["free_air", "wrist", "clamping", "poses"]
 KINDS: tuple[Kind, ...] = ("free_air", "wrist", "clamping", "poses")
@@ -105,7 +117,11 @@ class Visit:
     duration, ramp
         ``(2,)`` s: of the moves to ``via`` and to ``q``.
     targets
-        Which points are measured.
+        Which points are measured; none of a visit that only moves.
+    times
+        How often the move from ``via`` to ``q`` is made, each time back to ``via`` in between.
+    wait
+        s that the robot stands at ``q`` before it is measured.
     """
 
     table: Literal["poses", "verification"]
@@ -116,6 +132,13 @@ class Visit:
     duration: Array
     ramp: Array
     targets: tuple[str, ...]
+    times: int = 1
+    wait: float = 0.0
+
+    def length(self, measure_time: float) -> float:
+        """Time that it takes, s, with ``measure_time`` for each target; both ways of a swing take the same."""
+        moves = float(self.duration[0]) + (2 * self.times - 1) * float(self.duration[1])
+        return moves + self.wait + measure_time * len(self.targets)
 
     @property
     def direction(self) -> Array:
@@ -157,6 +180,22 @@ class Expected:
 
 
 @dataclass(frozen=True)
+class Steady:
+    """When a robot is warm.
+
+    Attributes
+    ----------
+    rate
+        K/h: steady is a sensor that changes more slowly, against the air where that is measured.
+    beyond
+        s for which all of them have to stay so.
+    """
+
+    rate: float
+    beyond: float
+
+
+@dataclass(frozen=True)
 class Plan:
     """A plan: the cell, the limits, the steps in their order, and what they will tell.
 
@@ -166,6 +205,8 @@ class Plan:
         Hz, of the logs in free air.
     measure_time
         s for each tracked point.
+    steady
+        Warming up ends when temperatures have been steady for long enough; None: only with the last step.
     assumed
         What nobody said and was taken as usual, in words.
     wished
@@ -184,6 +225,7 @@ class Plan:
     measure_time: float = 3.0
     stiffness: Array | None = None
     expected: Expected | None = None
+    steady: Steady | None = None
     assumed: tuple[str, ...] = ()
     wished: Mapping[str, float | int | str] = field(default_factory=lambda: MappingProxyType({}))
 

@@ -12,7 +12,7 @@ import numpy as np
 from experiments.header import FARTHEST_POINT_M, LARGEST_MASS_KG, WORST_POSITION_STD_M, robot_in
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits
-from experiments.plans.model import KINDS, Cell, Expected, ExpectedParameter, Kind, Plan, Run, Sweep, Visit
+from experiments.plans.model import KINDS, Cell, Expected, ExpectedParameter, Kind, Plan, Run, Steady, Sweep, Visit
 from experiments.plans.motion import Course
 from experiments.plans.validate import validate_plan
 from experiments.plans.write import FORMAT
@@ -22,6 +22,8 @@ from kinematics.section import Section, migrated
 __all__ = ["parse_plan", "read_plan"]
 
 LONGEST_SENTENCE = 2000  # characters
+LONGEST_WAIT_S = 7 * 86400.0
+MOST_TIMES = 100_000  # swings of one visit: days
 STEPS = {"free_air": "run", "wrist": "run", "clamping": "sweep", "poses": "visit"}
 
 
@@ -79,6 +81,7 @@ def parse_plan(text: str, file: Path) -> Plan:
         measure_time=root.number("measure_time_s", 0.0),
         stiffness=root.vector("stiffness_Nm_rad", n, 0.0) if root.has("stiffness_Nm_rad") else None,
         expected=_expected(root.section("expected")) if root.has("expected") else None,
+        steady=_steady(root) if root.has("steady_K_h") else None,
         assumed=root.texts("assumed"),
         wished=MappingProxyType(_wished(root.section("wished", optional=True))),
     )
@@ -172,9 +175,15 @@ def _visit(section: Section, n: int, targets: tuple[str, ...]) -> Visit:
         duration=section.vector("duration_s", 2, 0.0),
         ramp=section.vector("ramp_s", 2, 0.0),
         targets=wanted,
+        times=section.integer("times", 1, MOST_TIMES) if section.has("times") else 1,
+        wait=section.number("wait_s", 0.0, LONGEST_WAIT_S, "s") if section.has("wait_s") else 0.0,
     )
     section.done()
     return visit
+
+
+def _steady(root: Section) -> Steady:
+    return Steady(root.number("steady_K_h", 0.0, above=True), root.number("steady_for_s", 0.0))
 
 
 def _expected(section: Section) -> Expected:

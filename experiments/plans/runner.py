@@ -142,6 +142,8 @@ def _steps(plan: Plan, robot: RobotSeam, stop: Stop) -> Iterator[Step]:
     before = plan.start
     for visit in plan.visits:
         what = f"pose {visit.pose}, visit {visit.visit} ({visit.table})"
+        if not visit.targets:
+            raise PlanError(f"{what}: expected targets, found a visit that only moves; clampid run does those")
         yield what, visit.table, partial(_visit, robot, visit, visit_course(visit, before), plan.measure_time)
         before = visit.q
 

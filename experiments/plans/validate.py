@@ -41,6 +41,8 @@ def validate_plan(plan: Plan, where: str = "plan") -> None:
     _refuse_moved_clamp(plan, where)
     before = plan.start
     for number, visit in enumerate(plan.visits, 1):
+        if visit.times > 1 and visit.targets:
+            raise PlanError(f"{where}, visit {number}: expected no targets of {visit.times} swings, found some")
         fault = motion_faults(plan.cell.robot, limits, visit_course(visit, before))
         if fault:
             raise PlanError(f"{where}, visit {number}, {fault}")

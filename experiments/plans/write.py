@@ -44,6 +44,8 @@ def plan_text(plan: Plan, folder: Path = Path()) -> str:
         head["start_rad"] = plan.start
     if plan.stiffness is not None:
         head["stiffness_Nm_rad"] = plan.stiffness
+    if plan.steady is not None:
+        head |= {"steady_K_h": plan.steady.rate, "steady_for_s": plan.steady.beyond}
     head["assumed"] = list(plan.assumed)
     bounds: dict[str, Any] = {
         "lower_rad": limits.lower,
@@ -133,4 +135,6 @@ def _visit(visit: Visit) -> dict[str, Any]:
         "duration_s": visit.duration,
         "ramp_s": visit.ramp,
         "targets": list(visit.targets),
+        **({"times": visit.times} if visit.times != 1 else {}),
+        **({"wait_s": visit.wait} if visit.wait else {}),
     }

@@ -80,7 +80,9 @@ def _steps(plan: Plan) -> Iterator[_Step]:
             share = share_of(robot, visit.via - before, float(visit.duration[0]), float(visit.ramp[0]))
             yield f"{name}: way there", visit.via, float(visit.duration[0]), share, 0.0, "", ""
         share = share_of(robot, visit.q - visit.via, float(visit.duration[1]), float(visit.ramp[1]))
-        yield name, visit.q, float(visit.duration[1]), share, plan.measure_time * len(visit.targets), visit.table, ""
+        extra = visit.length(plan.measure_time) - float(np.sum(visit.duration))
+        many = f"{name}: {visit.times} swings" if visit.times > 1 else name
+        yield many, visit.q, float(visit.duration[1]), share, extra, visit.table if visit.targets else "", ""
         before = visit.q
     for number, run in enumerate(plan.runs, 1):
         course = run.course

@@ -13,6 +13,7 @@ from experiments.plans.validate import visit_course
 from experiments.runs.context import Block, Context, place_on, straight_to
 from experiments.runs.errors import RunStopped
 from experiments.runs.robot import ARRIVED, share_of
+from experiments.runs.warmth import steady_words
 
 __all__ = ["run_poses"]
 
@@ -34,21 +35,32 @@ def run_poses(context: Context) -> str | None:
     if context.instrument is None:
         raise RunStopped("poses: expected --instrument, found none")
     _check_targets(context)
-    recorded = {tuple(entry["key"]) for what in ("row", "skipped") for entry in journal.of(what)}
+    recorded = {tuple(entry["key"]) for what in ("row", "skipped", "passed") for entry in journal.of(what)}
     before = plan.start
-    total = sum(float(np.sum(v.duration)) + plan.measure_time * len(v.targets) for v in plan.visits)
+    total = sum(visit.length(plan.measure_time) for visit in plan.visits)
     spent = 0.0
     for visit in plan.visits:
-        keys = [(visit.table, visit.pose, visit.visit, target) for target in visit.targets]
+        keys = [(visit.table, visit.pose, visit.visit, target) for target in visit.targets or ("",)]
         missing = [key[3] for key in keys if key not in recorded]
         name = f"pose {visit.pose}, visit {visit.visit} ({visit.table})"
         if missing:
             context.progress(spent / total, name)
             _arrive(context, visit, before, name)
-            _measure(context, visit, missing, name)
-        spent += float(np.sum(visit.duration)) + plan.measure_time * len(visit.targets)
+            for _ in range(visit.times - 1):
+                for to in (visit.via, visit.q):
+                    context.robot.go(to, share_of(context.robot.robot, visit.q - visit.via, *_last(visit)), name)
+            context.robot.pause(visit.wait)
+            if visit.targets:
+                _measure(context, visit, missing, name)
+            else:
+                journal.add("passed", key=keys[0])
+        spent += visit.length(plan.measure_time)
         before = visit.q
-        enough = context.finished(Block(name, visit.table, spent / total)) if missing else None
+        if not (missing and visit.targets):
+            continue
+        enough = context.finished(Block(name, visit.table, spent / total))
+        if enough is None and plan.steady is not None:
+            enough = steady_words(journal.entries, plan.steady)
         if enough is not None:
             return enough
     return None
@@ -69,6 +81,9 @@ def _arrive(context: Context, visit: Visit, before: Array | None, name: str) -> 
     robot = context.robot
     course = visit_course(visit, before)
     here = robot.rest().joints
+    stays = before is not None and np.array_equal(before, visit.q) and np.array_equal(visit.via, visit.q)
+    if stays and context.begun and np.max(np.abs(here - visit.q)) < ARRIVED:
+        return  # a move to where it stands would make it settle anew
     place = place_on(course.knots, here)
     if before is None or place is None:
         if not context.begun or np.max(np.abs(here - visit.via)) > ARRIVED:

@@ -11,7 +11,9 @@ from conftest import Controller
 
 from experiments.campaign import read_campaign
 from experiments.instruments import Sample, connect_instrument
-from experiments.plans import Plan, PlanError
+from experiments.plans import Plan, PlanError, Visit
+from experiments.runs import poses as poses_module
+from experiments.runs.context import Context
 from experiments.runs.errors import RunStopped
 from experiments.runs.folder import work_folder
 from experiments.runs.runner import run
@@ -90,12 +92,20 @@ def test_a_silent_instrument_stops_the_run_and_resume_goes_on(
 ) -> None:
     monkeypatch.setattr("experiments.runs.poses.PATIENCE", 0.3)
     asked = controller.asked()
-    asked.progress = lambda done, text: controller.operate("sight silent 1") if "pose 4" in text else None
+    arrive = poses_module._arrive
+
+    def arrive_and_fall_silent(context: Context, visit: Visit, before: np.ndarray | None, name: str) -> None:
+        arrive(context, visit, before, name)
+        if visit.pose == 4:
+            controller.operate("sight silent 3")
+
+    monkeypatch.setattr(poses_module, "_arrive", arrive_and_fall_silent)
     with pytest.raises(RunStopped, match=r"no answer to .* within"):
         run(poses, tmp_path / "C", asked)
     with pytest.raises(PlanError, match="--resume"):
         run(poses, tmp_path / "C", controller.asked())
     monkeypatch.setattr("experiments.runs.poses.PATIENCE", 10.0)
+    monkeypatch.setattr(poses_module, "_arrive", arrive)
     again = controller.asked(resume=True)
     assert run(poses, tmp_path / "C", again).rows == {"poses": 21, "verification": 3}
     assert any("Recorded so far: 9 rows of poses" in line for line in again.said)

@@ -1,0 +1,230 @@
+"""Programs that visit given postures again and again: what their plans have in common.
+
+The direction in which a posture is come to is part of the measurement: backlash and friction make it arrive elsewhere
+from the other side. Every visit therefore ends with a short last move of its own, whose signs are stated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from clampid.planning.reach import reaching
+from clampid.planning.sampling import DIGITS
+from clampid.planning.scene import Scene
+from clampid.stages.rows import Array
+from experiments.plans.errors import PlanError
+from experiments.plans.limits import Limits, course_of
+from experiments.plans.model import Cell, Plan, Steady, Visit
+from experiments.plans.validate import validate_plan
+
+__all__ = ["Approach", "Stop", "finished", "path_through", "sides_along", "visits_of"]
+
+STARTS = 60  # postures from which the first place of a path is looked for
+LONGEST_STEP = 0.7  # rad between postures of neighbouring places: more is another branch
+WHOLE_PERCENT = 0.01  # of the top speeds: less is not what a controller takes
+
+
+@dataclass(frozen=True)
+class Approach:
+    """The last move to a posture.
+
+    Attributes
+    ----------
+    angle
+        rad (m), of every joint.
+    seconds
+        s that it takes at least; None: as fast as the limits allow.
+    share
+        Share of the top speeds of all other moves.
+    """
+
+    angle: float = 0.05
+    seconds: float | None = None
+    share: float = 1.0
+
+    def check(self) -> None:
+        """Refuse numbers that no move can have.
+
+        Raises
+        ------
+        PlanError
+            The first of them.
+        """
+        if not 0.0 < self.angle < 1.0:
+            raise PlanError(f"approach: expected rad above 0 and below 1, found {self.angle:g}")
+        if self.seconds is not None and not 0.0 < self.seconds <= 60.0:
+            raise PlanError(f"last move: expected seconds above 0 and at most 60, found {self.seconds:g}")
+        if not 0.0 < self.share <= 1.0:
+            raise PlanError(f"speed: expected a share of the top speeds above 0 and at most 1, found {self.share:g}")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One visit, before its moves are timed.
+
+    Attributes
+    ----------
+    pose
+        From 1; the same number means the same posture.
+    q
+        ``(n,)`` rad.
+    via
+        ``(n,)`` rad, where its last move begins.
+    targets, times, wait
+        As of a visit.
+    slow
+        Whether the last move takes as long as the approach says; else it is as fast as the other ones.
+    """
+
+    pose: int
+    q: Array
+    via: Array
+    targets: tuple[str, ...]
+    times: int = 1
+    wait: float = 0.0
+    slow: bool = True
+
+
+def sides_along(q: Array, before: Array) -> Array:
+    """Signs ``(n,)`` of the way from a posture to the next; joints that stand still come from below."""
+    travel = np.asarray(q) - before
+    return np.where(np.abs(travel) > 10.0**-DIGITS, np.sign(travel), 1.0)
+
+
+def path_through(
+    cell: Cell, limits: Limits, scene: Scene, places: Array, way: Array, point: Array, room: float
+) -> Array:
+    """Postures ``(m, n)``, rad, that bring a point of the tool to places one after the other, without changing branch.
+
+    Parameters
+    ----------
+    places
+        ``(m, 3)`` m, base frame.
+    way
+        ``(3,)``, base frame: where the flange's z axis looks.
+    point
+        ``(3,)`` m, flange frame.
+    room
+        rad that every joint keeps from its limits, for approaches from either side.
+
+    Raises
+    ------
+    PlanError
+        No branch reaches all places within the limits and clear of everything.
+    """
+    length = float(np.linalg.norm(way))
+    if not length > 0.0 or not np.all(np.isfinite(places)):
+        raise PlanError("expected finite places, and a direction for the flange's z axis that is not zero")
+    lower, upper = limits.lower + room, limits.upper - room
+    starts = lower + (upper - lower) * np.random.default_rng(0).random((STARTS, cell.robot.n))
+    axis, normal = way / length, np.array([0.0, 0.0, 1.0])
+
+    def inside(q: Array) -> bool:
+        return bool(np.all((q >= lower) & (q <= upper)))
+
+    first = reaching(cell.robot, places[0], axis, starts, point=point, normal=normal)
+    if not len(first):
+        raise PlanError(f"expected places that the robot reaches, found place 1 at {_words(places[0])} m out of reach")
+    first = first[np.all((first >= lower) & (first <= upper), axis=1)]
+    order = np.argsort(np.abs((first - (lower + upper) / 2) / (upper - lower)).max(axis=1))
+    farthest, blocked = 0, False
+    for start in first[order]:
+        path = [np.round(start, DIGITS)]
+        for place in places[1:]:
+            found = reaching(cell.robot, place, axis, path[-1][None], point=point, normal=normal)
+            if not len(found) or not inside(found[0]) or np.max(np.abs(found[0] - path[-1])) > LONGEST_STEP * 2:
+                break
+            path.append(np.round(found[0], DIGITS))
+        clear = scene.clear(np.array(path))
+        reached = len(path) if clear.all() else int(np.argmin(clear))
+        if reached == len(places):
+            return np.array(path)
+        farthest, blocked = max((farthest, blocked), (reached, reached < len(path)))
+    why = "not clear of floor, arm and obstacles" if blocked else "out of reach or of joint limits"
+    raise PlanError(
+        f"expected a posture for each of {len(places)} places, without a change of branch, found place {farthest + 1} "
+        f"at {_words(places[farthest])} m {why}"
+    )
+
+
+def visits_of(cell: Cell, limits: Limits, scene: Scene, stops: Sequence[Stop], approach: Approach) -> tuple[Visit, ...]:
+    """Visits with times for their moves; every way is clear.
+
+    Raises
+    ------
+    PlanError
+        A way touches something.
+    """
+    approach.check()
+    known: dict[tuple[tuple[float, ...], ...], bool] = {}
+    count: dict[int, int] = {}
+    visits: list[Visit] = []
+    before: Array | None = None
+    for stop in stops:
+        origin = stop.via if before is None else before
+        for a, b in ((origin, stop.via), (stop.via, stop.q)):
+            ends = (tuple(min(tuple(a), tuple(b))), tuple(max(tuple(a), tuple(b))))
+            if ends not in known:
+                known[ends] = bool(scene.clear(np.array([a, b])).all()) and scene.way_clear(a, b)
+            if not known[ends]:
+                raise PlanError(
+                    f"the way to pose {stop.pose}: expected it clear of floor, arm and obstacles, found it not"
+                )
+        knots = np.array([origin, stop.via, stop.q])
+        course = course_of(cell.robot, limits, knots, speed_share=approach.share)
+        duration, ramp = np.array(course.duration), np.array(course.ramp)
+        if stop.slow and approach.seconds is not None and duration[1] < approach.seconds:
+            ramp[1] *= approach.seconds / duration[1]
+            duration[1] = approach.seconds
+        count[stop.pose] = count.get(stop.pose, 0) + 1
+        visits.append(
+            Visit(
+                "poses", stop.pose, count[stop.pose], np.asarray(stop.via), np.asarray(stop.q), duration, ramp,
+                stop.targets, stop.times, stop.wait,
+            )
+        )  # fmt: skip
+        before = stop.q
+    return tuple(visits)
+
+
+def finished(
+    cell: Cell, limits: Limits, visits: tuple[Visit, ...], measure_time: float,
+    wished: Mapping[str, float | int | str], assumed: Sequence[str], steady: Steady | None = None,
+) -> Plan:  # fmt: skip
+    """The plan of these visits, held against its own limits.
+
+    Raises
+    ------
+    PlanError
+        A move is beyond a limit, or the time for a point is none.
+    """
+    if not 0.0 <= measure_time < 3600.0:
+        raise PlanError(f"measuring time: expected seconds from 0 to 3600, found {measure_time:g}")
+    said = list(assumed)
+    top = limits.speed
+    peaks = [np.max(np.abs(v.q - v.via) / top) / (v.duration[1] - v.ramp[1]) for v in visits if np.any(v.q != v.via)]
+    if peaks and min(peaks) < WHOLE_PERCENT:
+        said.append(
+            f"the slowest move has {min(peaks):.2%} of the top speeds; a link that takes whole per cents does it at 1 %"
+        )
+    plan = Plan(
+        kind="poses",
+        cell=cell,
+        limits=limits,
+        duration=sum(v.length(measure_time) for v in visits) - float(visits[0].duration[0]),
+        visits=visits,
+        measure_time=measure_time,
+        steady=steady,
+        assumed=tuple(said),
+        wished=MappingProxyType(dict(wished)),
+    )
+    validate_plan(plan)
+    return plan
+
+
+def _words(place: Array) -> str:
+    return ", ".join(f"{v:.4g}" for v in place)
