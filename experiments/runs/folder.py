@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from experiments.header import HEADER_FILE
 from experiments.outputs import scratch_folder, write_bytes
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell, Plan, table_of
+from kinematics.reading import read_text, toml_of
 
 __all__ = ["JOURNALS", "check_folder_for", "convert", "header_of", "is_in", "tables_of", "work_folder"]
 
@@ -75,7 +75,10 @@ def check_folder_for(plan: Plan, folder: Path) -> Campaign | None:
         return None
     if not (folder / HEADER_FILE).is_file():
         raise PlanError(f"{folder}: expected a new or empty folder, or a campaign, found something else")
-    held = tomllib.loads((folder / HEADER_FILE).read_text(encoding="utf-8"))
+    try:
+        held = toml_of(read_text(folder / HEADER_FILE))
+    except (OSError, ValueError) as error:  # TOML that is none, or bytes that are no UTF-8, are ValueErrors
+        raise PlanError(f"{folder / HEADER_FILE}: expected a campaign's TOML, found none: {error}") from None
     for key, wanted in header_of(plan.cell, folder).items():
         if key in held and held[key] != wanted:
             raise PlanError(f"{folder}: expected a campaign of the plan's cell: {key} {wanted}, found {held[key]}")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 import time
 import zlib
 from collections.abc import Iterator, Mapping
@@ -19,6 +20,7 @@ from typing import Any, Self
 
 from experiments.outputs import flush_folder
 from experiments.plans.errors import PlanError
+from kinematics.reading import json_of
 
 __all__ = ["Journal", "line_of", "whole_lines"]
 
@@ -48,7 +50,10 @@ def _entry(line: bytes) -> dict[str, Any] | None:
     check, blank, text = line[:8], line[8:9], line[9:-1]
     if not line.endswith(b"\n") or blank != b" " or check != b"%08x" % zlib.crc32(text):
         return None
-    entry = json.loads(text)
+    try:
+        entry = json_of(text.decode("ascii"))
+    except ValueError:  # right by its checksum, and yet nothing that a run wrote
+        return None
     return entry if isinstance(entry, dict) else None
 
 
@@ -63,7 +68,8 @@ class Journal:
     Raises
     ------
     PlanError
-        Another process has it open, or a line in its middle is damaged: no killed process does that.
+        It is no regular file, another process has it open, or more than its last line is damaged: no killed process
+        does that.
 
     Attributes
     ----------
@@ -78,6 +84,8 @@ class Journal:
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
         try:
             _lock(self._file, path)
+            if not stat.S_ISREG(os.fstat(self._file).st_mode):
+                raise PlanError(f"{path}: expected a regular file, found another kind")
             data = path.read_bytes()
             self.entries, end = whole_lines(data)
             rest = data[end:]
@@ -85,6 +93,8 @@ class Journal:
                 raise PlanError(
                     f"{path}: expected whole lines, found line {len(self.entries) + 1} damaged with whole ones after it"
                 )
+            if b"\n" in rest[:-1]:
+                raise PlanError(f"{path}: expected whole lines, found more than the last one damaged")
             self.dropped = len(rest)
             if rest:
                 os.ftruncate(self._file, end)

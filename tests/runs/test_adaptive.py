@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CLAMPED, Controller, clamping_plan
+from run_controller import CLAMPED, Controller, clamping_plan
 
 from clampid.loop.adaptive import Adaptive
 from experiments.campaign import read_campaign

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import zlib
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,34 @@ def test_a_line_is_found_by_its_checksum() -> None:
     assert whole_lines(line + line)[1] == 2 * len(line)
     for k in range(len(line)):
         assert whole_lines(line[:k] + bytes([line[k] ^ 1]) + line[k + 1 :]) == ([], 0)
+
+
+def signed(text: bytes) -> bytes:
+    """A line whose checksum is right, whatever its text is."""
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"[" * 200_000, b"{", b"9" * 6000, b'{"a":"\xff"}', b"[1]", b'{"a":NaN}'],
+    ids=["deep", "no JSON", "digits", "no ASCII", "a list", "no number"],
+)
+def test_a_line_that_only_its_checksum_vouches_for_is_none(tmp_path: Path, text: bytes) -> None:
+    entries = written(tmp_path / "j", 2)
+    with (tmp_path / "j").open("ab") as file:
+        file.write(signed(text))
+    with Journal(tmp_path / "j") as journal:
+        assert journal.entries == entries
+
+
+def test_a_file_that_is_no_journal_is_not_cut_off(tmp_path: Path) -> None:
+    (tmp_path / "j").write_text("my notes\nof the day\n")
+    with pytest.raises(PlanError, match="more than the last one damaged"):
+        Journal(tmp_path / "j")
+    assert (tmp_path / "j").read_text() == "my notes\nof the day\n"
+
+
+def test_a_device_is_no_journal(tmp_path: Path) -> None:
+    (tmp_path / "j").symlink_to("/dev/null")
+    with pytest.raises(PlanError, match="expected a regular file"):
+        Journal(tmp_path / "j")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CLAMPED, Controller, clamping_plan
+from run_controller import CLAMPED, Controller, clamping_plan
 
 from experiments.campaign import read_campaign
 from experiments.plans import Cell, Limits, Plan

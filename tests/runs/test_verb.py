@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 import typer
-from conftest import Controller
+from run_controller import Controller
 from typer.testing import CliRunner
 
 from clampid.loop.until import parse_until
 from clampid.verbs.run import run as run_verb
 from experiments.campaign import read_campaign
 from experiments.plans import Plan, PlanError, write_plan
+from experiments.runs.folder import check_folder_for
 
 
 @pytest.fixture(scope="module")
@@ -123,3 +124,18 @@ def test_conditions_in_si() -> None:
     one, two = parse_until("std(backlash@joint2) < 5 arcsec and std(joint_compliance.c@joint3) < 2 mrad/Nm")
     assert one.below == pytest.approx(5 * 4.848137e-6)
     assert (two.parameter, two.below) == ("c", 0.002)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b"x = [", b"x = " + b"[" * 3000, b"\xff\xfe\x00", b"x = " + b"9" * 6000],
+    ids=["cut", "deep", "bytes", "digits"],
+)
+def test_a_folder_whose_header_is_no_toml_is_refused_before_anything_moves(
+    poses: Plan, tmp_path: Path, text: bytes
+) -> None:
+    (tmp_path / "C").mkdir()
+    (tmp_path / "C" / "campaign.toml").write_bytes(text)
+    with pytest.raises(PlanError, match=r"campaign\.toml: expected a campaign's TOML"):
+        check_folder_for(poses, tmp_path / "C")
+    assert (tmp_path / "C" / "campaign.toml").read_bytes() == text

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Controller
+from run_controller import Controller
 
 from clampid.planning.returns import Returns, plan_fixed
 from clampid.planning.scene import Scene

@@ -109,7 +109,7 @@ def test_a_base_biased_by_deflection(model: Model, calibration: Campaign):
     biased = model.with_stage(replace(good, theta=theta))
     for found in (compare(biased, calibration).to_json(), diagnose(biased, calibration).to_json()):
         assert found["compensation"]["mistake"] == "the base frame is biased by deflection"
-        assert "takes up of the deflections" in found["compensation"]["summary"]
+        assert "as if it had absorbed the deflections" in found["compensation"]["summary"]
     assert "biased by deflection" in diagnose(biased, calibration).stages["poses"].summary
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Controller
+from run_controller import Controller
 
 from experiments.campaign import read_campaign
 from experiments.instruments import Sample, connect_instrument

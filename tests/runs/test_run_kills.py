@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from conftest import CLAMPED, Controller, clamping_plan
+from run_controller import CLAMPED, Controller, clamping_plan
 from run_kills import kill_and_resume
 
 from experiments.campaign import read_campaign
