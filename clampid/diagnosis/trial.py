@@ -44,9 +44,11 @@ from clampid.stages.rows import Rows
 __all__ = ["Bench"]
 
 STABLE = 0.6  # the majority of five parts of the rows
+OF_FEW = 0.8  # the same among the few names that stand out: of two, either is first in the majority by chance
 GROUPS = 3  # of look-alikes, after which no more are looked for beside them
 RISES = 0.5  # a p of the held-out error's fall above which it rather rises
 NO_FALL = "the held-out error does not fall"
+UNSTABLE = "without a fifth of the rows it is not first"
 ONLY_BESIDE = "the held-out error falls only together with effects that these rows do not separate"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
 TRIALS = 8  # of one look's candidates, after which no more are tried
@@ -230,8 +232,9 @@ class Bench:
     def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut, refused: Collection[str]) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
 
-        Which is first without a part of the rows is asked of those that stand out and that no trial has ``refused``:
-        what explains more of these rows and nothing of others is first in most parts, whatever else is missing.
+        It has to be first of all names without most parts of the rows. What explains more of these rows and nothing of
+        others would stand before it whatever is missing, so that it may also be first nearly always of those that stand
+        out and that no trial has ``refused``.
         """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
         p_held, falls = self._falls(best, trial.estimate, kept, held, new)
@@ -240,16 +243,20 @@ class Bench:
         if falls and level:
             return Undecided([best, *(fit.scored for fit in level)], look)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
-        first = first_without_parts(look.space, look.standing_out(refused), look.folds, self.seed)
-        again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
-        reason = "" if falls else NO_FALL
-        if falls and again < STABLE:
+        if not falls:
+            again = stability(first_without_parts(look.space, look.named, look.folds, self.seed), [best])
+            return Tried(fits[0].scored, look, trial, kept, new, p_held, again, NO_FALL)
+        again = 0.0
+        for names, enough in ((look.named, STABLE), (look.standing_out(refused), OF_FEW)):
+            first = first_without_parts(look.space, names, look.folds, self.seed)
+            again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
+            if again >= enough:
+                return Tried(best, look, trial, kept, new, p_held, again, "")
             alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
-            if len(alike) >= STABLE * len(first):
+            if first and len(alike) >= enough * len(first):
                 rest = {s.candidate.label: s for s in alike if not same_effect(s, best)}
                 return Undecided([best, *rest.values()], look)
-            reason = "without a fifth of the rows it is not first"
-        return Tried(fits[0].scored if reason else best, look, trial, kept, new, p_held, again, reason)
+        return Tried(fits[0].scored, look, trial, kept, new, p_held, again, UNSTABLE)
 
     def _likeliest(self, fits: Sequence[_Along]) -> tuple[_Along, list[_Along]]:
         """The fit that rows not fitted speak for, and those of other effects that are neither worse nor less likely.
