@@ -232,9 +232,8 @@ class Bench:
     def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut, refused: Collection[str]) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
 
-        It has to be first of all names without most parts of the rows. What explains more of these rows and nothing of
-        others would stand before it whatever is missing, so that it may also be first nearly always of those that stand
-        out and that no trial has ``refused``.
+        It has to be first of all names that no trial has ``refused`` without most parts of the rows; or nearly always
+        of those that stand out of their null. Others explain more of these rows by chance, whatever is missing.
         """
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
         p_held, falls = self._falls(best, trial.estimate, kept, held, new)
@@ -246,17 +245,19 @@ class Bench:
         if not falls:
             again = stability(first_without_parts(look.space, look.named, look.folds, self.seed), [best])
             return Tried(fits[0].scored, look, trial, kept, new, p_held, again, NO_FALL)
-        again = 0.0
-        for names, enough in ((look.named, STABLE), (look.standing_out(refused), OF_FEW)):
-            first = first_without_parts(look.space, names, look.folds, self.seed)
-            again = stability(first, [best, *(fit.scored for fit in others)])  # which of these it is the fits have told
-            if again >= enough:
-                return Tried(best, look, trial, kept, new, p_held, again, "")
+        may_be = [best, *(fit.scored for fit in others)]  # which of these it is the fits have told
+        on_trial = [s for s in look.named if s.candidate.label not in refused]
+        first = first_without_parts(look.space, on_trial, look.folds, self.seed)
+        again = stability(first, may_be)
+        if again < STABLE:
             alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
-            if first and len(alike) >= enough * len(first):
+            if len(alike) >= STABLE * len(first):
                 rest = {s.candidate.label: s for s in alike if not same_effect(s, best)}
                 return Undecided([best, *rest.values()], look)
-        return Tried(fits[0].scored, look, trial, kept, new, p_held, again, UNSTABLE)
+            among = first_without_parts(look.space, look.standing_out(refused), look.folds, self.seed)
+            if stability(among, may_be) < OF_FEW:
+                return Tried(fits[0].scored, look, trial, kept, new, p_held, again, UNSTABLE)
+        return Tried(best, look, trial, kept, new, p_held, again, "")
 
     def _likeliest(self, fits: Sequence[_Along]) -> tuple[_Along, list[_Along]]:
         """The fit that rows not fitted speak for, and those of other effects that are neither worse nor less likely.
