@@ -20,7 +20,7 @@ import numpy as np
 from experiments.links.address import LinkAddress
 from experiments.links.connection import Backoff
 from experiments.links.protocol import CannotError, Capabilities, LinkLostError, Recording, Signal, Status
-from experiments.links.read_only import ReadOnly
+from experiments.links.read_only import StatusReader
 from experiments.links.turning import Turning
 
 __all__ = ["RtdeLink", "connect"]
@@ -45,7 +45,7 @@ DATA = struct.Struct(">B" + "".join(code for _, code in FIELDS.values()))
 ANGLES = 100.0  # rad, beyond which no joint is
 
 
-class RtdeLink(ReadOnly):
+class RtdeLink(StatusReader):
     """One robot.
 
     Parameters
@@ -56,7 +56,7 @@ class RtdeLink(ReadOnly):
         Of the statuses, Hz.
     """
 
-    why = LISTENS_ONLY
+    why, silence = LISTENS_ONLY, SILENCE
 
     def __init__(self, host: str, port: int, rate: float = 125.0) -> None:
         clock, period = "controller, timestamp", 1.0 / rate
@@ -74,31 +74,11 @@ class RtdeLink(ReadOnly):
             ),
         )
         self._where, self._rate, self._turning = (host, port), rate, Turning()
-        self._last: Status | None = None
-        self._first, self._closing = threading.Event(), threading.Event()
-        self.trouble = "not connected yet"
-        self._thread = threading.Thread(target=self._run, name="rtde", daemon=True)
-        self._thread.start()
-
-    def status(self) -> Status:
-        """The last status; see `Link`."""
-        if self._last is None:
-            raise LinkLostError(f"no status has come yet: {self.trouble or 'no answer'}")
-        return self._last
-
-    def wait_first(self, patience: float) -> None:
-        """Wait for the first status; raises `LinkLostError` if none comes."""
-        if not self._first.wait(patience):
-            self.status()
+        self._begin("rtde")
 
     def recording(self, start: int, most: int = 1000, patience: float = 5.0) -> Recording:
         """Not possible; see `Link`."""
         raise CannotError("recording: the controller keeps no samples for RTDE")
-
-    def close(self) -> None:
-        """Hang up; see `Link`."""
-        self._closing.set()
-        self._thread.join(SILENCE + 3.0)
 
     def _run(self) -> None:
         backoff = Backoff()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import re
 import socket
-import threading
 import time
 
 import numpy as np
@@ -26,7 +25,7 @@ from experiments.links.protocol import (
     Signal,
     Status,
 )
-from experiments.links.read_only import ReadOnly
+from experiments.links.read_only import StatusReader
 from experiments.links.schema import AXES
 from experiments.links.turning import Turning
 from experiments.links.varproxy_wire import Answers, Question, question_bytes
@@ -45,7 +44,7 @@ READS_ONLY = "the variable proxy reads only: it cannot say whether a motion was 
 _AXIS = re.compile(r"\bA([1-6])\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 
 
-class VarProxyLink(ReadOnly):
+class VarProxyLink(StatusReader):
     """One robot, read variable by variable.
 
     Parameters
@@ -56,7 +55,7 @@ class VarProxyLink(ReadOnly):
         Units of $TORQUE_AXIS_ACT and of $CURR_ACT, where known.
     """
 
-    why = READS_ONLY
+    why, silence = READS_ONLY, SILENCE
 
     def __init__(self, host: str, port: int, torque: str = UNKNOWN_UNIT, current: str = UNKNOWN_UNIT) -> None:
         clock = "this computer, at reading"
@@ -76,33 +75,13 @@ class VarProxyLink(ReadOnly):
         )
         self._where, self._answers, self._number = (host, port), Answers(), 0
         self._socket: socket.socket | None = None
-        self._last: Status | None = None
         self._turning = Turning()
         self._temperature: Array | None = None
-        self._first, self._closing = threading.Event(), threading.Event()
-        self.trouble = "not connected yet"
-        self._thread = threading.Thread(target=self._run, name="varproxy", daemon=True)
-        self._thread.start()
-
-    def status(self) -> Status:
-        """The last status; see `Link`."""
-        if self._last is None:
-            raise LinkLostError(f"no status has come yet: {self.trouble or 'no answer'}")
-        return self._last
-
-    def wait_first(self, patience: float) -> None:
-        """Wait for the first status; raises `LinkLostError` if none comes."""
-        if not self._first.wait(patience):
-            self.status()
+        self._begin("varproxy")
 
     def recording(self, start: int, most: int = 1000, patience: float = 5.0) -> Recording:
         """Not possible; see `Link`."""
         raise CannotError("recording: the variable proxy keeps no samples")
-
-    def close(self) -> None:
-        """Hang up; see `Link`."""
-        self._closing.set()
-        self._thread.join(SILENCE + 3.0)
 
     def _run(self) -> None:
         backoff, count = Backoff(), 0
