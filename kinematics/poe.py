@@ -16,25 +16,30 @@ __all__ = ["forward", "joint_transforms", "space_jacobian"]
 _DIRECT = 1e-3  # above it, the closed forms lose nothing in absolute terms by dividing by the screw's length
 
 
-def _exponential(S: Array, q: Array) -> Array:
+def _exponentials(S: Array, q: Array) -> tuple[Array, Array]:
     """
-    Give exp([S] q) (..., 4, 4) for one screw (6,) and many q (...); the screw need not be of unit length.
+    Give what exp([S] q) of screws (n, 6) at q (..., n) is the product of: coefficients (..., n, 4), matrices (n, 4, 16).
 
     The 4×4 matrix [S] satisfies [S]⁴ = −|omega|²·[S]², so that the exponential is I + q[S] + b[S]² + c[S]³ for any
-    screw: one small matrix product for all rows. Source: Lynch & Park, Modern Robotics, proposition 3.25, in
-    homogeneous form.
+    screw, of unit length or not: one small matrix product for all rows. Source: Lynch & Park, Modern Robotics,
+    proposition 3.25, in homogeneous form.
     """
-    M = np.zeros((4, 4))
-    M[:3, :3], M[:3, 3] = hat3(S[:3]), S[3:]
-    length = float(np.linalg.norm(S[:3]))
-    angle = length * q
-    if length > _DIRECT:
-        b, c = (1 - np.cos(angle)) / length**2, (angle - np.sin(angle)) / length**3
-    else:
-        _, b, c = exponential_coefficients(angle)
-        b, c = b * q**2, c * q**3
-    powers = np.stack([np.eye(4), M, M @ M, M @ M @ M]).reshape(4, 16)
-    return np.asarray((np.stack([np.ones_like(q), q, b, c], axis=-1) @ powers).reshape(*q.shape, 4, 4))
+    powers = np.zeros((len(S), 4, 4, 4))
+    powers[:, 0] = np.eye(4)
+    powers[:, 1, :3, :3], powers[:, 1, :3, 3] = hat3(S[:, :3]), S[:, 3:]
+    powers[:, 2] = powers[:, 1] @ powers[:, 1]
+    powers[:, 3] = powers[:, 2] @ powers[:, 1]
+    length = np.sqrt((S[:, :3] ** 2).sum(axis=1))
+    direct = length > _DIRECT
+    angle, divisor = length * q, np.where(direct, length, 1.0)
+    coefficients = np.empty((*q.shape, 4))
+    coefficients[..., 0], coefficients[..., 1] = 1.0, q
+    coefficients[..., 2] = (1 - np.cos(angle)) / divisor**2
+    coefficients[..., 3] = (angle - np.sin(angle)) / divisor**3
+    for i in np.flatnonzero(~direct).tolist():
+        _, b, c = exponential_coefficients(angle[..., i])
+        coefficients[..., i, 2], coefficients[..., i, 3] = b * q[..., i] ** 2, c * q[..., i] ** 3
+    return coefficients, powers.reshape(len(S), 4, 16)
 
 
 def _checked(screws: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Array, Array]:
@@ -73,8 +78,9 @@ def joint_transforms(screws: npt.ArrayLike, q: npt.ArrayLike) -> Array:
     n = S.shape[0]
     out = np.empty((*q.shape[:-1], n + 1, 4, 4))
     out[..., 0, :, :] = np.eye(4)
+    coefficients, powers = _exponentials(S, q)
     for i in range(n):
-        out[..., i + 1, :, :] = out[..., i, :, :] @ _exponential(S[i], q[..., i])
+        out[..., i + 1, :, :] = out[..., i, :, :] @ (coefficients[..., i, :] @ powers[i]).reshape(*q.shape[:-1], 4, 4)
     return out
 
 

@@ -12,16 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import coal  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.poe import joint_transforms
 from offline_ik.errors import CellError
-from offline_ik.shapes import Shape, carries, checked_pairs, distance_of, shapes_of
+from offline_ik.shapes import Shape, carries, distance_of
+from offline_ik.world import World, world_of
 
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
@@ -31,6 +30,7 @@ __all__ = ["Clearance", "PathReport", "check_path", "check_sample", "clearances_
 Array = npt.NDArray[np.float64]
 
 FINEST = 1e-4  # of a move: what is nearer than the clearance plus this much of the move is refused
+TOGETHER = 32  # intervals that are looked at in one step
 
 
 @dataclass(frozen=True)
@@ -87,42 +87,6 @@ class Clearance:
         return {"between": list(self.between), "least_distance_m": self.distance, "at": self.at}
 
 
-class _World:
-    """All shapes of a detector's cell and the pairs of them that may not touch."""
-
-    def __init__(self, detector: Detector) -> None:
-        self.detector = detector
-        robot = detector.robot
-        points = np.array([*(j.point for j in robot.joints), robot.flange[:3, 3]])
-        self.lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)  # (n,)
-        shapes = shapes_of(detector)
-        self.pairs = list(checked_pairs(detector, shapes, self.lengths))
-        self.shapes = list(dict.fromkeys([*shapes, *(a for a, _ in self.pairs)]))  # some are cut back for a pair
-        # How far a unit of each joint can move points of each shape (shapes, n), m/rad.
-        self.levers = {id(s): self._lever(s) for s in self.shapes}
-
-    def _lever(self, shape: Shape) -> Array:
-        out = np.zeros(len(self.lengths))
-        for k in range(shape.link):
-            out[k] = self.lengths[k : shape.link - 1].sum() + shape.extent
-        return out
-
-    def distances(self, q: Array) -> Array:
-        """Of every pair ``(pairs,)`` at a posture ``(n,)``; negative: overlapping, m."""
-        robot = self.detector.robot
-        G = joint_transforms(robot.screws, np.asarray(robot.linkage) @ q)
-        placed = {id(shape): shape.at(G[shape.link]) for shape in self.shapes}
-        return np.array(
-            [distance_of(a.geometry, placed[id(a)], b.geometry, placed[id(b)]) for a, b in self.pairs], dtype=float
-        )
-
-    def motion(self, step: Array) -> Array:
-        """How far the shapes of every pair ``(pairs,)`` can come nearer in a step ``(n,)`` of the joints, m."""
-        moved = np.abs(np.asarray(self.detector.robot.linkage) @ step)
-        joints = np.arange(len(moved))
-        return np.array([float((self.levers[id(b)] * (joints >= a.link)) @ moved) for a, b in self.pairs])
-
-
 def check_path(detector: Detector, postures: Sequence[Array] | Array) -> PathReport:
     """Check a move through postures ``(m, n)``, straight in joint space between them.
 
@@ -141,7 +105,7 @@ def check_path(detector: Detector, postures: Sequence[Array] | Array) -> PathRep
             reasons[f"{joint.name} leaves its limits of {low:.1f} to {high:.1f} deg"] = None
     if reasons:
         return PathReport(tuple(reasons), np.inf, ("", ""), 0.0, np.inf, move_time(detector, path))
-    world = _world(detector)
+    world = world_of(detector)
     worst = _Worst(world, detector.cell.clearance)
     for leg in range(max(len(path) - 1, 1)):
         start, end = path[leg], path[min(leg + 1, len(path) - 1)]
@@ -163,10 +127,10 @@ def clearances_along(detector: Detector, postures: Array) -> list[Clearance]:
 
     Between the postures nothing is looked at: this is for people to read. :func:`check_path` decides.
     """
-    world = _world(detector)
+    world = world_of(detector)
     if not world.pairs:
         return []
-    distances = np.array([world.distances(q) for q in np.atleast_2d(postures)])  # (m, pairs)
+    distances = world.distances(np.atleast_2d(postures))  # (m, pairs)
     least, last = distances.argmin(axis=0), max(len(distances) - 1, 1)
     found = [
         Clearance((a.name, b.name), float(distances[k, i]), float(k) / last)
@@ -178,45 +142,68 @@ def clearances_along(detector: Detector, postures: Array) -> list[Clearance]:
 class _Worst:
     """The least distances met while intervals are halved."""
 
-    def __init__(self, world: _World, allowed: float) -> None:
+    def __init__(self, world: World, allowed: float) -> None:
         self.world, self.allowed = world, allowed
         self.clearance, self.between, self.at, self.base = np.inf, ("", ""), 0.0, np.inf
         self.hit: tuple[str, str] | None = None
         self._forearm = np.array([a.kind == "base" and b.link in (4, 5) for a, b in world.pairs], dtype=bool)
 
     def leg(self, start: Array, end: Array, number: int) -> None:
+        """Check one straight move between postures ``(n,)``, the leg of that number."""
+        if not self.world.pairs:
+            return
         whole = self.world.motion(end - start)
-        todo = [(0.0, 1.0)]
+        todo = [(0.0, 1.0, np.full(len(whole), -np.inf))]
         while todo:
-            a, b = todo.pop()
-            middle = 0.5 * (a + b)
-            distance = self.world.distances(start + middle * (end - start))
-            self._note(distance, number + middle)
-            if not len(distance):
+            # From the end, so that a way that grazes something is refused before all of it is looked at this finely.
+            intervals, todo = todo[-TOGETHER:], todo[:-TOGETHER]
+            low, high = np.array([a for a, _, _ in intervals]), np.array([b for _, b, _ in intervals])
+            middles, width = 0.5 * (low + high), high - low
+            nearer = 0.5 * width[:, None] * whole  # than in the middle, anywhere in the interval
+            least = np.array([least for _, _, least in intervals])
+            distances = self._seen(start + middles[:, None] * (end - start), number + middles, nearer, least)
+            if self.hit is not None:
                 return
-            if (distance < self.allowed).any():
-                self._refuse(distance, number + middle)
+            near = distances - self.allowed <= nearer
+            finest = near & (width < FINEST)[:, None]
+            if finest.any():
+                k = int(np.flatnonzero(finest.any(axis=1))[0])
+                self._refuse(np.where(finest[k], distances[k], np.inf), float(number + middles[k]))
                 return
-            near = distance - self.allowed <= 0.5 * (b - a) * whole
-            if not near.any():
-                continue
-            if b - a < FINEST:
-                self._refuse(np.where(near, distance, np.inf), number + middle)
-                return
-            todo += [(middle, b), (a, middle)]
+            for k in np.flatnonzero(near.any(axis=1))[::-1].tolist():
+                (a, b, _), middle, least_beside = intervals[k], float(middles[k]), distances[k] - 0.5 * nearer[k]
+                todo += [(middle, b, least_beside), (a, middle, least_beside)]
 
-    def _note(self, distance: Array, at: float) -> None:
-        if len(distance) and distance.min() < self.clearance:
-            k = int(np.argmin(distance))
-            self.clearance, self.at = float(distance[k]), at
-            self.between = (self.world.pairs[k][0].name, self.world.pairs[k][1].name)
-        if self._forearm.any():
-            self.base = min(self.base, float(distance[self._forearm].min()))
+    def _seen(self, q: Array, at: Array, nearer: Array, least: Array) -> Array:
+        """Distances ``(m, pairs)``, m: exact where they decide or are less than all before, else a lower bound.
+
+        ``nearer``, ``least`` ``(m, pairs)``: by how much they may fall in the interval, and what is known of them, m.
+        """
+        placed = self.world.at(q)
+        distances = np.maximum(placed.bounds(), least)
+        decides = distances - self.allowed <= nearer
+        for k in range(len(q)):
+            for i in np.argsort(distances[k]).tolist():
+                if not decides[k, i] and distances[k, i] >= (self.base if self._forearm[i] else self.clearance):
+                    continue
+                distances[k, i] = exact = placed.distance(k, i)
+                if exact < self.clearance:
+                    self.clearance, self.at, self.between = exact, float(at[k]), self._names(i)
+                if self._forearm[i]:
+                    self.base = min(self.base, exact)
+            if (distances[k] < self.allowed).any():
+                self._refuse(distances[k], float(at[k]))
+                break
+        return distances
 
     def _refuse(self, distance: Array, at: float) -> None:
         k = int(np.argmin(distance))
         self.clearance, self.at = float(distance[k]), at
-        self.hit = self.between = (self.world.pairs[k][0].name, self.world.pairs[k][1].name)
+        self.hit = self.between = self._names(k)
+
+    def _names(self, pair: int) -> tuple[str, str]:
+        a, b = self.world.pairs[pair]
+        return a.name, b.name
 
 
 def move_time(detector: Detector, path: Array, speed: float | None = None) -> float:
@@ -246,7 +233,7 @@ def check_sample(detector: Detector) -> None:
     point = coal.Sphere(1e-6)
     here = coal.Transform3s(np.eye(3), place.copy())
     inside = {o.name for o in detector.cell.obstacles if o.holds_sample}
-    for shape in _world(detector).shapes:
+    for shape in world_of(detector).shapes:
         if shape.kind == "base" and _in_column(detector, shape, place):
             raise CellError(
                 f"{told} the robot's base or what is below it (within {shape.radius:.3f} m of axis 1); an obstacle "
@@ -263,12 +250,7 @@ def _in_column(detector: Detector, base: Shape, place: Array) -> bool:
     """Whether a place ``(3,)`` is in the base, up to the shoulder, or below an upright one that stands on who knows."""
     gravity = np.asarray(detector.cell.gravity)
     upright = gravity[2] < -0.5 * np.linalg.norm(gravity)
-    obstacles = (s for s in _world(detector).shapes if s.kind == "obstacle")
+    obstacles = (s for s in world_of(detector).shapes if s.kind == "obstacle")
     endless = upright and not any(carries(s, base, detector.cell.clearance) for s in obstacles)
     lowest, shoulder = -np.inf if endless else 0.0, detector.robot.joints[1].point[2]
     return bool(np.hypot(*place[:2]) <= base.radius and lowest <= place[2] <= shoulder)
-
-
-@lru_cache(maxsize=8)
-def _world(detector: Detector) -> _World:
-    return _World(detector)

@@ -15,6 +15,7 @@ from offline_ik.cell import Cell, Obstacle, default_cell
 from offline_ik.detector import Detector
 from offline_ik.errors import CellError
 from offline_ik.safety import check_path, move_time
+from offline_ik.world import world_of
 
 START = np.array([-0.8, -1.2, 1.3, 0.0, 0.5, 0.0])
 END = np.array([0.8, -1.2, 1.3, 0.0, 0.5, 0.0])
@@ -70,19 +71,56 @@ def test_what_is_checked_between_samples_is_what_fine_sampling_finds() -> None:
     free = placed()
     ball = Obstacle("ball", "sphere", (0.15,), at(in_the_way(free)))
     detector = placed(ball, clearance=0.0)
-    from offline_ik.safety import _world
-
-    world, verdicts = _world(detector), []
+    world, verdicts = world_of(detector), []
     for _ in range(12):
         start, end = START + rng.normal(size=6) * 0.5, END + rng.normal(size=6) * 0.5
         start, end = (np.clip(q, detector.lower, detector.upper) for q in (start, end))
-        least = min(world.distances(start + s * (end - start)).min() for s in np.linspace(0, 1, 400))
+        least = world.distances(start + np.linspace(0, 1, 400)[:, None] * (end - start)).min()
         safe = check_path(detector, [start, end]).safe
         assert safe <= (least > 0)
         if least > 5e-3:
             assert safe
         verdicts.append(safe)
     assert len(set(verdicts)) == 2
+
+
+def test_spheres_around_the_bodies_bound_their_distances_from_below(tmp_path: Path) -> None:
+    mesh = tmp_path / "tetra.obj"
+    mesh.write_text("v 1 0 0\nv 1.1 0 0\nv 1 0.1 0\nv 1 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n", encoding="utf-8")
+    where = at(in_the_way(placed()))
+    things = [
+        Obstacle("box", "box", (0.1, 0.2, 0.3), where),
+        Obstacle("capsule", "capsule", (0.05, 0.4), where),
+        Obstacle("cylinder", "cylinder", (0.3, 0.05), where),
+        Obstacle("tetra", "mesh", (), where, mesh),
+    ]
+    detector = placed(*things)
+    world, rng = world_of(detector), np.random.default_rng(8)
+    q = rng.uniform(detector.lower, detector.upper, (40, 6))
+    exact, bounds = world.distances(q), world.at(q).bounds()
+    assert (bounds <= exact + 1e-9).all()
+    assert (bounds > 0.5 * exact).any(axis=1).all()
+
+
+def test_the_least_distance_is_that_of_the_pair_it_names() -> None:
+    detector = placed(Obstacle("ball", "sphere", (0.1,), at(in_the_way(placed()) + np.array([0.0, 0.0, 0.5]))))
+    world, rng, looked_at = world_of(detector), np.random.default_rng(5), 0
+    forearm = [k for k, (a, b) in enumerate(world.pairs) if a.kind == "base" and b.link in (4, 5)]
+    for _ in range(12):
+        q = np.array([START, END]) + rng.normal(size=(2, 6)) * 0.3
+        report = check_path(detector, np.clip(q, detector.lower, detector.upper))
+        if not report.safe:
+            continue
+        start, end = np.clip(q, detector.lower, detector.upper)
+        there = world.distances((start + report.at * (end - start))[None])[0]
+        pair = [k for k, (a, b) in enumerate(world.pairs) if (a.name, b.name) == report.between]
+        assert min(there[pair]) == pytest.approx(report.clearance, abs=1e-9)
+        dense = world.distances(start + np.linspace(0, 1, 301)[:, None] * (end - start))
+        assert dense.min() > detector.cell.clearance
+        for seen, every in ((report.clearance, dense), (report.base_distance, dense[:, forearm])):
+            assert every.min() - 1e-3 <= seen <= every[150].min() + 1e-9
+        looked_at += 1
+    assert looked_at > 3
 
 
 def test_each_shape_stands_in_the_way() -> None:
