@@ -4,6 +4,8 @@ Forward kinematics by the product of exponentials, T(q) = exp([S1] q1) ⋯ exp([
 Fast on many rows: each joint's matrices are built by elementwise formulas over all rows at once.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,30 +18,37 @@ __all__ = ["forward", "joint_transforms", "space_jacobian"]
 _DIRECT = 1e-3  # above it, the closed forms lose nothing in absolute terms by dividing by the screw's length
 
 
-def _exponentials(S: Array, q: Array) -> tuple[Array, Array]:
+def _coefficients(S: Array, q: Array) -> Array:
     """
-    Give what exp([S] q) of screws (n, 6) at q (..., n) is the product of: coefficients (..., n, 4), matrices (n, 4, 16).
+    Give the coefficients (..., n, 4) of exp([S] q) over the powers of `_powers`, of screws (n, 6) at q (..., n).
 
     The 4×4 matrix [S] satisfies [S]⁴ = −|omega|²·[S]², so that the exponential is I + q[S] + b[S]² + c[S]³ for any
     screw, of unit length or not: one small matrix product for all rows. Source: Lynch & Park, Modern Robotics,
     proposition 3.25, in homogeneous form.
     """
+    length = np.sqrt((S[:, :3] ** 2).sum(axis=1))
+    direct = length > _DIRECT
+    angle, divisor = length * q, np.where(direct, length, 1.0)
+    out = np.empty((*q.shape, 4))
+    out[..., 0], out[..., 1] = 1.0, q
+    out[..., 2] = (1 - np.cos(angle)) / divisor**2
+    out[..., 3] = (angle - np.sin(angle)) / divisor**3
+    for i in np.flatnonzero(~direct).tolist():
+        _, b, c = exponential_coefficients(angle[..., i])
+        out[..., i, 2], out[..., i, 3] = b * q[..., i] ** 2, c * q[..., i] ** 3
+    return out
+
+
+@lru_cache(maxsize=64)
+def _powers(screws: bytes) -> Array:
+    """Give I, [S], [S]², [S]³ (n, 4, 16) of screws (n, 6), given as their bytes: a robot's are asked for often."""
+    S = np.frombuffer(screws).reshape(-1, 6)
     powers = np.zeros((len(S), 4, 4, 4))
     powers[:, 0] = np.eye(4)
     powers[:, 1, :3, :3], powers[:, 1, :3, 3] = hat3(S[:, :3]), S[:, 3:]
     powers[:, 2] = powers[:, 1] @ powers[:, 1]
     powers[:, 3] = powers[:, 2] @ powers[:, 1]
-    length = np.sqrt((S[:, :3] ** 2).sum(axis=1))
-    direct = length > _DIRECT
-    angle, divisor = length * q, np.where(direct, length, 1.0)
-    coefficients = np.empty((*q.shape, 4))
-    coefficients[..., 0], coefficients[..., 1] = 1.0, q
-    coefficients[..., 2] = (1 - np.cos(angle)) / divisor**2
-    coefficients[..., 3] = (angle - np.sin(angle)) / divisor**3
-    for i in np.flatnonzero(~direct).tolist():
-        _, b, c = exponential_coefficients(angle[..., i])
-        coefficients[..., i, 2], coefficients[..., i, 3] = b * q[..., i] ** 2, c * q[..., i] ** 3
-    return coefficients, powers.reshape(len(S), 4, 16)
+    return powers.reshape(len(S), 4, 16)
 
 
 def _checked(screws: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Array, Array]:
@@ -78,7 +87,7 @@ def joint_transforms(screws: npt.ArrayLike, q: npt.ArrayLike) -> Array:
     n = S.shape[0]
     out = np.empty((*q.shape[:-1], n + 1, 4, 4))
     out[..., 0, :, :] = np.eye(4)
-    coefficients, powers = _exponentials(S, q)
+    coefficients, powers = _coefficients(S, q), _powers(S.tobytes())
     for i in range(n):
         out[..., i + 1, :, :] = out[..., i, :, :] @ (coefficients[..., i, :] @ powers[i]).reshape(*q.shape[:-1], 4, 4)
     return out

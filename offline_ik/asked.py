@@ -11,9 +11,9 @@ import numpy.typing as npt
 from offline_ik.checks import check_directions
 from offline_ik.detector import Detector
 from offline_ik.requests import number, numbers, switch
-from offline_ik.simulation import Simulation, simulate_move
+from offline_ik.simulation import Simulation, simulate_move, simulate_straight
 
-__all__ = ["asked_of", "sides_of", "simulation_of"]
+__all__ = ["asked_of", "sides_of", "simulated_at_once", "simulation_of"]
 
 Array = npt.NDArray[np.float64]
 
@@ -47,3 +47,13 @@ def simulation_of(given: Mapping[str, str], start: Array, sides: Array | None) -
         return simulate_move(detector, **position, start=start, branch=branch, approach=approach, direction=sides)
 
     return work
+
+
+def simulated_at_once(
+    detector: Detector, given: Mapping[str, str], start: Array, sides: Array | None
+) -> Simulation | None:
+    """The same move simulated, where it takes no longer than an answer on the server's loop may; else None."""
+    if switch(given, "approach"):
+        return None
+    answer = detector.at_once(**asked_of(given, start, sides))
+    return None if answer is None else simulate_straight(detector, answer, start, sides)

@@ -146,7 +146,7 @@ class Client(asyncio.Protocol):
         if robot is not None:
             robot.release(self.session)
         # What is on its way to the robot is seen through.
-        if self.job is not None and self.job[0].later.lane in ("compute", "wait"):
+        if self.job is not None and self.job[0].later.lane in ("compute", "soon", "wait"):
             self.job[1].cancel()
 
     def data_received(self, data: bytes) -> None:
@@ -279,7 +279,7 @@ class Client(asyncio.Protocol):
         self.job = None
         transport = self.transport
         gone = self.ended or transport is None or transport.is_closing()
-        if done.cancelled() or (gone and job.later.lane == "compute"):
+        if done.cancelled() or (gone and job.later.lane in ("compute", "soon")):
             return
         found = self.server.finish(job, done)
         if gone or transport is None:

@@ -70,6 +70,7 @@ class Detector:
         self.lower = self.robot.lower + cell.limit_margin
         self.upper = self.robot.upper - cell.limit_margin
         self.search = PostureSearch(self.solver, self.lower, self.upper)
+        self.fastest = np.array([j.max_speed or np.pi for j in self.robot.joints])  # rad/s
         self.rest = np.clip(np.zeros(arm.n), self.lower, self.upper)
         from offline_ik.safety import check_sample
 

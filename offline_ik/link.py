@@ -163,6 +163,11 @@ class LinkedRobot:
         """Whether `stop` waits for nothing."""
         return self.link.capabilities.stops_at_once
 
+    @property
+    def begins_at_once(self) -> bool:
+        """Whether `move` waits for nothing now."""
+        return self.link.capabilities.begins_at_once and not self._stopped_here
+
     def capabilities(self) -> Mapping[str, Any]:
         """What the link can do, and what its numbers are, for JSON."""
         return self.link.capabilities.to_json()

@@ -25,7 +25,7 @@ from offline_ik.world import World, world_of
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["Clearance", "PathReport", "check_path", "check_sample", "clearances_along", "move_time"]
+__all__ = ["Clearance", "LongCheckError", "PathReport", "check_path", "check_sample", "clearances_along", "move_time"]
 
 Array = npt.NDArray[np.float64]
 
@@ -87,26 +87,37 @@ class Clearance:
         return {"between": list(self.between), "least_distance_m": self.distance, "at": self.at}
 
 
-def check_path(detector: Detector, postures: Sequence[Array] | Array) -> PathReport:
+class LongCheckError(Exception):
+    """A check would look at more places than it may."""
+
+
+def check_path(detector: Detector, postures: Sequence[Array] | Array, most: float = np.inf) -> PathReport:
     """Check a move through postures ``(m, n)``, straight in joint space between them.
 
     Parameters
     ----------
     postures
         rad; a single one is checked as a place.
+    most
+        Places on the way that may be looked at.
+
+    Raises
+    ------
+    LongCheckError
+        They do not decide.
     """
     path = np.atleast_2d(np.asarray(postures, dtype=float))
     reasons: dict[str, None] = {}
-    for i, joint in enumerate(detector.robot.joints):
-        if not np.isfinite(path[:, i]).all():
-            reasons[f"{joint.name} is not a finite angle"] = None
-        elif (path[:, i] < detector.lower[i]).any() or (path[:, i] > detector.upper[i]).any():
-            low, high = np.degrees([detector.lower[i], detector.upper[i]])
-            reasons[f"{joint.name} leaves its limits of {low:.1f} to {high:.1f} deg"] = None
+    wild = ~np.isfinite(path).all(axis=0)
+    beyond = ((path < detector.lower) | (path > detector.upper)).any(axis=0)
+    for i in np.flatnonzero(wild | beyond).tolist():
+        name, (low, high) = detector.robot.joints[i].name, np.degrees([detector.lower[i], detector.upper[i]])
+        limits = "is not a finite angle" if wild[i] else f"leaves its limits of {low:.1f} to {high:.1f} deg"
+        reasons[f"{name} {limits}"] = None
     if reasons:
         return PathReport(tuple(reasons), np.inf, ("", ""), 0.0, np.inf, move_time(detector, path))
     world = world_of(detector)
-    worst = _Worst(world, detector.cell.clearance)
+    worst = _Worst(world, detector.cell.clearance, most)
     for leg in range(max(len(path) - 1, 1)):
         start, end = path[leg], path[min(leg + 1, len(path) - 1)]
         worst.leg(start, end, leg)
@@ -142,8 +153,8 @@ def clearances_along(detector: Detector, postures: Array) -> list[Clearance]:
 class _Worst:
     """The least distances met while intervals are halved."""
 
-    def __init__(self, world: World, allowed: float) -> None:
-        self.world, self.allowed = world, allowed
+    def __init__(self, world: World, allowed: float, most: float) -> None:
+        self.world, self.allowed, self._left = world, allowed, most
         self.clearance, self.between, self.at, self.base = np.inf, ("", ""), 0.0, np.inf
         self.hit: tuple[str, str] | None = None
         self._forearm = np.array([a.kind == "base" and b.link in (4, 5) for a, b in world.pairs], dtype=bool)
@@ -157,6 +168,9 @@ class _Worst:
         while todo:
             # From the end, so that a way that grazes something is refused before all of it is looked at this finely.
             intervals, todo = todo[-TOGETHER:], todo[:-TOGETHER]
+            self._left -= len(intervals)
+            if self._left < 0:
+                raise LongCheckError
             low, high = np.array([a for a, _, _ in intervals]), np.array([b for _, b, _ in intervals])
             middles, width = 0.5 * (low + high), high - low
             nearer = 0.5 * width[:, None] * whole  # than in the middle, anywhere in the interval
@@ -209,9 +223,9 @@ class _Worst:
 def move_time(detector: Detector, path: Array, speed: float | None = None) -> float:
     """How long a move takes at the given share of the joints' greatest speeds (the cell's by default), s."""
     share = detector.cell.speed if speed is None else speed
-    fastest = np.array([j.max_speed or np.pi for j in detector.robot.joints])
-    legs = np.abs(np.diff(np.atleast_2d(path), axis=0))
-    return float((legs / (share * fastest)).max(axis=1).sum()) if len(legs) else 0.0
+    path = np.atleast_2d(path)
+    legs = np.abs(path[1:] - path[:-1])
+    return float((legs / (share * detector.fastest)).max(axis=1).sum()) if len(legs) else 0.0
 
 
 def check_sample(detector: Detector) -> None:

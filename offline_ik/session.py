@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Job", "Later", "Session", "Told"]
 
 Array = npt.NDArray[np.float64]
-Lane = Literal["compute", "link", "stop", "wait"]
+Lane = Literal["compute", "soon", "link", "stop", "wait"]
 
 
 class Told(NamedTuple):
@@ -37,8 +37,8 @@ class Later(NamedTuple):
     then
         Makes the answer of that, or says what has to be done next; here sessions change.
     lane
-        Where it is done: computed; a motion sent over the link; the robot stopped; or waited until motion ``number``
-        has ended, at most for ``patience`` s.
+        Where it is done: computed; at once, but after what else has come; a motion sent over the link; the robot
+        stopped; or waited until motion ``number`` has ended, at most for ``patience`` s.
     """
 
     work: Callable[[Detector], Any]

@@ -15,17 +15,19 @@ import numpy.typing as npt
 
 from offline_ik.coordinates import detector_angles
 from offline_ik.safety import Clearance, clearances_along, move_time
-from offline_ik.ways import Way, Ways, ways_to
+from offline_ik.ways import Way, Ways, straight_way, ways_to
 
 if TYPE_CHECKING:
+    from offline_ik.answer import Answer
     from offline_ik.detector import Detector
 
-__all__ = ["Simulation", "simulate_move"]
+__all__ = ["Simulation", "simulate_move", "simulate_straight"]
 
 Array = npt.NDArray[np.float64]
 
 POINTS = 25  # along a way
 NEAREST = 5  # pairs of bodies whose clearance is told
+AT_ONCE = 64  # places on a way that may be looked at before others' requests are answered: a few ms
 
 
 @dataclass(frozen=True)
@@ -139,3 +141,20 @@ def simulate_move(
     answer = detector.locate(gamma, delta, r, roll, near=here, branch=branch, direction=came)  # type: ignore[arg-type]
     ways = ways_to(detector, answer, start=here, branch=branch, approach=approach, direction=direction)
     return Simulation(detector, here, ways)
+
+
+def simulate_straight(
+    detector: Detector, answer: Answer, start: Array, direction: Array | None = None
+) -> Simulation | None:
+    """The straight move to the nearest posture, as :func:`simulate_move` has it; None where that takes longer.
+
+    It does where another posture has to be searched because the way to the nearest one is refused, or where something
+    is so near that many places on the way have to be looked at.
+
+    Parameters
+    ----------
+    answer
+        Located from ``start`` ``(n,)``, rad, for ``direction``.
+    """
+    ways = straight_way(detector, answer, start, direction, AT_ONCE)
+    return None if ways is None else Simulation(detector, start, ways)

@@ -13,13 +13,13 @@ from offline_ik.approach import Approach, approach_through
 from offline_ik.branches import parse_choice
 from offline_ik.checks import check_directions
 from offline_ik.postures import Direction
-from offline_ik.safety import PathReport, check_path
+from offline_ik.safety import LongCheckError, PathReport, check_path
 
 if TYPE_CHECKING:
     from offline_ik.answer import Answer, Solution
     from offline_ik.detector import Detector
 
-__all__ = ["Way", "Ways", "ways_to"]
+__all__ = ["Way", "Ways", "straight_way", "ways_to"]
 
 Array = npt.NDArray[np.float64]
 
@@ -176,6 +176,27 @@ def ways_to(
         () if approach or asked is None or start is None else _against(detector, chosen[0].solution.q - start, asked)
     )
     return Ways(_with(answer, chosen), chosen, tuple(refused), came, against)
+
+
+def straight_way(detector: Detector, answer: Answer, start: Array, direction: Array | None, most: int) -> Ways | None:
+    """The straight way to the first posture, as :func:`ways_to` has it; None where it is refused.
+
+    Parameters
+    ----------
+    answer
+        Located for the nearest posture from ``start`` ``(n,)``, rad, and for ``direction`` ``(n,)``.
+    most
+        Places that may be looked at on the way; None is returned where that does not decide.
+    """
+    first = answer.solutions[0]
+    try:
+        path = check_path(detector, [start, first.q], most)
+    except LongCheckError:
+        return None
+    if not path.safe:
+        return None
+    against = () if direction is None else _against(detector, first.q - start, direction)
+    return Ways(answer, (Way(first, path),), came="moved" if direction is None else "asked", against=against)
 
 
 def _against(detector: Detector, moved: Array, asked: Array) -> tuple[str, ...]:

@@ -64,6 +64,7 @@ class EkiLink:
             releases=True,
             records=True,
             stops_at_once=True,
+            begins_at_once=True,
             longest_program=LONGEST_PROGRAM,
             signals=(
                 Signal("joint", "rad", "joint", "measured", TIMER, period),

@@ -71,6 +71,8 @@ class Capabilities:
         Whether it has those calls.
     stops_at_once
         Whether `stop` waits for nothing, neither for the controller nor for a network that is full.
+    begins_at_once
+        Whether `execute` waits for nothing either.
     longest_program
         Points of one program; 0 if it executes none.
     signals
@@ -85,6 +87,7 @@ class Capabilities:
     releases: bool = False
     records: bool = False
     stops_at_once: bool = False
+    begins_at_once: bool = False
     longest_program: int = 0
     signals: tuple[Signal, ...] = ()
     cannot: tuple[str, ...] = ()
@@ -98,6 +101,7 @@ class Capabilities:
             "releases": self.releases,
             "records": self.records,
             "stops_at_once": self.stops_at_once,
+            "begins_at_once": self.begins_at_once,
             "longest_program": self.longest_program,
             "signals": [signal.to_json() for signal in self.signals],
             "cannot": list(self.cannot),

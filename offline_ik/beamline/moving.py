@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clampid.verbs.output import finite
-from offline_ik.asked import sides_of, simulation_of
+from offline_ik.asked import sides_of, simulated_at_once, simulation_of
 from offline_ik.beamline.robot import SETTLED, LinkedRobot
 from offline_ik.requests import RequestError, number, switch
 from offline_ik.session import Later, Session, Told
@@ -62,9 +62,16 @@ def _move(speaker: Speaker, given: Given, session: Session) -> Later:
             then = lambda _: speaker.told_of(data | {"moving": False} | ended(speaker, number), ways.answer)  # noqa: E731
             return _until(robot, number, LONGEST, then)
 
+        if robot.begins_at_once:  # a thread would only make it later
+            robot.send(way.postures, speed)
+            return sent(None)
         return Later(lambda _: robot.send(way.postures, speed), sent, "link")
 
-    return Later(simulation_of(given, here, sides_of(speaker.detector, given)), then)
+    sides = sides_of(speaker.detector, given)
+    brief = simulated_at_once(speaker.detector, given, here, sides)
+    if brief is not None:  # begun after what else has come: the end of the connection, a stop
+        return Later(lambda _: brief, then, "soon")
+    return Later(simulation_of(given, here, sides), then)
 
 
 def _until(robot: LinkedRobot, number: int, patience: float, then: Callable[[Any], Told]) -> Later:

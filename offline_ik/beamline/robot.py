@@ -98,9 +98,9 @@ class LinkedRobot:
 
     def refresh(self) -> bool:
         """Look whether it moves; a motion that has ended is noted."""
-        if self._sending:
-            return True
-        state = self.link.state()
+        return self._sending or self._look(self.link.state())
+
+    def _look(self, state: Mapping[str, Any]) -> bool:
         age = state.get("age_s")
         if self._open and age is not None and age > OLD:
             self._end("unknown", f"the link has not heard from the robot for {age:.1f} s")
@@ -140,7 +140,8 @@ class LinkedRobot:
         RequestError
             It moves, somebody else keeps it, or the link does not know where it is.
         """
-        moving = self.refresh()
+        state = self.link.state()
+        moving = self._sending or self._look(state)
         if self.keeper is not None and self.keeper is not session:
             raise RequestError(f"move: {self.keeper.called} holds the robot; ask again when it is released")
         if moving and self.mover is not None:
@@ -148,7 +149,7 @@ class LinkedRobot:
             raise RequestError(f"move: the robot moves for {whose}; ask again when it stands")
         if moving:
             raise RequestError("move: the robot moves, and not for this server; ask again when it stands")
-        age = self.link.state().get("age_s")
+        age = state.get("age_s")
         if age is not None and age > OLD:
             raise RequestError(f"move: the link has not heard from the robot for {age:.1f} s; nothing moves")
 
@@ -213,6 +214,11 @@ class LinkedRobot:
     def stops_at_once(self) -> bool:
         """Whether the link's `stop` waits for nothing, and needs no thread of its own."""
         return bool(getattr(self.link, "stops_at_once", False))
+
+    @property
+    def begins_at_once(self) -> bool:
+        """Whether the link's `move` waits for nothing now, and needs no thread of its own."""
+        return bool(getattr(self.link, "begins_at_once", False))
 
     def stop(self) -> None:
         """Stop it at once, whoever moves it."""

@@ -24,7 +24,7 @@ from offline_ik.picture import picture_of
 from offline_ik.protocol import Session, Speaker
 from offline_ik.safety import check_path
 from offline_ik.seen import pixel_of, poni_text
-from offline_ik.simulation import simulate_move
+from offline_ik.simulation import simulate_move, simulate_straight
 
 PIXELS = (514, 1030)
 
@@ -200,3 +200,23 @@ def test_pixels_must_be_said(detector: Detector, cell_file: Path, tmp_path: Path
         read_cell(wrong, detector.robot)
     with pytest.raises(TargetError):
         pixel_of(detector, np.eye(4), np.eye(6), (-1, 0), PIXELS)
+
+
+def test_a_straight_move_checked_at_once_is_the_one_that_a_search_finds(detector: Detector) -> None:
+    rng, at_once, searched = np.random.default_rng(11), 0, 0
+    for _ in range(40):
+        gamma, delta, r = rng.uniform([0.1, 0.0, 0.6], [0.6, 0.5, 0.9])
+        start = np.array(START) + rng.normal(size=6) * 0.2
+        answer = detector.at_once(gamma, delta, r, near=start, direction="moved")
+        brief = None if answer is None else simulate_straight(detector, answer, start)
+        whole = simulate_move(detector, gamma, delta, r, start=start)
+        if brief is None:
+            searched += 1
+            continue
+        at_once += 1
+        assert brief.safe
+        assert whole.safe
+        assert np.array_equal(brief.postures, whole.postures)
+        assert brief.to_json() == whole.to_json()
+    assert at_once > 5
+    assert searched > 0

@@ -211,12 +211,12 @@ def test_a_connection_that_breaks_while_it_waits_ends_no_motion(serving: Serving
 
 def test_a_client_that_has_closed_its_side_moves_nothing(serving: Serving, link: MemoryLink) -> None:
     with serving.client("gone") as gone:
-        gone.send(MOVE)
+        gone.socket.send(MOVE.encode() + b"\n", socket.MSG_MORE)  # in one segment with the end
         gone.socket.shutdown(socket.SHUT_WR)
         assert "the connection was closed before the move was checked; nothing moves" in gone.hear()["error"]
     gone = serving.client("reset")
-    gone.send(MOVE)
     gone.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    gone.socket.send(MOVE.encode() + b"\n", socket.MSG_MORE)
     gone.close()
     with serving.client() as other:
         assert not other.ask("moved timeout=5")["moving"]

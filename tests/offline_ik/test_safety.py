@@ -14,7 +14,7 @@ from offline_ik.arm import nominal_arm
 from offline_ik.cell import Cell, Obstacle, default_cell
 from offline_ik.detector import Detector
 from offline_ik.errors import CellError
-from offline_ik.safety import check_path, move_time
+from offline_ik.safety import LongCheckError, check_path, move_time
 from offline_ik.world import world_of
 
 START = np.array([-0.8, -1.2, 1.3, 0.0, 0.5, 0.0])
@@ -245,3 +245,10 @@ def test_under_a_hung_robot_there_is_no_pedestal() -> None:
     assert about(under, gravity=(0.0, 0.0, 9.81)).cell.convention.sample == under
     with pytest.raises(CellError, match="the robot's base"):
         about((0.05, 0.0, 0.45), gravity=(0.0, 0.0, 9.81))
+
+
+def test_a_check_that_may_look_at_few_places_says_that_they_do_not_decide() -> None:
+    detector = placed(Obstacle("post", "cylinder", (0.05, 0.6), at(in_the_way(placed()) + np.array([0.0, 0.0, 0.5]))))
+    with pytest.raises(LongCheckError):
+        check_path(detector, [START, END], 4)
+    assert check_path(detector, [START, END], 1000) == check_path(detector, [START, END])

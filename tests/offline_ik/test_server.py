@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import socket
 import struct
 import threading
@@ -18,7 +19,7 @@ from server_lines import GOOD, rubbish
 from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
 from offline_ik.protocol import Speaker
-from offline_ik.safety import PathReport, check_path
+from offline_ik.safety import LongCheckError, PathReport, check_path
 from offline_ik.server import LINE_BYTES, Limits, Server, is_loopback, parse_address
 
 Talk = Callable[[Server, str, int], Awaitable[Any]]
@@ -135,11 +136,14 @@ class Held:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.begun, self.go = threading.Event(), threading.Event()
 
-        def check(*given: Any) -> PathReport:
+        def check(detector: Detector, postures: Any, most: float = math.inf) -> PathReport:
+            if not most:
+                raise LongCheckError
             self.begun.set()
             assert self.go.wait(60)
-            return check_path(*given)
+            return check_path(detector, postures)
 
+        monkeypatch.setattr("offline_ik.simulation.AT_ONCE", 0)  # or a short move would be checked on the loop
         monkeypatch.setattr("offline_ik.ways.check_path", check)
         monkeypatch.setattr("offline_ik.protocol.check_path", check)
 
