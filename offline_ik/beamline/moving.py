@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clampid.verbs.errors import CallError
 from clampid.verbs.output import finite
 from offline_ik.asked import sides_of, simulated_at_once, simulation_of
 from offline_ik.beamline.robot import SETTLED, LinkedRobot
@@ -148,20 +150,25 @@ def _confirm(speaker: Speaker, given: Given, session: Session) -> Later:
         raise RequestError("confirm: this link never asks")
     if robot.refresh():
         raise RequestError("confirm: the robot moves; look at it when it stands")
-    return Later(lambda _: confirm(), lambda _: Told({"link": finite(dict(robot.link.state()))}), "link")
+    return Later(lambda _: confirm(), lambda _: _after(speaker, robot), "link")
+
+
+def _after(speaker: Speaker, robot: LinkedRobot) -> Told:
+    """What the link says of itself, and where the robot is, where that is known."""
+    told: dict[str, Any] = {"link": finite(dict(robot.link.state()))}
+    with suppress(CallError):  # a stop is answered all the same
+        told["at"] = robot.place(speaker.detector)[2]
+    return Told(told)
 
 
 def _stop(speaker: Speaker, given: Given, session: Session) -> Told | Later:
     robot = _linked(speaker, "stop", "there is nothing to stop")
     robot.stops += 1  # at once: what is being checked does not begin any more
 
-    def then(_: Any) -> Told:
-        return Told({"link": finite(dict(robot.link.state()))})
-
     if robot.stops_at_once:  # a thread would only make it later
         robot.stop()
-        return then(None)
-    return Later(lambda _: robot.stop(), then, "stop")
+        return _after(speaker, robot)
+    return Later(lambda _: robot.stop(), lambda _: _after(speaker, robot), "stop")
 
 
 MOVING: Mapping[str, Callable[[Speaker, Given, Session], Told | Later]] = {

@@ -121,7 +121,10 @@ def test_a_stop_that_waits_for_nothing_needs_no_thread(
     monkeypatch.setattr(link, "stop", lambda: (called.append(threading.current_thread()), stop()))
     with serving.client() as mover, serving.client(hello=False) as other:
         assert mover.ask(MOVE)["moving"]
-        assert other.ask("stop")["link"]["moving"] is False
+        told = other.ask("stop")
+        assert told["link"]["moving"] is False
+        assert told["at"]["q_rad"] == pytest.approx(link.posture().tolist())
+        assert {"X_mm", "C_deg"} <= told["at"]["detector"].keys()
         assert called == [serving._thread]
         assert mover.ask("moved")["ended"]["outcome"] == "stopped"
 
