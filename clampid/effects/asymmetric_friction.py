@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -21,4 +22,12 @@ EFFECT = Effect(
     stages=("free_air", "clamped"),
     equation="tau_motor = dF_c (1 + sign(w))/2",
     source=("Armstrong1994",),
+    search=Search(
+        separators=(
+            Separator(
+                "torque_offset",
+                "nothing on one axis, where they are the same: a torque reading with the brakes on gives the offset",
+            ),
+        )
+    ),
 )

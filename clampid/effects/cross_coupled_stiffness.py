@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import shifted_down, shifted_up
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def deflection(p: Any, x: Any) -> Any:
@@ -33,6 +34,5 @@ EFFECT = Effect(
     stages=("clamped", "poses"),
     equation="dq = -T' X T tau, X_(i-1,i) = X_(i,i-1) = x_i",
     source=("Thesis", "Klimchik"),
-    tried="places",
-    beyond="joint_compliance",
+    search=Search(scope="places", refines="joint_compliance"),
 )

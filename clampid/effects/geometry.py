@@ -11,6 +11,7 @@ from typing import Any
 
 from clampid.algebra import columns, dot, rows
 from clampid.effect import Effect, Parameter, Per
+from clampid.search_policy import Search
 
 
 def base(p: Any, x: Any) -> Any:
@@ -63,5 +64,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="T = B prod exp([xi_i] q_i) M_i; M_i the motion of link i's far end",
     source=("UniversalModel", "LynchPark2017"),
-    tried="together",
+    search=Search(scope="together"),
 )

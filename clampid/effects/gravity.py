@@ -10,6 +10,7 @@ from typing import Any
 
 from clampid.algebra import interleave
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -31,5 +32,5 @@ EFFECT = Effect(
     stages=("free_air", "poses"),
     equation="d tau = Y(q) d(m, m c), Y = d(dV/dq)/d(m, m c)",
     source=("Thesis", "LynchPark2017"),
-    tried="together",
+    search=Search(scope="together"),
 )

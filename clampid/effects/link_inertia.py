@@ -10,6 +10,7 @@ from typing import Any
 
 from clampid.algebra import interleave
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
@@ -37,6 +38,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="d tau = Y_I(q, q', q'') d(Ixx, Iyy, Izz, Ixy, Ixz, Iyz)",
     source=("LynchPark2017",),
-    beyond="inertia",
-    tried="together",
+    search=Search(refines="inertia", scope="together"),
 )

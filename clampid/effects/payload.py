@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -28,4 +29,10 @@ EFFECT = Effect(
     equation="d tau = Y_n(q) d(m, m c)_tool",
     source=("Thesis",),
     at="tool",
+    search=Search(
+        separators=(
+            Separator("gravity", "the same program with and without the tool"),
+            Separator("joint_compliance", "the same poses without the tool"),
+        )
+    ),
 )

@@ -9,6 +9,7 @@ from typing import Any
 
 from clampid.algebra import rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -31,5 +32,5 @@ EFFECT = Effect(
     equation="d tau = Y_n(q) d(m, m c), of the poses' tool less the logs'",
     source=("Thesis",),
     at="tool",
-    differs_from="free_air",
+    search=Search(differs_from="free_air"),
 )

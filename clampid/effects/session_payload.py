@@ -9,6 +9,7 @@ from typing import Any
 
 from clampid.algebra import dot, rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -32,5 +33,5 @@ EFFECT = Effect(
     equation="d tau = Y_n(q) d(m, m c)_tool of the session",
     source=("Thesis",),
     at="tool",
-    asked=True,
+    search=Search(opt_in=True),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import along
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def growth(p: Any, x: Any) -> Any:
@@ -23,4 +24,9 @@ EFFECT = Effect(
     equation="d_i(T) = d_i (1 + alpha_i (T_i - T_0))",
     source=("UniversalModel", "VisualInspection"),
     known_within="link_temperature",
+    search=Search(
+        separators=(
+            Separator("base_tilt", "restart cold and measure the same poses in another order", same_stage=True),
+        )
+    ),
 )
