@@ -12,6 +12,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
 
+from clampid.roles import ROLES, Role
 from clampid.search_policy import Search
 from clampid.signals import PRESLIDING_LENGTHS, RELAXATION_TIMES, SIGNALS, STAGES, Signal, Stage, signal
 
@@ -109,6 +110,9 @@ class Parameter:
     share
         Whether it is a fraction in [0, 1] of another amplitude. It starts at 1: at 0 the shape parameters have no
         gradient.
+    role, axis
+        What it is in the field's terms, one of :data:`clampid.roles.ROLES`, where the core needs to know, and which
+        component of that.
     """
 
     name: str
@@ -124,6 +128,8 @@ class Parameter:
     gearing: int = 0
     share: bool = False
     moment: float = 0.0
+    role: Role = ""
+    axis: str = ""
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -132,6 +138,11 @@ class Parameter:
             raise EffectError(f"parameter {self.name}: a shape parameter needs a grid; its first value is the start")
         if self.share and self.bounds != (0.0, 1.0):
             raise EffectError(f"parameter {self.name}: a share has the bounds (0, 1), found {self.bounds}")
+        if self.role not in ROLES:
+            raise EffectError(f"parameter {self.name}: role {self.role!r} does not exist; known: {', '.join(ROLES)}")
+        if self.axis not in ROLES[self.role][1]:
+            axes = ", ".join(ROLES[self.role][1]) or "none"
+            raise EffectError(f"parameter {self.name}: {self.role} has no axis {self.axis!r}; known: {axes}")
         if not self.size > 0:
             raise EffectError(f"parameter {self.name}: size must be positive, found {self.size}")
         if not self.spread > 0:
@@ -270,6 +281,11 @@ class Effect:
     def by_name(self) -> Mapping[str, Parameter]:
         """Its parameters by their names."""
         return {parameter.name: parameter for parameter in self.parameters}
+
+    @cached_property
+    def roles(self) -> frozenset[Role]:
+        """The roles that its parameters have."""
+        return frozenset(p.role for p in self.parameters if p.role)
 
     @property
     def caveat_json(self) -> dict[str, str]:

@@ -17,7 +17,11 @@ EFFECT = Effect(
     name="asymmetric_friction",
     family="asymmetric_friction",
     acts={"motor_torque": torque},
-    parameters=(Parameter("dFc", "Nm", 10.0, "joint", meaning="dry friction forwards less backwards", gearing=-1),),
+    parameters=(
+        Parameter(
+            "dFc", "Nm", 10.0, "joint", meaning="dry friction forwards less backwards", gearing=-1, role="friction"
+        ),
+    ),
     needs=("motor_motion",),
     stages=("free_air", "clamped"),
     equation="tau_motor = dF_c (1 + sign(w))/2",

@@ -28,6 +28,7 @@ EFFECT = Effect(
             "joint",
             meaning="compliance between this drive and the one before it, at the motors; size at the joint",
             gearing=2,
+            role="cross_compliance",
         ),
     ),
     needs=("torque",),

@@ -31,6 +31,8 @@ EFFECT = Effect(
             2.0,
             "link",
             meaning=f"{name} about the link's joint beyond the description's, base axes at the zero pose",
+            role="inertia_tensor",
+            axis=name.removeprefix("I"),
         )
         for name in NAMES
     ),

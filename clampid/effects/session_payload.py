@@ -22,9 +22,19 @@ EFFECT = Effect(
     family="payload",
     acts={"joint_torque": torque},
     parameters=(
-        Parameter("m", "kg", 2.0, "session", meaning="mass of the session's tool beyond what was declared"),
+        Parameter(
+            "m", "kg", 2.0, "session", meaning="mass of the session's tool beyond what was declared", role="mass"
+        ),
         *(
-            Parameter(f"m{a}", "kg m", 0.4, "session", meaning=f"m c_{a} of that tool beyond what was declared")
+            Parameter(
+                f"m{a}",
+                "kg m",
+                0.4,
+                "session",
+                meaning=f"m c_{a} of that tool beyond what was declared",
+                role="first_moment",
+                axis=a,
+            )
             for a in "xyz"
         ),
     ),

@@ -20,7 +20,13 @@ EFFECT = Effect(
     acts={"motor_torque": torque},
     parameters=(
         Parameter(
-            "Fs", "Nm", 10.0, "joint", meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c", gearing=-1
+            "Fs",
+            "Nm",
+            10.0,
+            "joint",
+            meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c",
+            gearing=-1,
+            role="friction",
         ),
         Parameter(
             "ws",

@@ -18,7 +18,9 @@ EFFECT = Effect(
     name="thermal_expansion",
     family="thermal_expansion",
     acts={"link_twist": growth},
-    parameters=(Parameter("alpha", "1/K", 1.2e-5, "link", meaning="expansion of the link along its length"),),
+    parameters=(
+        Parameter("alpha", "1/K", 1.2e-5, "link", meaning="expansion of the link along its length", role="expansion"),
+    ),
     needs=("link_temperature",),
     stages=("poses",),
     equation="d_i(T) = d_i (1 + alpha_i (T_i - T_0))",

@@ -164,7 +164,7 @@ def named_candidates(
     of_term: dict[Term, tuple[Slot, ...]] = {}
     for term in terms:
         effect = effects[term.effect]
-        if effect.family == "geometry":
+        if "link_frame" in effect.roles:
             found = independent_geometry(rows, effects)
         else:
             alone = term.place is not None and effect.per != "robot"

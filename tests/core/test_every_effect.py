@@ -23,7 +23,15 @@ from kinematics.sources import load_sources
 EFFECTS = catalogue()
 ACTING = [(name, stage) for name, effect in EFFECTS.items() for stage in effect.stages]
 FILES = sorted(p for p in Path(clampid.effects.__path__[0]).glob("*.py") if p.name != "__init__.py")
-ALLOWED = {"clampid.effect", "clampid.search_policy", "clampid.algebra", "typing", "__future__", "itertools"}
+ALLOWED = {
+    "clampid.effect",
+    "clampid.roles",
+    "clampid.search_policy",
+    "clampid.algebra",
+    "typing",
+    "__future__",
+    "itertools",
+}
 VISIBLE: dict[Stage, tuple[str, ...]] = {
     **OUTPUTS,
     "free_air": (*OUTPUTS["free_air"], "friction_state"),
