@@ -76,7 +76,7 @@ def truth_of(case: Case, places: Sequence[str]) -> list[dict[str, str]]:
     for name, where in zip(case.names, places, strict=True):
         if name not in known:  # outside the library
             continue
-        nowhere = where == EVERYWHERE or known[name].per == "robot" or known[name].tried == "jointly"
+        nowhere = where == EVERYWHERE or known[name].per == "robot" or known[name].search.scope == "jointly"
         place = "" if nowhere else where
         if place:
             place = known[name].per + place.lstrip("abcdefghijklmnopqrstuvwxyz")

@@ -30,6 +30,8 @@ def catalogue() -> Mapping[str, Effect]:
     for module in pkgutil.iter_modules(clampid.effects.__path__):
         effect = _effect_of(importlib.import_module(f"clampid.effects.{module.name}"))
         found |= {e.name: e for e in ((effect,) if effect.event is None else (effect, effect.again))}
+    for effect in found.values():
+        _check_family(effect, found)
     return MappingProxyType(found)
 
 
@@ -111,10 +113,20 @@ def _run(source: bytes, path: Path) -> Mapping[str, Effect]:
         if effect.name in catalogue():
             raise EffectError(f"{path}: the catalogue has an effect {effect.name!r}; expected another name")
         try:
+            _check_family(effect, {**catalogue(), effect.name: effect})
             check_own_effect(effect)
         except EffectError as error:
             raise EffectError(f"{path}: {error}") from None
     return MappingProxyType({**catalogue(), **{effect.name: effect for effect in own}})
+
+
+def _check_family(effect: Effect, known: Mapping[str, Effect]) -> None:
+    """Refuse a family that no effect leads."""
+    if effect.family not in known or known[effect.family].family != effect.family:
+        families = sorted({e.family for e in known.values() if e.family == e.name})
+        raise EffectError(
+            f"effect {effect.name}: family {effect.family!r} does not exist; known: {', '.join(families)}"
+        )
 
 
 def _effect_of(module: ModuleType) -> Effect:

@@ -6,20 +6,20 @@ what a deviation at each location does to the measurement. Zero amplitudes mean 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
 
+from clampid.roles import ROLES, Role
+from clampid.search_policy import Search
+from clampid.signals import PRESLIDING_LENGTHS, RELAXATION_TIMES, SIGNALS, STAGES, Signal, Stage, signal
+
 __all__ = [
     "AT_A_SLIDE",
     "CAST_ARM",
-    "FAMILIES",
-    "JOINT_ANGLE_PERIODIC",
     "PRESLIDING_LENGTHS",
-    "PROBES",
     "RELAXATION_TIMES",
     "SIGNALS",
     "STAGES",
@@ -33,26 +33,13 @@ __all__ = [
     "signal",
 ]
 
-Stage = Literal["free_air", "clamped", "poses"]
 Per = Literal["robot", "joint", "link", "target", "anchor", "session"]
 Within = Literal["q", "torque", "link_temperature"]
-JointKind = Literal["revolute", "prismatic", "helical"]
 Deviation = Callable[[Any, Any], Any]
 
 CAST_ARM = 730.0  # Nm: own weight about the shoulder of an arm for 20 kg, for which structural sizes are stated
 LEAST_MOMENT = 1.0  # Nm: lighter than a toy's arm
 WEAK = 10.0  # sizes: a prior that says next to nothing
-STAGES: tuple[Stage, ...] = ("free_air", "clamped", "poses")
-
-FAMILIES: tuple[str, ...] = (
-    "geometry", "gravity", "payload", "gravity_compensator", "inertia", "coulomb_friction", "viscous_friction",
-    "stribeck_friction", "asymmetric_friction", "load_dependent_friction", "temperature_dependent_friction",
-    "wrist_coupling_friction", "torque_ripple", "dress_pack", "torque_offset", "backlash", "joint_compliance",
-    "nonlinear_stiffness", "hysteresis", "cross_coupled_stiffness", "fixture_compliance", "bearing_tilt",
-    "link_bending", "base_tilt", "gear_eccentricity", "coupling_ratio_error", "thermal_expansion",
-    "instrument_scale", "time_lag", "outliers",
-)  # fmt: skip
-"""The family names of the campaign format; a verdict goes by these."""
 
 UNITS: frozenset[str] = frozenset(
     {
@@ -67,89 +54,6 @@ AT_A_SLIDE: Mapping[str, str] = MappingProxyType({
     "Nm/K": "N/K", "Nm s/rad": "N s/m", "Nm s^2/rad^2": "N s^2/m^2", "kg m^2": "kg",
 })  # fmt: skip
 """Of a joint's parameter → what it is where the joint does not turn but slides."""
-
-PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-"""Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""
-RELAXATION_TIMES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Times in which these states relax at rest, s; every length goes with every time, times running faster."""
-
-JOINT_ANGLE_PERIODIC = "joint_angle_periodic"
-"""Name of the probe that reveals effects of any periodic shape."""
-PROBES: tuple[str, ...] = (JOINT_ANGLE_PERIODIC,)
-"""The probes that an effect may wait for (``revealed_by``)."""
-
-
-@dataclass(frozen=True)
-class Signal:
-    """One recorded or derived variable, a value of it per row.
-
-    The shape may name ``n`` (joints), ``m`` (targets), ``a`` (anchors) and ``s`` (sessions).
-    """
-
-    shape: tuple[str | int, ...]
-    unit: str
-    meaning: str
-
-
-SIGNALS: Mapping[str, Signal] = {
-    "q": Signal(("n",), "rad", "joint angles as the controller reports them"),
-    "motor": Signal(("n",), "rad", "motor-shaft angles, T^-T q"),
-    "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown"),
-    "torque": Signal(("n",), "Nm", "joint torque that the drive exerts, static: +dV/dq"),
-    "flank": Signal(("n",), "", "side on which the transmitted torque presses, -1 to +1"),
-    "joint_speed": Signal(("n",), "rad/s", "speed of the joints"),
-    "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),
-    "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion"),
-    "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion"),
-    "dry_state": Signal(
-        ("n", len(PRESLIDING_LENGTHS) * len(RELAXATION_TIMES)),
-        "",
-        "state of each motor's dry friction, -1 to +1, for every presliding length and relaxation time",
-    ),
-    "own_speed": Signal(("n",), "rad/s", "speed that each motor would have if its own joint alone turned it"),
-    "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion"),
-    "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
-    "torque_rate": Signal(("n",), "Nm/s", "rate of the torque that the weight described takes at the motors"),
-    "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),
-    "link_inertia_regressor": Signal(("n", "6n"), "1/s^2", "d tau_joint / d (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) of links"),
-    "tool_regressor": Signal(("n", 4), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of the tool, flange frame"),
-    "base_moment": Signal((3,), "Nm", "moment of the weight of all that moves, about the base's origin, base frame"),
-    "transverse_moment": Signal(
-        ("n", 3), "Nm", "moment across each joint's axis, in the link behind it, base axes at the zero pose"
-    ),
-    "link_moment": Signal(("n", 3), "Nm", "moment that each link's far end carries, base axes at the zero pose"),
-    "link_force": Signal(("n", 3), "N", "force that each link's far end carries, base axes at the zero pose"),
-    "wrench": Signal((6,), "Nm, N", "moment and force of the clamped flange on the fixture, base frame"),
-    "link_temperature": Signal(("n",), "K", "temperature of each link less 20 degC"),
-    "motor_temperature": Signal(("n",), "K", "temperature of each motor less 20 degC"),
-    "ambient_temperature": Signal((), "K", "temperature of the surroundings less 20 degC"),
-    "elapsed": Signal((), "s", "time since the first row"),
-    "fixture_motion": Signal((6,), "rad, m", "motion (w, v) of the clamped flange by a sensor, base frame; else zero"),
-    "slip": Signal(
-        ("n", 3), "", "states, -1 to +1, of what slips after 10, 30, 80 % of the amplitude of a sweep's load"
-    ),
-    "sweep_fraction": Signal((), "", "how far the sweep has come, 0 to 1"),
-    "sweep_progress": Signal((), "", "sweeps before this one, and the share of its rows that came before: s to s + 1"),
-    "target_is": Signal(("m",), "", "1 for the target that the row measured, else 0"),
-    "anchor_is": Signal(("a",), "", "1 for the anchor that the row's distance was measured from, else 0"),
-    "anchor_way": Signal((3,), "", "unit vector from that anchor to the target, instrument's frame; of points zero"),
-    "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
-    "position": Signal((3,), "m", "the measured point in the instrument's frame"),
-}
-"""What an effect may depend on, name by name; beside these every other recorded temperature, see :func:`signal`."""
-
-_SENSOR = re.compile(r"temp_(?!(link|motor)\d+$|ambient$)[A-Za-z]\w*")
-
-
-def signal(name: str) -> Signal | None:
-    """The signal of a name; None if there is none.
-
-    ``temp_<where>`` is what a column ``temp_<where>_C`` recorded, if it is of no link, motor or the surroundings.
-    """
-    if name not in SIGNALS and _SENSOR.fullmatch(name):
-        return Signal((), "K", f"temperature of {name.removeprefix('temp_')} less 20 degC, as recorded")
-    return SIGNALS.get(name)
-
 
 STATIONS: Mapping[str, tuple[tuple[str | int, ...], str]] = {
     "friction_state": (("n",), "state of the motors' dry friction beyond the sign of their last motion"),
@@ -206,6 +110,9 @@ class Parameter:
     share
         Whether it is a fraction in [0, 1] of another amplitude. It starts at 1: at 0 the shape parameters have no
         gradient.
+    role, axis
+        What it is in the field's terms, one of :data:`clampid.roles.ROLES`, where the core needs to know, and which
+        component of that.
     """
 
     name: str
@@ -221,6 +128,8 @@ class Parameter:
     gearing: int = 0
     share: bool = False
     moment: float = 0.0
+    role: Role = ""
+    axis: str = ""
 
     def __post_init__(self) -> None:
         if self.unit not in UNITS:
@@ -229,6 +138,11 @@ class Parameter:
             raise EffectError(f"parameter {self.name}: a shape parameter needs a grid; its first value is the start")
         if self.share and self.bounds != (0.0, 1.0):
             raise EffectError(f"parameter {self.name}: a share has the bounds (0, 1), found {self.bounds}")
+        if self.role not in ROLES:
+            raise EffectError(f"parameter {self.name}: role {self.role!r} does not exist; known: {', '.join(ROLES)}")
+        if self.axis not in ROLES[self.role][1]:
+            axes = ", ".join(ROLES[self.role][1]) or "none"
+            raise EffectError(f"parameter {self.name}: {self.role} has no axis {self.axis!r}; known: {axes}")
         if not self.size > 0:
             raise EffectError(f"parameter {self.name}: size must be positive, found {self.size}")
         if not self.spread > 0:
@@ -278,7 +192,7 @@ class Effect:
     name
         The variant, unique in the catalogue.
     family
-        One of :data:`FAMILIES`; an effect of a user's own that belongs to none goes by its own name.
+        Its own name, or that of the effect that leads the family; a verdict goes by these.
     acts
         Station → ``deviation(p, x)``; p gives the parameters (casadi, ``(n,)`` or scalar), x the signals.
     parameters
@@ -293,13 +207,8 @@ class Effect:
         Keys of ``appendix_data/sources.bib``.
     at
         Name of the place of an effect that has just one, such as ``base``.
-    beyond
-        An effect that this one refines: diagnosis looks for it only where that one is active.
     coupled_only
         Stages in which it can sit only at joints that the transmission couples with others.
-    tried
-        How diagnosis looks for it: place by place (``places``), at all places at once (``together``), or ``both``;
-        ``jointly``: at all places at once, after which each place must pay for itself.
     holds_weight
         Whether it holds the arm's weight: a joint that bears none, such as an upright one, does not have it.
     sized_by
@@ -323,20 +232,8 @@ class Effect:
     known_within
         Of an empirical form per joint or link: the signal inside whose measured range alone the form is known, so that
         its stated uncertainty grows beyond (:mod:`clampid.models.ranges`). None of a law.
-    without
-        A recorded signal that tells the same better: diagnosis looks for it only at places that have none of it.
-    revealed_by
-        A probe that must have fired before diagnosis looks for it: so many parameters cost as much time as the rest of
-        the catalogue, and the probe asks the same question of the same rows.
-    asked
-        Whether it is fitted where somebody asks for it only: diagnosis does not look for it.
-    tried_on
-        The kind of joint at which alone diagnosis looks for it; None: any.
-    describes
-        Effects whose outcome it states without a cause: where one of these leaves no larger error, it is that one.
-    differs_from
-        A stage that has the same quantity too, if it states by how much that is another one here: diagnosis looks for
-        it only where that stage was measured.
+    search
+        When and how diagnosis looks for it, and what parts it from others.
     """
 
     name: str
@@ -349,10 +246,6 @@ class Effect:
     source: tuple[str, ...]
     at: str = "robot"
     coupled_only: tuple[Stage, ...] = ()
-    beyond: str | None = None
-    tried: Literal["places", "together", "both", "jointly"] = "both"
-    revealed_by: str | None = None
-    without: str | None = None
     holds_weight: bool = False
     sized_by: str | None = None
     aligns: str | None = None
@@ -361,10 +254,7 @@ class Effect:
     meaning: str = field(default="")
     caveat: str = field(default="")
     known_within: Within | None = None
-    asked: bool = False
-    tried_on: JointKind | None = None
-    describes: tuple[str, ...] = ()
-    differs_from: Stage | None = None
+    search: Search = field(default_factory=Search)
 
     def __post_init__(self) -> None:
         if self.known_within is not None and (self.known_within not in self.needs or self.per == "robot"):
@@ -377,12 +267,11 @@ class Effect:
                 f"effect {self.name}: scanned: expected an effect per joint on joint_angle alone, found one per "
                 f"{self.per} on {', '.join(self.acts)}"
             )
+        search = self.search
         for kind, found, known in (
-            ("family", (self.family,), (*FAMILIES, self.name)),
             ("station", tuple(self.acts), tuple(STATIONS)),
-            ("signal", (*self.needs, *((self.without,) if self.without else ())), tuple(SIGNALS)),
-            ("probe", (self.revealed_by,) if self.revealed_by is not None else (), PROBES),
-            ("stage", (*self.stages, *((self.differs_from,) if self.differs_from else ())), STAGES),
+            ("signal", (*self.needs, *((search.superseded_by,) if search.superseded_by else ())), tuple(SIGNALS)),
+            ("stage", (*self.stages, *((search.differs_from,) if search.differs_from else ())), STAGES),
         ):
             for name in found:
                 if name not in known and not (kind == "signal" and signal(name)):
@@ -393,6 +282,11 @@ class Effect:
         """Its parameters by their names."""
         return {parameter.name: parameter for parameter in self.parameters}
 
+    @cached_property
+    def roles(self) -> frozenset[Role]:
+        """The roles that its parameters have."""
+        return frozenset(p.role for p in self.parameters if p.role)
+
     @property
     def caveat_json(self) -> dict[str, str]:
         """What to add for programs: the caveat, where there is one."""
@@ -401,7 +295,8 @@ class Effect:
     @property
     def again(self) -> Effect:
         """Of an event, the same happening a second time, for which diagnosis looks once the first is known."""
-        return replace(self, name=f"second_{self.name}", beyond=self.name, meaning=f"{self.name}, a second time")
+        search = replace(self.search, refines=self.name)
+        return replace(self, name=f"second_{self.name}", search=search, meaning=f"{self.name}, a second time")
 
     @property
     def of_session(self) -> bool:

@@ -24,6 +24,7 @@ from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.own_effects import effects_of
 from clampid.models.ranges import Ranges
+from clampid.role_slots import slot_of
 from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
@@ -123,7 +124,7 @@ class IdentifiedArm:
         """``(4, 4)``: the calibrated base in the instrument's frame; static, at no load."""
         values = dict(zip(self.slots, self.theta.tolist(), strict=True))
         place = self.layout.sessions[self.session]
-        twist = np.array([values.get(Slot("geometry", f"base_{a}", place), 0.0) for a in _AXES])
+        twist = np.array([values.get(slot_of("base_frame", place, a), 0.0) for a in _AXES])
         motion = np.eye(4)
         motion[:3, :3], motion[:3, 3] = cayley(twist[:3]), twist[3:]
         return np.asarray((np.eye(4) if self.reference is None else self.reference) @ motion)
@@ -173,7 +174,7 @@ class IdentifiedArm:
         active = [self.effects[name] for name in dict.fromkeys(slot.effect for slot in self.slots)]
         index = {slot: k for k, slot in enumerate(self.slots)}
         parameters = {e.name: parameter_columns(e, self.layout, index, theta) for e in active}
-        row = RowSymbols(self.layout, constants_of(self.robot), parameters)
+        row = RowSymbols(self.layout, constants_of(self.robot), parameters, active)
         offer_torque(row, "poses", active)
         values = ca.vertcat(*(ca.vec(row.total(station, active).T) for station in OUTPUTS["poses"]))
         outputs = [values]

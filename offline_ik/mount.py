@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clampid.slots import Slot
+from clampid.role_slots import slot_of
 from clampid.stages.pose_rows import align
 from kinematics.screws import log_so3
 from offline_ik.arm import IdentifiedArm
@@ -44,7 +44,7 @@ def identified_mount(cell: Cell, arm: IdentifiedArm, theta: Array | None = None)
         if label not in arm.layout.targets:
             known = ", ".join(arm.layout.targets) or "none"
             raise CellError(f"detector.targets_m: the model knows no target {name!r}; it knows: {known}")
-        shift[i] = [values.get(Slot("geometry", f"target_{a}", label), 0.0) for a in "xyz"]
+        shift[i] = [values.get(slot_of("target_point", label, a), 0.0) for a in "xyz"]
     return np.asarray(align(nominal, nominal + shift) @ cell.mount)
 
 

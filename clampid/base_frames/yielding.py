@@ -12,18 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from clampid.effect import Effect
-from clampid.identification.carried import LOADS, STARTS
+from clampid.identification.carried import is_load, is_start
 from clampid.models.model import Model, ModelError
+from clampid.role_slots import any_of_role, has_role, slot_of
+from clampid.roles import FRAMES
 from clampid.slots import Slot
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
 from kinematics.description import RobotDescription
 
 __all__ = ["Yielding", "gives_way", "what_yields"]
-
-SPRINGS = "joint_compliance"
-GEOMETRY = "geometry"
-FRAMES = ("base_", "flange_", "target_")
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ def _of_description(robot: RobotDescription) -> Yielding:
             f"the description of {robot.name} has no springs or no masses, so that points cannot be corrected for "
             "deflection: give a model with joint_compliance, or have nothing put back (--rigid)"
         )
-    slots = tuple(Slot(SPRINGS, "c", f"joint{i + 1}") for i in range(robot.n))
+    slots = tuple(slot_of("compliance", f"joint{i + 1}") for i in range(robot.n))
     theta = 1.0 / np.asarray(robot.motor_spring)
     return Yielding(slots, theta, np.zeros((robot.n, robot.n)), "those of the description, taken as exact")
 
@@ -76,18 +74,18 @@ def _of_description(robot: RobotDescription) -> Yielding:
 def _of_model(model: Model, tips: Collection[str] | None) -> Yielding:
     """All but geometry of the pose stage, if that has springs; else what the pose stage would start from."""
     poses = model.stages.get("poses")
-    if poses is not None and any(s.effect == SPRINGS for s in poses.slots):
-        kept = [s.effect != GEOMETRY if tips is None else _of_arm(s, tips) for s in poses.slots]
+    if poses is not None and any_of_role(poses.slots, "compliance"):
+        kept = [not has_role(s, *FRAMES) if tips is None else _of_arm(s, tips) for s in poses.slots]
         parts = [(poses, [k for k, keep in enumerate(kept) if keep])]
         said = "those of the model's stage poses"
     else:
         clamped, free = model.stages.get("clamped"), model.stages.get("free_air")
-        if clamped is None or not any(s.effect == SPRINGS for s in clamped.slots):
-            raise ModelError(f"expected a model with {SPRINGS} in its stage poses or clamped, found none")
-        held = [s for s in STARTS if s not in LOADS] if free is not None else list(STARTS)
-        parts = [(clamped, [k for k, s in enumerate(clamped.slots) if s.effect in held])]
+        if clamped is None or not any_of_role(clamped.slots, "compliance"):
+            raise ModelError("expected a model with joint_compliance in its stage poses or clamped, found none")
+        own = [k for k, s in enumerate(clamped.slots) if is_start(s) and (free is None or not is_load(s))]
+        parts = [(clamped, own)]
         if free is not None:
-            parts.append((free, [k for k, s in enumerate(free.slots) if s.effect in LOADS]))
+            parts.append((free, [k for k, s in enumerate(free.slots) if is_load(s)]))
         said = "those of the model's stage clamped"
     slots = tuple(stage.slots[k] for stage, chosen in parts for k in chosen)
     theta = np.concatenate([stage.theta[chosen] for stage, chosen in parts])
@@ -101,7 +99,7 @@ def _of_model(model: Model, tips: Collection[str] | None) -> Yielding:
 
 def _of_arm(slot: Slot, tips: Collection[str]) -> bool:
     """Whether a parameter belongs to the arm or to one of its tips, wherever it stands and whatever measures it."""
-    frame = slot.effect == GEOMETRY and slot.parameter.startswith(FRAMES) and slot.place not in tips
+    frame = has_role(slot, "base_frame", "flange_frame", "target_point") and slot.place not in tips
     return not frame and not slot.place.startswith("session") and slot.place != "instrument"
 
 

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from clampid.chain.compiled import Blocks
 from clampid.chain.steady import Steady, parted
 from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage, signal
+from clampid.roles import WEIGHTS, Role
 from clampid.slots import Layout, Slot
 
 __all__ = [
@@ -282,7 +283,7 @@ def build_chain(
     theta = ca.SX.sym("theta", len(slots))
     index = {slot: k for k, slot in enumerate(slots)}
     parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
-    row = RowSymbols(layout, constants, parameters)
+    row = RowSymbols(layout, constants, parameters, active)
     offer_friction_state(row, stage, active)
     offer_torque(row, stage, active)
     values, offsets, start = [], {}, 0
@@ -355,13 +356,17 @@ class RowSymbols:
     """The signals of a row as symbols, made when they are first read, and the sums of deviations at stations."""
 
     def __init__(
-        self, layout: Layout, constants: Mapping[str, Array], parameters: Mapping[str, SimpleNamespace]
+        self,
+        layout: Layout,
+        constants: Mapping[str, Array],
+        parameters: Mapping[str, SimpleNamespace],
+        active: Sequence[Effect],
     ) -> None:
         self.layout, self.parameters = layout, parameters
         self.constants = {name: ca.DM(value) for name, value in constants.items()}
         self.flats: dict[str, Any] = {}
         self.offered: dict[str, Any] = {}
-        self.shift = _gravity_shift(parameters)
+        self.shift = _weight_shift(active, parameters)
 
     def recorded(self, name: str) -> Any:
         """A signal as it comes with the row."""
@@ -426,10 +431,19 @@ def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
     return (shape[0], shape[1]) if len(shape) == 2 else (shape[0], 1)
 
 
-def _gravity_shift(parameters: Mapping[str, SimpleNamespace]) -> Any:
+_WEIGHT_ORDER: tuple[tuple[Role, str], ...] = (("mass", ""), *(("first_moment", a) for a in "xyz"))
+
+
+def _weight_shift(active: Sequence[Effect], parameters: Mapping[str, SimpleNamespace]) -> Any:
     """How far the links' (m, m c) ``(4n,)`` are from the description's, or None if they are as described."""
-    gravity = parameters.get("gravity")
-    return None if gravity is None else ca.vec(ca.horzcat(gravity.m, gravity.mx, gravity.my, gravity.mz).T)
+    shift = None
+    for effect in active:
+        named = {(p.role, p.axis): p.name for p in effect.parameters if p.role in WEIGHTS and p.per == "link"}
+        if named:
+            columns = [getattr(parameters[effect.name], named[key]) for key in _WEIGHT_ORDER]
+            own = ca.vec(ca.horzcat(*columns).T)
+            shift = own if shift is None else shift + own
+    return shift
 
 
 def parameter_columns(effect: Effect, layout: Layout, index: Mapping[Slot, int], theta: Any) -> SimpleNamespace:

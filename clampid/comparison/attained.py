@@ -15,7 +15,7 @@ import numpy as np
 
 from clampid.effect import Effect
 from clampid.fitting.fit import fit
-from clampid.slots import Slot
+from clampid.role_slots import slot_of
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.iso9283 import WANTED, expected_repeatability, pose_metrics
@@ -52,11 +52,11 @@ def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
     sent = replace(rows, signals={**rows.signals, "q": shared})
     session = rows.layout.sessions[0]
     axes = ("x", "y", "z", "rx", "ry", "rz")
-    slots = [Slot("geometry", f"base_{a}", session) for a in axes]
+    slots = [slot_of("base_frame", session, a) for a in axes]
     if rows.measured.shape[1] == 6:
-        slots += [Slot("geometry", f"flange_{a}", session) for a in axes]
+        slots += [slot_of("flange_frame", session, a) for a in axes]
     seen = np.flatnonzero(rows.signals["target_is"].any(axis=0))
-    slots += [Slot("geometry", f"target_{a}", rows.layout.targets[t]) for t in seen for a in "xyz"]
+    slots += [slot_of("target_point", rows.layout.targets[t], a) for t in seen for a in "xyz"]
     trial = experiment(sent, effects, slots)
     theta = fit(trial).theta
     residual = trial.residual(theta)[0]

@@ -23,6 +23,7 @@ from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.ranges import beyond_rows
 from clampid.progress import in_parts
+from clampid.role_slots import slot_of
 from clampid.shown import Shown
 from clampid.slots import Prior, Slot, unit_of
 from clampid.stages.experiment import experiment
@@ -364,11 +365,11 @@ def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Sl
     found: list[Slot] = []
     session = opened.layout.sessions[0]
     if "base" in refit:  # where anchors stand is as much the instrument's as that
-        found += [Slot("geometry", f"anchor_{a}", anchor) for anchor in opened.layout.anchors for a in "xyz"]
+        found += [slot_of("anchor_point", anchor, a) for anchor in opened.layout.anchors for a in "xyz"]
     if "base" in refit and not rows.ranged.all():
-        found += [Slot("geometry", f"base_{a}", session) for a in ("x", "y", "z", "rx", "ry", "rz")]
+        found += [slot_of("base_frame", session, a) for a in ("x", "y", "z", "rx", "ry", "rz")]
     if "tool" in refit:
         if rows.oriented:
-            found += [Slot("geometry", f"flange_{a}", session) for a in ("x", "y", "z", "rx", "ry", "rz")]
-        found += [Slot("geometry", f"target_{a}", t) for t in opened.layout.targets for a in "xyz"]
+            found += [slot_of("flange_frame", session, a) for a in ("x", "y", "z", "rx", "ry", "rz")]
+        found += [slot_of("target_point", t, a) for t in opened.layout.targets for a in "xyz"]
     return tuple(found)

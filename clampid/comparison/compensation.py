@@ -25,13 +25,14 @@ from clampid.chain.chain import Deviations
 from clampid.display import with_error
 from clampid.fitting.noise import NORMAL
 from clampid.identification.reopen import Reopened
+from clampid.role_slots import any_of_role, numbers_of_role
+from clampid.roles import WEIGHTS
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Rows
 
 __all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
 
-SPRINGS = "joint_compliance"
 STEPS = 12
 SETTLED = 1e-7  # of a factor, m or rad
 ELSEWHERE = 1e-6  # rad: where a robot is sent closer than this, it gives way as it would here
@@ -118,9 +119,15 @@ def compensation_of(opened: Reopened) -> Compensation | None:
         what the arm weighs.
     """
     model = opened.stages.get("poses")
-    if model is None or "poses" not in opened.campaign.tables or not any(s.effect == SPRINGS for s in model.slots):
+    if (
+        model is None
+        or "poses" not in opened.campaign.tables
+        or not any_of_role(model.slots, "compliance", effects=opened.effects)
+    ):
         return None
-    if not opened.campaign.robot.has_masses and not any(s.effect == "gravity" for s in model.slots):
+    if not opened.campaign.robot.has_masses and not any_of_role(
+        model.slots, *WEIGHTS, per="link", effects=opened.effects
+    ):
         return None
     trial = opened.experiment("poses", opened.rows("poses").points)
     bent = _bending(opened, trial)
@@ -188,7 +195,7 @@ class _Bending:
 def _bending(opened: Reopened, trial: Experiment) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
-    springs = [k for k, s in enumerate(model.slots) if s.effect == SPRINGS]
+    springs = numbers_of_role(model.slots, "compliance")
     held = trial.with_flanks(model.theta).rows.signals
     angle = trial.chain.offsets["joint_angle"]
     stiff = model.theta.copy()

@@ -75,7 +75,7 @@ def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) 
 def _carries(bench: Bench, earlier: Confirmed, steps: Sequence[Confirmed]) -> bool:
     """Whether another step refines this one."""
     name = earlier.tried.best.candidate.name
-    return any(bench.effects[t.effect].beyond == name for s in steps for t in s.tried.kept if s is not earlier)
+    return any(bench.effects[t.effect].search.refines == name for s in steps for t in s.tried.kept if s is not earlier)
 
 
 def _without(bench: Bench, steps: Sequence[Confirmed], dropped: Confirmed, last: Tried) -> list[Confirmed]:

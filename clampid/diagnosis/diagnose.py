@@ -239,7 +239,7 @@ def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
     differs between tables does not show in these logs.
     """
     measured = {s for s in opened.stages if opened.has(TABLES_OF[s])}
-    effects = {name: e for name, e in opened.effects.items() if e.differs_from in (None, *measured)}
+    effects = {name: e for name, e in opened.effects.items() if e.search.differs_from in (None, *measured)}
     if stage != "poses" or not opened.has(TABLES_OF["free_air"]):
         return effects
     known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}

@@ -109,9 +109,9 @@ def sweeps_to_choose(
 def _stiffness(estimate: Estimate, described: Array) -> Array:
     """Springs at the motors ``(n,)``, Nm/rad: as found where they were, else as described."""
     out = described.copy()
-    for slot, value in zip(estimate.slots, estimate.theta, strict=False):
-        if slot.effect == "joint_compliance" and value > 0.0:
-            out[int(slot.place.removeprefix("joint")) - 1] = 1.0 / value
+    for k in estimate.experiment.numbers_of("compliance"):
+        if estimate.theta[k] > 0.0:
+            out[int(estimate.slots[k].place.removeprefix("joint")) - 1] = 1.0 / estimate.theta[k]
     return out
 
 

@@ -11,11 +11,11 @@ from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
-from clampid.effect import JOINT_ANGLE_PERIODIC
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, Levers, Products, channel_starts, columns_from
 from clampid.evidence.of_size import SIZES
 from clampid.fitting.solve import Estimate
+from clampid.search_policy import JOINT_ANGLE_PERIODIC
 from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
 from clampid.stages.temperatures import shared_temperatures

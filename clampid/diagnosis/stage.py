@@ -182,7 +182,7 @@ def _undecided(
             evidence = evidence_of(entries[0], group.members[0], group.look, ())
             result.alike.append(Step(group.members[0].candidate.terms, evidence))
     first = groups[0]
-    result.next_measurement = separating_measurement((s.candidate.family for s in first.members), result.stage)
+    result.next_measurement = separating_measurement((s.candidate.family for s in first.members), effects, result.stage)
     base = outcome.taken[0].base if outcome.taken else fitted
     proposed = None if propose is None else propose(base.estimate, first.members, first.look.space.scale)
     if proposed is not None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from clampid.algebra import dot
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
@@ -26,6 +27,6 @@ EFFECT = Effect(
     equation="dd = c",
     source=("ISO17123",),
     at="instrument",
-    tried="together",
+    search=Search(scope="together"),
 )
 """Part 4 of the source calls it the zero-point correction of a distance meter."""

@@ -16,7 +16,11 @@ EFFECT = Effect(
     name="backlash",
     family="backlash",
     acts={"joint_angle": lag},
-    parameters=(Parameter("gap", "rad", 1e-4, "joint", (0.0, 2e-2), "clearance between the flanks, at the joint"),),
+    parameters=(
+        Parameter(
+            "gap", "rad", 1e-4, "joint", (0.0, 2e-2), "clearance between the flanks, at the joint", role="clearance"
+        ),
+    ),
     needs=("flank",),
     stages=("clamped", "poses"),
     equation="dq = -b/2 * s, s the flank that the load holds, or the approach direction",

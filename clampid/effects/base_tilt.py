@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import rows
 from clampid.effect import CAST_ARM, Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def tilt(p: Any, x: Any) -> Any:
@@ -34,4 +35,13 @@ EFFECT = Effect(
     equation="(w_x, w_y) = C_b (M_x, M_y)",
     source=("XCTDrift",),
     at="base",
+    search=Search(
+        separators=(
+            Separator(
+                "joint_compliance",
+                "poses at other angles of joint 1 with equal loads on joint 2, or a target on the base plate",
+                same_stage=True,
+            ),
+        )
+    ),
 )

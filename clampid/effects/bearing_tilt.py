@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import before, turning
 from clampid.effect import CAST_ARM, Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def tilt(p: Any, x: Any) -> Any:
@@ -33,5 +34,15 @@ EFFECT = Effect(
     stages=("poses",),
     equation="w_i = c_i M_i, M_i the moment across the axis of joint i",
     source=("Klimchik",),
-    tried="places",
+    search=Search(
+        scope="places",
+        separators=(
+            Separator(
+                "base_tilt",
+                "no pose separates a tilt of joint 1's bearing from a tilt of the base: put an inclinometer or a "
+                "target on the base plate",
+            ),
+            Separator("joint_compliance", "the same poses with two payloads, joint 4 turned between"),
+        ),
+    ),
 )

@@ -16,7 +16,9 @@ EFFECT = Effect(
     name="coulomb_friction",
     family="coulomb_friction",
     acts={"motor_torque": torque},
-    parameters=(Parameter("Fc", "Nm", 30.0, "joint", (0.0, 1e5), "dry friction at the motor", gearing=-1),),
+    parameters=(
+        Parameter("Fc", "Nm", 30.0, "joint", (0.0, 1e5), "dry friction at the motor", gearing=-1, role="dry_friction"),
+    ),
     needs=("motor_motion",),
     stages=("free_air", "clamped"),
     equation="tau_motor = F_c sign(w_motor)",

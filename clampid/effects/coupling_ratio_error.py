@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import shifted_up
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def error(p: Any, x: Any) -> Any:
@@ -25,5 +26,8 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq_i = k_i q_i + c_i q_(i-1)",
     source=("Thesis",),
-    tried="places",
+    search=Search(
+        scope="places",
+        separators=(Separator("gear_eccentricity", "poses over the full range of the joint", same_stage=True),),
+    ),
 )

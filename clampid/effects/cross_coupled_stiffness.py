@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import shifted_down, shifted_up
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def deflection(p: Any, x: Any) -> Any:
@@ -27,12 +28,12 @@ EFFECT = Effect(
             "joint",
             meaning="compliance between this drive and the one before it, at the motors; size at the joint",
             gearing=2,
+            role="cross_compliance",
         ),
     ),
     needs=("torque",),
     stages=("clamped", "poses"),
     equation="dq = -T' X T tau, X_(i-1,i) = X_(i,i-1) = x_i",
     source=("Thesis", "Klimchik"),
-    tried="places",
-    beyond="joint_compliance",
+    search=Search(scope="places", refines="joint_compliance"),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import shifted_up
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
@@ -22,5 +23,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq_i = c_i q_(i-2)",
     source=("Thesis",),
-    tried="places",
+    search=Search(scope="places"),
 )

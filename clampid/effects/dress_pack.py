@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -24,5 +25,5 @@ EFFECT = Effect(
     stages=("free_air", "poses"),
     equation="tau_joint = k (q - q_0)",
     source=("Armstrong1994",),
-    tried="places",
+    search=Search(scope="places"),
 )

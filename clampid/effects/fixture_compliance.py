@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import cross, rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def motion(p: Any, x: Any) -> Any:
@@ -35,4 +36,10 @@ EFFECT = Effect(
     equation="w = diag(c_r) (M - d x F), v = diag(c_t) F - w x d; base frame, F on the fixture at the flange",
     source=("Thesis",),
     at="fixture",
+    search=Search(
+        separators=(
+            Separator("joint_compliance", "a target on the fixture's block, or the same sweeps in a second posture"),
+            Separator("cross_coupled_stiffness", "a target on the fixture's block"),
+        )
+    ),
 )

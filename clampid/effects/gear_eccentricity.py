@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import cos, sin
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
@@ -26,6 +27,6 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = sum_k a_k sin k q + b_k cos k q, k = 1, 2",
     source=("UniversalModel",),
-    tried="places",
     known_within="q",
+    search=Search(scope="places"),
 )

@@ -11,6 +11,8 @@ from typing import Any
 
 from clampid.algebra import columns, dot, rows
 from clampid.effect import Effect, Parameter, Per
+from clampid.roles import Role
+from clampid.search_policy import Search
 
 
 def base(p: Any, x: Any) -> Any:
@@ -36,10 +38,16 @@ def anchor(p: Any, x: Any) -> Any:
     return -rows(*(dot(part, x.anchor_is) for part in (p.anchor_x, p.anchor_y, p.anchor_z)))
 
 
-def _frame(prefix: str, per: Per, what: str) -> tuple[Parameter, ...]:
+def _frame(role: Role, prefix: str, per: Per, what: str) -> tuple[Parameter, ...]:
     return (
-        *(Parameter(f"{prefix}{a}", "m", 1e-3, per, meaning=f"{what} moved along {a}") for a in "xyz"),
-        *(Parameter(f"{prefix}r{a}", "rad", 2e-3, per, meaning=f"{what} turned about {a}") for a in "xyz"),
+        *(
+            Parameter(f"{prefix}{a}", "m", 1e-3, per, meaning=f"{what} moved along {a}", role=role, axis=a)
+            for a in "xyz"
+        ),
+        *(
+            Parameter(f"{prefix}r{a}", "rad", 2e-3, per, meaning=f"{what} turned about {a}", role=role, axis=f"r{a}")
+            for a in "xyz"
+        ),
     )
 
 
@@ -48,20 +56,38 @@ EFFECT = Effect(
     family="geometry",
     acts={"base_twist": base, "link_twist": link, "target_shift": target, "measurement": anchor},
     parameters=(
-        *_frame("base_", "session", "base"),
-        *(Parameter(f"target_{a}", "m", 1e-3, "target", meaning=f"target off along {a} of the flange") for a in "xyz"),
+        *_frame("base_frame", "base_", "session", "base"),
         *(
             Parameter(
-                f"anchor_{a}", "m", 1e-3, "anchor", spread=100.0, meaning=f"anchor off along {a}, instrument frame"
+                f"target_{a}",
+                "m",
+                1e-3,
+                "target",
+                meaning=f"target off along {a} of the flange",
+                role="target_point",
+                axis=a,
             )
             for a in "xyz"
         ),
-        *_frame("flange_", "session", "flange"),
-        *_frame("", "link", "far end of the link, in base axes at the zero pose,"),
+        *(
+            Parameter(
+                f"anchor_{a}",
+                "m",
+                1e-3,
+                "anchor",
+                spread=100.0,
+                meaning=f"anchor off along {a}, instrument frame",
+                role="anchor_point",
+                axis=a,
+            )
+            for a in "xyz"
+        ),
+        *_frame("flange_frame", "flange_", "session", "flange"),
+        *_frame("link_frame", "", "link", "far end of the link, in base axes at the zero pose,"),
     ),
     needs=("session_is", "target_is", "anchor_is"),
     stages=("poses",),
     equation="T = B prod exp([xi_i] q_i) M_i; M_i the motion of link i's far end",
     source=("UniversalModel", "LynchPark2017"),
-    tried="together",
+    search=Search(scope="together"),
 )

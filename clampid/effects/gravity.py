@@ -10,6 +10,7 @@ from typing import Any
 
 from clampid.algebra import interleave
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -22,14 +23,22 @@ EFFECT = Effect(
     family="gravity",
     acts={"joint_torque": torque},
     parameters=(
-        Parameter("m", "kg", 5.0, "link", meaning="mass beyond the description"),
-        Parameter("mx", "kg m", 2.0, "link", meaning="m c_x beyond the description, base axes at the zero pose"),
-        Parameter("my", "kg m", 2.0, "link", meaning="m c_y beyond the description"),
-        Parameter("mz", "kg m", 2.0, "link", meaning="m c_z beyond the description"),
+        Parameter("m", "kg", 5.0, "link", meaning="mass beyond the description", role="mass"),
+        Parameter(
+            "mx",
+            "kg m",
+            2.0,
+            "link",
+            meaning="m c_x beyond the description, base axes at the zero pose",
+            role="first_moment",
+            axis="x",
+        ),
+        Parameter("my", "kg m", 2.0, "link", meaning="m c_y beyond the description", role="first_moment", axis="y"),
+        Parameter("mz", "kg m", 2.0, "link", meaning="m c_z beyond the description", role="first_moment", axis="z"),
     ),
     needs=("regressor",),
     stages=("free_air", "poses"),
     equation="d tau = Y(q) d(m, m c), Y = d(dV/dq)/d(m, m c)",
     source=("Thesis", "LynchPark2017"),
-    tried="together",
+    search=Search(scope="together"),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import cos, sin
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -28,5 +29,13 @@ EFFECT = Effect(
     equation="tau = k (l - l_0) dl/dq, l^2 = a^2 + b^2 - 2 a b cos(q - q_0), as two harmonics of q",
     source=("Klimchik",),
     holds_weight=True,
-    tried="places",
+    search=Search(
+        scope="places",
+        separators=(
+            Separator(
+                "gear_eccentricity",
+                "a log of torques in free air: a balancer's torque shows there, a gear's error does not",
+            ),
+        ),
+    ),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import cos, sin
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 ORDERS = (3, 4, 5, 6)
 
@@ -29,5 +30,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = sum_k a_k sin k m + b_k cos k m, k = 3, 4, 5, 6",
     source=("Armstrong1994",),
-    tried="places",
+    search=Search(scope="places"),
 )

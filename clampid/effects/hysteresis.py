@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def lag(p: Any, x: Any) -> Any:
@@ -28,4 +29,10 @@ EFFECT = Effect(
     stages=("clamped",),
     equation="dq = sum_k a_k z_k, z_k the state of a stop operator on the joint's load, -1 to +1",
     source=("Olsson1998",),
+    search=Search(
+        separators=(
+            Separator("backlash", "nested small loops: at least two amplitudes of reversal", same_stage=True),
+            Separator("load_dependent_friction", "the same sweep at two loads with free-air logs at both"),
+        )
+    ),
 )

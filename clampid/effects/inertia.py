@@ -16,7 +16,16 @@ EFFECT = Effect(
     name="inertia",
     family="inertia",
     acts={"joint_torque": torque},
-    parameters=(Parameter("I", "kg m^2", 20.0, "joint", meaning="inertia about the joint beyond the description's"),),
+    parameters=(
+        Parameter(
+            "I",
+            "kg m^2",
+            20.0,
+            "joint",
+            meaning="inertia about the joint beyond the description's",
+            role="rotor_inertia",
+        ),
+    ),
     needs=("joint_acceleration",),
     stages=("free_air",),
     equation="tau_joint = I q''",

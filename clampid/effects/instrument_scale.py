@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def error(p: Any, x: Any) -> Any:
@@ -22,4 +23,5 @@ EFFECT = Effect(
     equation="dx = s x",
     source=("ISO9283",),
     at="instrument",
+    search=Search(separators=(Separator("geometry", "a certified distance between two targets"),)),
 )

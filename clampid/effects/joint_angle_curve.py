@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.algebra import harmonics
-from clampid.effect import JOINT_ANGLE_PERIODIC, Effect, Parameter
+from clampid.effect import Effect, Parameter
+from clampid.search_policy import JOINT_ANGLE_PERIODIC, Search
 
 HARMONICS = 48
 """Shapes down to 4 degrees; a disc's flaw of that width is smeared by the reading head, finer ones more so."""
@@ -59,7 +60,6 @@ EFFECT = Effect(
     equation="dq = r sum_k a_k sin k q + b_k cos k q, k = 1 ... 48, r of at most about 0.3 mrad",
     source=("UniversalModel", "Landgraf2021"),
     sized_by="rms",
-    tried="jointly",
-    revealed_by=JOINT_ANGLE_PERIODIC,
     meaning="periodic in the joint's angle, of any shape",
+    search=Search(scope="jointly", revealed_by=JOINT_ANGLE_PERIODIC),
 )  # fmt: skip

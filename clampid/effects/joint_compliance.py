@@ -25,6 +25,7 @@ EFFECT = Effect(
             (5e-9, 0.1),
             "compliance of the drive's spring, 1/k, at the motor; size and bounds at the joint",
             gearing=2,
+            role="compliance",
         ),
     ),
     needs=("torque",),

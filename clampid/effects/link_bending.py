@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import across_rows, columns, cross_rows, norms, turning
 from clampid.effect import CAST_ARM, Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def bending(p: Any, x: Any) -> Any:
@@ -30,5 +31,10 @@ EFFECT = Effect(
     stages=("poses",),
     equation="w = (M L + F L^2/2)/(E I), v = (M L^2/2 + F L^3/3)/(E I), M and F across the beam",
     source=("Young1989",),
-    tried="places",
+    search=Search(
+        scope="places",
+        separators=(
+            Separator("joint_compliance", "loaded poses with the arm folded, or the same poses with two payloads"),
+        ),
+    ),
 )

@@ -10,6 +10,7 @@ from typing import Any
 
 from clampid.algebra import interleave
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 NAMES = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
@@ -30,6 +31,8 @@ EFFECT = Effect(
             2.0,
             "link",
             meaning=f"{name} about the link's joint beyond the description's, base axes at the zero pose",
+            role="inertia_tensor",
+            axis=name.removeprefix("I"),
         )
         for name in NAMES
     ),
@@ -37,6 +40,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="d tau = Y_I(q, q', q'') d(Ixx, Iyy, Izz, Ixy, Ixz, Iyz)",
     source=("LynchPark2017",),
-    beyond="inertia",
-    tried="together",
+    search=Search(refines="inertia", scope="together"),
 )

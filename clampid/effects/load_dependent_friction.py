@@ -22,7 +22,7 @@ EFFECT = Effect(
     name="load_dependent_friction",
     family="load_dependent_friction",
     acts={"joint_torque": torque},
-    parameters=(Parameter("mu", "", 0.05, "joint", meaning="friction per load, both at the joint"),),
+    parameters=(Parameter("mu", "", 0.05, "joint", meaning="friction per load, both at the joint", role="friction"),),
     needs=("torque", "joint_motion"),
     stages=("free_air", "clamped"),
     equation="tau_joint = mu |tau_g| sign(w)",

@@ -12,6 +12,7 @@ from typing import Any
 
 from clampid.algebra import cos, pi, turned_by, within
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
@@ -42,8 +43,7 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = h (1 + cos(2 pi d / w)) / 2 for |d| < w / 2, else 0; d = q - c, whole turns apart",
     source=("UniversalModel",),
-    tried="places",
-    tried_on="revolute",
     scanned="middle",
     meaning="periodic in the joint's angle, over a few degrees only",
+    search=Search(scope="places", joint_kind="revolute"),
 )

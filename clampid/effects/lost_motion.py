@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def lag(p: Any, x: Any) -> Any:
@@ -30,6 +31,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = -h/2 * dir, dir the direction of the last motion",
     source=("UniversalModel", "XCTDrift"),
-    beyond="backlash",
-    describes=("wrist_coupling_friction",),
+    search=Search(refines="backlash", symptom_of=("wrist_coupling_friction",)),
 )

@@ -11,6 +11,7 @@ from typing import Any
 
 from clampid.algebra import cos, sin
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
@@ -32,5 +33,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = sum_k a_k sin k m + b_k cos k m, k = 1, 2, m the motor's angle",
     source=("UniversalModel",),
-    tried="places",
+    search=Search(scope="places"),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def deflection(p: Any, x: Any) -> Any:
@@ -31,6 +32,13 @@ EFFECT = Effect(
     stages=("clamped", "poses"),
     equation="d theta_m = tau_m/k + h tau_m^3",
     source=("Klimchik",),
-    beyond="joint_compliance",
     known_within="torque",
+    search=Search(
+        refines="joint_compliance",
+        separators=(
+            Separator(
+                "backlash", "amplitudes below 10 % and above 50 % of the rated torque in one run", same_stage=True
+            ),
+        ),
+    ),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -18,14 +19,41 @@ EFFECT = Effect(
     family="payload",
     acts={"joint_torque": torque},
     parameters=(
-        Parameter("m", "kg", 2.0, meaning="mass of the tool beyond what was declared"),
-        Parameter("mx", "kg m", 0.4, meaning="m c_x of the tool beyond what was declared, in the flange frame"),
-        Parameter("my", "kg m", 0.4, meaning="m c_y of the tool beyond what was declared, in the flange frame"),
-        Parameter("mz", "kg m", 0.4, meaning="m c_z of the tool beyond what was declared, in the flange frame"),
+        Parameter("m", "kg", 2.0, meaning="mass of the tool beyond what was declared", role="mass"),
+        Parameter(
+            "mx",
+            "kg m",
+            0.4,
+            meaning="m c_x of the tool beyond what was declared, in the flange frame",
+            role="first_moment",
+            axis="x",
+        ),
+        Parameter(
+            "my",
+            "kg m",
+            0.4,
+            meaning="m c_y of the tool beyond what was declared, in the flange frame",
+            role="first_moment",
+            axis="y",
+        ),
+        Parameter(
+            "mz",
+            "kg m",
+            0.4,
+            meaning="m c_z of the tool beyond what was declared, in the flange frame",
+            role="first_moment",
+            axis="z",
+        ),
     ),
     needs=("tool_regressor",),
     stages=("free_air", "poses"),
     equation="d tau = Y_n(q) d(m, m c)_tool",
     source=("Thesis",),
     at="tool",
+    search=Search(
+        separators=(
+            Separator("gravity", "the same program with and without the tool"),
+            Separator("joint_compliance", "the same poses without the tool"),
+        )
+    ),
 )

@@ -12,6 +12,7 @@ from typing import Any
 
 from clampid.algebra import along
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def advance(p: Any, x: Any) -> Any:
@@ -30,6 +31,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="exp([(w, v + h w)] q) = exp([(w, v)] q) exp([(0, h w)] q)",
     source=("UniversalModel", "LynchPark2017"),
-    tried="places",
-    tried_on="helical",
+    search=Search(scope="places", joint_kind="helical"),
 )

@@ -9,6 +9,7 @@ from typing import Any
 
 from clampid.algebra import rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -21,15 +22,36 @@ EFFECT = Effect(
     family="payload",
     acts={"joint_torque": torque},
     parameters=(
-        Parameter("m", "kg", 2.0, meaning="mass of the poses' tool beyond that of the logs"),
-        Parameter("mx", "kg m", 0.4, meaning="m c_x of the poses' tool beyond that of the logs, in the flange frame"),
-        Parameter("my", "kg m", 0.4, meaning="m c_y of the poses' tool beyond that of the logs, in the flange frame"),
-        Parameter("mz", "kg m", 0.4, meaning="m c_z of the poses' tool beyond that of the logs, in the flange frame"),
+        Parameter("m", "kg", 2.0, meaning="mass of the poses' tool beyond that of the logs", role="mass"),
+        Parameter(
+            "mx",
+            "kg m",
+            0.4,
+            meaning="m c_x of the poses' tool beyond that of the logs, in the flange frame",
+            role="first_moment",
+            axis="x",
+        ),
+        Parameter(
+            "my",
+            "kg m",
+            0.4,
+            meaning="m c_y of the poses' tool beyond that of the logs, in the flange frame",
+            role="first_moment",
+            axis="y",
+        ),
+        Parameter(
+            "mz",
+            "kg m",
+            0.4,
+            meaning="m c_z of the poses' tool beyond that of the logs, in the flange frame",
+            role="first_moment",
+            axis="z",
+        ),
     ),
     needs=("tool_regressor",),
     stages=("poses",),
     equation="d tau = Y_n(q) d(m, m c), of the poses' tool less the logs'",
     source=("Thesis",),
     at="tool",
-    differs_from="free_air",
+    search=Search(differs_from="free_air"),
 )

@@ -15,6 +15,7 @@ from typing import Any
 
 from clampid.algebra import fmax, log
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES, Effect, Parameter
+from clampid.search_policy import Search
 
 
 def hats(value: Any, nodes: tuple[float, ...]) -> list[Any]:
@@ -76,5 +77,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = F_c z, dz/dt = |w|/s (sign(w) - z) - z/t",
     source=("Olsson1998",),
-    asked=True,
+    search=Search(opt_in=True),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import fabs
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -26,5 +27,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = F_2 w |w|",
     source=("Waiboer2005",),
-    beyond="viscous_friction",
+    search=Search(refines="viscous_friction"),
 )

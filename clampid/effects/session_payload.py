@@ -9,6 +9,7 @@ from typing import Any
 
 from clampid.algebra import dot, rows
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -21,9 +22,19 @@ EFFECT = Effect(
     family="payload",
     acts={"joint_torque": torque},
     parameters=(
-        Parameter("m", "kg", 2.0, "session", meaning="mass of the session's tool beyond what was declared"),
+        Parameter(
+            "m", "kg", 2.0, "session", meaning="mass of the session's tool beyond what was declared", role="mass"
+        ),
         *(
-            Parameter(f"m{a}", "kg m", 0.4, "session", meaning=f"m c_{a} of that tool beyond what was declared")
+            Parameter(
+                f"m{a}",
+                "kg m",
+                0.4,
+                "session",
+                meaning=f"m c_{a} of that tool beyond what was declared",
+                role="first_moment",
+                axis=a,
+            )
             for a in "xyz"
         ),
     ),
@@ -32,5 +43,5 @@ EFFECT = Effect(
     equation="d tau = Y_n(q) d(m, m c)_tool of the session",
     source=("Thesis",),
     at="tool",
-    asked=True,
+    search=Search(opt_in=True),
 )

@@ -9,6 +9,7 @@ from typing import Any
 
 from clampid.algebra import dot
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def error(p: Any, x: Any) -> Any:
@@ -26,5 +27,5 @@ EFFECT = Effect(
     equation="dx = s x of the session",
     source=("ISO9283",),
     at="instrument",
-    asked=True,
+    search=Search(opt_in=True),
 )

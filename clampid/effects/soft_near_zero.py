@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import tanh
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def deflection(p: Any, x: Any) -> Any:
@@ -33,6 +34,6 @@ EFFECT = Effect(
     stages=("clamped", "poses"),
     equation="d theta_m = tau_m/k + a s tanh(tau_m/s)",
     source=("Klimchik",),
-    beyond="joint_compliance",
     known_within="torque",
+    search=Search(refines="joint_compliance"),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import exp
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search, Separator
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -19,7 +20,13 @@ EFFECT = Effect(
     acts={"motor_torque": torque},
     parameters=(
         Parameter(
-            "Fs", "Nm", 10.0, "joint", meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c", gearing=-1
+            "Fs",
+            "Nm",
+            10.0,
+            "joint",
+            meaning="dry friction at slow speed beyond Coulomb's, F_s - F_c",
+            gearing=-1,
+            role="friction",
         ),
         Parameter(
             "ws",
@@ -37,4 +44,11 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = (F_s - F_c) exp(-(w/w_s)^2) sign(w)",
     source=("Stribeck1902", "Waiboer2005", "Armstrong1994"),
+    search=Search(
+        separators=(
+            Separator(
+                "viscous_friction", "five speeds, evenly spread in their logarithm, down to creeping", same_stage=True
+            ),
+        )
+    ),
 )

@@ -17,8 +17,18 @@ EFFECT = Effect(
     family="temperature_dependent_friction",
     acts={"motor_torque": torque},
     parameters=(
-        Parameter("fv", "Nm s/rad", 1.0, "joint", meaning="viscous friction per kelvin, at the motor", gearing=-2),
-        Parameter("fc", "Nm/K", 0.5, "joint", meaning="dry friction per kelvin, at the motor", gearing=-1),
+        Parameter(
+            "fv",
+            "Nm s/rad",
+            1.0,
+            "joint",
+            meaning="viscous friction per kelvin, at the motor",
+            gearing=-2,
+            role="friction",
+        ),
+        Parameter(
+            "fc", "Nm/K", 0.5, "joint", meaning="dry friction per kelvin, at the motor", gearing=-1, role="friction"
+        ),
     ),
     needs=("motor_speed", "motor_motion", "motor_temperature"),
     stages=("free_air",),

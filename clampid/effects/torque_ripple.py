@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import cos, sin
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def torque(p: Any, x: Any) -> Any:
@@ -27,5 +28,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = sum_k a_k sin k m + b_k cos k m, k = 1, 2",
     source=("Armstrong1994",),
-    tried="places",
+    search=Search(scope="places"),
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 
 def unwound(p: Any, x: Any) -> Any:
@@ -36,5 +37,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="dq = +h/2 * dir, dir the direction of the last motion",
     source=("Nordin2002", "XCTDrift"),
-    beyond="wrist_coupling_friction",
+    search=Search(refines="wrist_coupling_friction"),
 )

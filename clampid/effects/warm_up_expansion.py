@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import along, exp
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 HOUR = 3600.0
 
@@ -27,5 +28,5 @@ EFFECT = Effect(
     stages=("poses",),
     equation="d_i(t) = d_i (1 + a_i (1 - exp(-t/tau_i)))",
     source=("UniversalModel", "XCTDrift"),
-    without="link_temperature",
+    search=Search(superseded_by="link_temperature"),
 )

@@ -6,6 +6,7 @@ from typing import Any
 
 from clampid.algebra import exp
 from clampid.effect import Effect, Parameter
+from clampid.search_policy import Search
 
 MINUTE = 60.0
 
@@ -32,5 +33,5 @@ EFFECT = Effect(
     stages=("free_air",),
     equation="tau_motor = (f_v w + f_c sign(w)) (1 - exp(-t/tau))",
     source=("Bittencourt2010",),
-    without="motor_temperature",
+    search=Search(superseded_by="motor_temperature"),
 )

@@ -21,7 +21,11 @@ EFFECT = Effect(
     name="wrist_coupling_friction",
     family="wrist_coupling_friction",
     acts={"joint_torque": torque},
-    parameters=(Parameter("F", "Nm", 5.0, "joint", (0.0, 1e4), "dry friction on the arm side of the joint"),),
+    parameters=(
+        Parameter(
+            "F", "Nm", 5.0, "joint", (0.0, 1e4), "dry friction on the arm side of the joint", role="arm_friction"
+        ),
+    ),
     needs=("joint_motion",),
     stages=("free_air", "poses"),
     equation="tau_motor = T F_arm sign(w_joint)",

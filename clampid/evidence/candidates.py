@@ -109,15 +109,15 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             continue
         if effect.event is not None or effect.scanned is not None:
             continue
-        if effect.asked:
+        if effect.search.opt_in:
             continue
-        if effect.beyond is not None and not any(name == effect.beyond for name, _ in active):
+        if effect.search.refines is not None and not any(name == effect.search.refines for name, _ in active):
             continue
-        if effect.tried == "together" or effect.per == "robot":
+        if effect.search.scope == "together" or effect.per == "robot":
             if not any(name == effect.name for name, _ in active):
                 out.append(Term(effect.name, None if effect.per != "robot" else effect.at))
             continue
-        refined = {place for name, place in active if name == effect.beyond and place.startswith(effect.per)}
+        refined = {place for name, place in active if name == effect.search.refines and place.startswith(effect.per)}
         out += [
             Term(effect.name, p)
             for p in layout.allowed(effect, estimate.experiment.stage)
@@ -129,15 +129,15 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
 def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
     """Whether an effect is looked for at a joint or link: of its kind, and where no signal tells the same better."""
     joint = estimate.experiment.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
-    return effect.tried_on in (None, joint.kind) and not _recorded(estimate, effect, place)
+    return effect.search.joint_kind in (None, joint.kind) and not _recorded(estimate, effect, place)
 
 
 def _recorded(estimate: Estimate, effect: Effect, place: str) -> bool:
     """Whether the signal that an effect goes without varies at a joint or link; nothing is where it names none."""
-    if effect.without is None:
+    if effect.search.superseded_by is None:
         return False
     number = int(place.removeprefix(effect.per)) - 1
-    return bool(np.ptp(estimate.experiment.rows.signals[effect.without][:, number]) > 0.0)
+    return bool(np.ptp(estimate.experiment.rows.signals[effect.search.superseded_by][:, number]) > 0.0)
 
 
 def named_candidates(
@@ -155,12 +155,16 @@ def named_candidates(
     rows = estimate.experiment.rows
     terms = terms_not_active(estimate, effects)
     if fired is not None:
-        terms = [t for t in terms if effects[t.effect].revealed_by is None or effects[t.effect].revealed_by in fired]
+        terms = [
+            t
+            for t in terms
+            if effects[t.effect].search.revealed_by is None or effects[t.effect].search.revealed_by in fired
+        ]
     slots: dict[Slot, None] = {}
     of_term: dict[Term, tuple[Slot, ...]] = {}
     for term in terms:
         effect = effects[term.effect]
-        if effect.family == "geometry":
+        if "link_frame" in effect.roles:
             found = independent_geometry(rows, effects)
         else:
             alone = term.place is not None and effect.per != "robot"
@@ -184,9 +188,9 @@ def named_candidates(
             effect = effects[name]
             own = [t for t in terms if t.effect == name]
             groups: list[Sequence[Term]] = []
-            if effect.tried in ("places", "both") or effect.per == "robot":
+            if effect.search.scope in ("places", "both") or effect.per == "robot":
                 groups += [(t,) for t in own]
-            if effect.tried in ("together", "jointly") or (effect.tried == "both" and len(own) > 1):
+            if effect.search.scope in ("together", "jointly") or (effect.search.scope == "both" and len(own) > 1):
                 groups.append(own)
             for group in groups:
                 members = list(dict.fromkeys(s for t in group for s in of_term[t] if s in index))
@@ -223,7 +227,7 @@ def _candidate(
     return Candidate(
         name=effect.name,
         family=effect.family,
-        describes=effect.describes,
+        describes=effect.search.symptom_of,
         terms=tuple(group),
         slots=amplitudes,
         shapes=shapes,

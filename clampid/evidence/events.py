@@ -85,7 +85,7 @@ def absent_events(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Eff
     """The events that could act in an estimate's stage and that it leaves out."""
     active, stage = {slot.effect for slot in estimate.slots}, estimate.experiment.stage
     found = [e for e in effects.values() if e.event is not None and stage in e.stages and e.name not in active]
-    return [e for e in found if e.beyond is None or e.beyond in active]
+    return [e for e in found if e.search.refines is None or e.search.refines in active]
 
 
 def event_scores(estimate: Estimate, space: Space, effects: Mapping[str, Effect]) -> list[Scored]:

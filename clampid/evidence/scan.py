@@ -124,7 +124,7 @@ def _all_places(
             place = f"joint{j + 1}"
             if (effect.name, place) in active or (only is not None and place not in only):
                 continue
-            if effect.tried_on in (None, joint.kind):
+            if effect.search.joint_kind in (None, joint.kind):
                 tried = _places(estimate, space, effect, j, levers, tables)
                 found += [] if tried is None else [tried]
     return found

@@ -20,6 +20,8 @@ from clampid.exports.determined import reasonable
 from clampid.exports.form_error import FormError, WholeModel, form_error, ranges, whole_model
 from clampid.models.calibrated import calibrated_chain
 from clampid.models.model import Model
+from clampid.role_slots import numbers_of_role
+from clampid.roles import FRAMES
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from kinematics.robot import RobotDescription
@@ -90,7 +92,7 @@ def best_table(
         The model has no geometry, or effects that are not known.
     """
     stage = model.stages["poses"]
-    geometry = [k for k, slot in enumerate(stage.slots) if slot.effect == "geometry"]
+    geometry = numbers_of_role(stage.slots, *FRAMES)
     q, where = _postures(model, robot, campaign)
     whole = whole_model(
         model, robot, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects, q=q

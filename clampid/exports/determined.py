@@ -14,6 +14,8 @@ from scipy import linalg
 
 from clampid.catalogue import catalogue
 from clampid.models.model import Model
+from clampid.role_slots import numbers_of_role
+from clampid.roles import FRAMES
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array
 
@@ -44,7 +46,7 @@ class Held:
 def hold_undetermined(model: Model) -> Held:
     """The model as it may be exported; the same one where its geometry is determined."""
     stage = model.stages.get("poses")
-    geometry = [] if stage is None else [k for k, slot in enumerate(stage.slots) if slot.effect == "geometry"]
+    geometry = [] if stage is None else numbers_of_role(stage.slots, *FRAMES)
     if stage is None or not geometry:
         return Held(model, np.zeros((0, 0)), ())
     slots = [stage.slots[k] for k in geometry]

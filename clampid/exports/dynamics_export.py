@@ -13,6 +13,7 @@ from clampid.identification.reopen import reopen
 from clampid.models.consistent import ConsistentArm, consistent_arm, off_by
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel
+from clampid.role_slots import any_of_role
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
@@ -78,7 +79,7 @@ def dynamics(
     ]
     out["rotor_inertia_kg_m2"] = None if arm.rotors is None else arm.rotors.tolist()
     out["frame"] = FRAME
-    out["inertia_identified"] = any(slot.effect == "link_inertia" for slot in stage.slots)
+    out["inertia_identified"] = any_of_role(stage.slots, "inertia_tensor")
     out["fit"] = {"chi_square": arm.chi_square, "base_parameters": len(stage.base), "weight": arm.weight}
     if campaign is not None:
         before, after = torque_errors(model, arm, campaign, nominal, user_effects)

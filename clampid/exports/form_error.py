@@ -18,7 +18,9 @@ import pandas as pd
 from clampid.effect import Effect
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.own_effects import effects_of
-from clampid.slots import Slot, find_parameter
+from clampid.role_slots import slot_of
+from clampid.roles import FRAMES
+from clampid.slots import find_parameter
 from clampid.stages import poses
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.pose_rows import pose_rows
@@ -46,7 +48,6 @@ __all__ = [
 POSTURES = 200
 CHECKED = 2000  # postures, drawn apart from those that a form was fitted to or read back at
 SHIFT = 8 * 3600.0  # s, over which the postures are spread: what settles or warms up is not at its beginning only
-STATIC = ("geometry",)  # families that every form holds
 INSTRUMENT = "measurement"  # the station of what is the instrument's and not the robot's
 
 Flange = Callable[[Array], Array]
@@ -269,7 +270,7 @@ def whole_model(
     loaded = replace(_load(model, session, robot) if campaign is None else replace(campaign, tables={}), robot=robot)
     q = postures(robot, CHECKED, seed=1) if q is None else q
     trial = _drawn(model, loaded, effects, session, span, q)
-    left = tuple(e.name for e in active if e.family not in STATIC and set(e.acts) != {INSTRUMENT})
+    left = tuple(e.name for e in active if not e.roles & set(FRAMES) and set(e.acts) != {INSTRUMENT})
     return WholeModel(trial, stage, left, effects, span, float(loaded.tool.mass))
 
 
@@ -293,10 +294,7 @@ def measured_error(form: Flange, model: Model, session: int, campaign: Campaign)
     prefix = f"session{session + 1}:" if len(model.sessions) > 1 else ""
     values = model.stages["poses"].values()
     shift = np.array(
-        [
-            [values.get(Slot("geometry", f"target_{a}", f"{prefix}{name}"), 0.0) for a in "xyz"]
-            for name in frame["target"]
-        ]
+        [[values.get(slot_of("target_point", f"{prefix}{name}", a), 0.0) for a in "xyz"] for name in frame["target"]]
     )
     q = frame[[f"q{i + 1}_rad" for i in range(robot.n)]].to_numpy(float)
     pose = form(q @ np.asarray(robot.linkage).T)

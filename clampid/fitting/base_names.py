@@ -8,11 +8,11 @@ from itertools import groupby
 from typing import Any
 
 from clampid.effect import Effect
+from clampid.role_slots import axis_of, role_of
 from clampid.slots import Slot, find_parameter
 
 __all__ = ["BaseParameter", "base_json", "base_name", "label_of", "read_base"]
 
-_FIRST = {"mx": "c_x", "my": "c_y", "mz": "c_z"}
 _DIGITS = 4  # of a coefficient in a name: a tenth of a millimetre in a metre
 
 
@@ -69,12 +69,15 @@ def read_base(data: Mapping[str, Any]) -> BaseParameter:
 
 def label_of(effect: str, parameter: str) -> str:
     """A parameter without its place, in words: ``m·c_x``, ``I_xy``, ``rotor inertia``, ``viscous_friction.B``."""
-    match effect:
-        case "gravity" | "payload":
-            return "m" if parameter == "m" else f"m·{_FIRST[parameter]}"
-        case "link_inertia":
-            return f"I_{parameter[1:]}"
-        case "inertia":
+    slot = Slot(effect, parameter, "")
+    match role_of(slot):
+        case "mass":
+            return "m"
+        case "first_moment":
+            return f"m·c_{axis_of(slot)}"
+        case "inertia_tensor":
+            return f"I_{axis_of(slot)}"
+        case "rotor_inertia":
             return "rotor inertia"
         case _:
             return f"{effect}.{parameter}"

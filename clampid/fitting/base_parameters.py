@@ -23,6 +23,8 @@ import numpy as np
 from clampid.fitting.base_names import BaseParameter, base_name
 from clampid.fitting.log_sample import sampled_rows
 from clampid.fitting.solve import Estimate
+from clampid.role_slots import axis_of, has_role, role_of, slot_of
+from clampid.roles import INERTIAL, INERTIAS, WEIGHTS, Role
 from clampid.slots import Slot, find_parameter
 from clampid.stages.experiment import Experiment
 from clampid.stages.loads import gravity_regressors
@@ -31,16 +33,14 @@ from kinematics.dynamics import inertial_parameters
 from kinematics.masses import links_of
 from kinematics.robot import RobotDescription
 
-__all__ = ["INERTIAL", "base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
-
-INERTIAL = ("gravity", "link_inertia", "payload", "inertia")
-"""Effects whose parameters are masses, first moments and inertias; in the order in which their columns are taken."""
+__all__ = ["base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
 
 EXACT = 1e-7  # a column whose new part is a smaller share of it is a combination of others, but for rounding
 ROUNDING = 1e-11  # of the largest column: nothing
 NOUGHT = 1e-6  # a share this small, in reasonable sizes, is rounding
 TOLD = 0.7  # of what was known before: where the data leave more of it, they do not tell
-_FIRST_MOMENTS = ("mx", "my", "mz")
+TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
+OF_BODY: tuple[Role, ...] = (*WEIGHTS, "inertia_tensor")
 
 
 def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
@@ -59,7 +59,7 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
         From the base outwards; empty where the fit has no inertial parameters, or is of another stage.
     """
     experiment, count = estimate.experiment, len(estimate.slots)
-    if experiment.stage != "free_air" or not any(s.effect in INERTIAL for s in estimate.slots):
+    if experiment.stage != "free_air" or not experiment.numbers_of(*INERTIAL):
         return ()
     columns, offsets = _columns(estimate)
     return grouped(
@@ -98,7 +98,7 @@ def grouped(
     covariance = turned @ covariance @ turned.T
     out = []
     for k, shares in zip(kept, coefficients, strict=True):
-        if slots[k].effect not in INERTIAL:
+        if not has_role(slots[k], *INERTIAL):
             continue
         weights = np.where(np.abs(shares) > NOUGHT, shares * size[k] / size, 0.0)
         terms = _ordered([(slots[j], float(weights[j])) for j in order if weights[j] != 0.0], slots[k])
@@ -164,11 +164,11 @@ def to_joint_points(slots: Sequence[Slot], robot: RobotDescription) -> Array:
     index = {slot: k for k, slot in enumerate(slots)}
     out = np.eye(len(slots))
     for k, slot in enumerate(slots):
-        if slot.effect == "gravity" and slot.parameter in _FIRST_MOMENTS:
-            mass = index.get(Slot("gravity", "m", slot.place))
+        if has_role(slot, "first_moment", per="link"):
+            mass = index.get(slot_of("mass", slot.place))
             if mass is not None:
                 point = robot.joints[_number(slot) - 1].point
-                out[k, mass] = -float(point[_FIRST_MOMENTS.index(slot.parameter)])
+                out[k, mass] = -float(point["xyz".index(axis_of(slot))])
     return out
 
 
@@ -180,15 +180,15 @@ def described_parameters(slots: Sequence[Slot], robot: RobotDescription) -> Arra
     Source: Lynch & Park, theorem 8.2 (Steiner).
     """
     out = np.zeros(len(slots))
-    names = ("m", *_FIRST_MOMENTS, "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+    names = (*[("mass", "")], *[("first_moment", a) for a in "xyz"], *[("inertia_tensor", a) for a in TENSOR])
     bodies = []
     for body, joint in zip(links_of(robot), robot.joints, strict=True):
         phi = inertial_parameters(body.mass, body.com, body.inertia, joint.point)
         phi[1:4] -= body.mass * joint.point
         bodies.append(dict(zip(names, phi.tolist(), strict=True)))
     for k, slot in enumerate(slots):
-        if slot.effect in ("gravity", "link_inertia"):
-            out[k] = bodies[_number(slot) - 1][slot.parameter]
+        if has_role(slot, *OF_BODY, per="link"):
+            out[k] = bodies[_number(slot) - 1][role_of(slot), axis_of(slot)]
     return out
 
 
@@ -197,7 +197,7 @@ def _columns(estimate: Estimate) -> tuple[Array, Array]:
     rows: Rows = estimate.experiment.rows
     chosen = sampled_rows(rows)
     part = rows.take(chosen)
-    if not any(estimate.experiment.effects[s.effect].family == "inertia" for s in estimate.slots):
+    if not estimate.experiment.numbers_of(*INERTIAS):
         # Rows are steady then: the little acceleration they have must not blur what gravity cannot tell apart.
         part = replace(part, signals={**part.signals, **_at_rest(part)})
     trial = estimate.experiment.with_rows(part)
@@ -213,7 +213,7 @@ def _at_rest(rows: Rows) -> dict[str, Array]:
     out: dict[str, Array] = {}
     for s in np.unique(rows.session):
         own = rows.session == s
-        found = gravity_regressors(rows.robot, rows.constants["gravity"][s], rows.signals["q"][own])
+        found = gravity_regressors(rows.robot, rows.constants["gravity_vector"][s], rows.signals["q"][own])
         for name, values in found.items():
             out.setdefault(name, np.zeros_like(rows.signals[name]))[own] = values
     return out
@@ -221,12 +221,12 @@ def _at_rest(rows: Rows) -> dict[str, Array]:
 
 def _turn(slot: Slot) -> tuple[int, int, int, str]:
     """Links from the base outwards, each with its first moments, inertias and mass; then the tool, rotors, all else."""
-    if slot.effect in ("gravity", "link_inertia"):
-        kind = 2 if slot.parameter == "m" else int(slot.effect == "link_inertia")
-        return 0, _number(slot), kind, slot.parameter
-    if slot.effect == "payload":
-        return 1, 0, int(slot.parameter == "m"), slot.parameter
-    return (2, _number(slot), 0, "") if slot.effect == "inertia" else (3, 0, 0, "")
+    role = role_of(slot)
+    if has_role(slot, *OF_BODY, per="link"):
+        return 0, _number(slot), ("first_moment", "inertia_tensor", "mass").index(role), slot.parameter
+    if role in WEIGHTS:
+        return 1, 0, int(role == "mass"), slot.parameter
+    return (2, _number(slot), 0, "") if role == "rotor_inertia" else (3, 0, 0, "")
 
 
 def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Slot, float], ...]:
@@ -236,8 +236,8 @@ def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Sl
         slot, weight = term
         return (
             slot != first,
-            INERTIAL.index(slot.effect) if slot.effect in INERTIAL else len(INERTIAL),
-            slot.parameter == "m",
+            _kind(slot),
+            has_role(slot, "mass"),
             slot.parameter,
             -float(f"{abs(weight):.4g}"),
             weight < 0,
@@ -245,6 +245,13 @@ def _ordered(terms: Sequence[tuple[Slot, float]], first: Slot) -> tuple[tuple[Sl
         )
 
     return tuple(sorted(terms, key=key))
+
+
+def _kind(slot: Slot) -> int:
+    """Weight of links, their inertia, weight of the tool, inertia of rotors, all else."""
+    if has_role(slot, *WEIGHTS):
+        return 0 if has_role(slot, *WEIGHTS, per="link") else 2
+    return {"inertia_tensor": 1, "rotor_inertia": 3}.get(role_of(slot), 4)
 
 
 def _number(slot: Slot) -> int:

@@ -25,7 +25,6 @@ from clampid.stages.rows import Array
 
 __all__ = ["with_friction_start"]
 
-FRICTION = "wrist_coupling_friction"
 SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
 PASSES = 2
 
@@ -41,7 +40,7 @@ def with_friction_start(
         The model gives no finite prediction.
     """
     known = {*start, *(slot for prior in priors for slot in prior.slots)}
-    open_ = [k for k, s in enumerate(experiment.slots) if s.effect == FRICTION and s not in known]
+    open_ = [k for k in experiment.numbers_of("arm_friction") if experiment.slots[k] not in known]
     reads = experiment.stage == "poses" and experiment.chain.reads_flanks
     if not open_ or not reads or not experiment.rows.used.any():
         return start

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.effect import Effect
+from clampid.role_slots import effect_with, has_role
 from clampid.slots import Slot, slots_of
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
@@ -29,14 +30,14 @@ ABOUT = 2.0  # m: anchors stand somewhere about the robot
 
 
 def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slot, ...]:
-    """The independent slots of ``geometry`` for the targets, anchors and sessions that the rows have.
+    """The independent slots of the geometry for the targets, anchors and sessions that the rows have.
 
     The rows' own postures do not matter, nor where anchors stand: random ones stand in for them, so that what is left
     out is left out for the robot's sake and not for a poor campaign's.
     """
-    slots = _ordered(slots_of(effects["geometry"], rows.layout))
+    slots = _ordered(slots_of(effect_with("link_frame", effects), rows.layout))
     if not rows.oriented:  # points and distances alone: targets carry the tool
-        slots = tuple(s for s in slots if not s.parameter.startswith("flange_"))
+        slots = tuple(s for s in slots if not has_role(s, "flange_frame", effects=effects))
     seen = np.c_[rows.session, rows.signals["target_is"], rows.signals["anchor_is"]]
     _, first = np.unique(seen, axis=0, return_index=True)
     rng = np.random.default_rng(0)

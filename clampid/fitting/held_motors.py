@@ -134,7 +134,7 @@ def other_crossings(experiment: Experiment, noise: Noise, theta: Array, precisio
     precision, mean
         The prior: ``(P + K, P + K)`` and ``(P + K,)``.
     """
-    if not any(slot.effect == "backlash" for slot in experiment.slots):
+    if not experiment.numbers_of("clearance"):
         return None
     live, count = _live(experiment, theta), len(experiment.slots)
     if not live.any():

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from clampid.role_slots import weight_slots
 from clampid.slots import Slot
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.log_design import LogDesign
@@ -15,8 +16,6 @@ from clampid.stages.rows import Array, Integers, Rows
 __all__ = ["MOST_ROWS", "sampled_columns", "sampled_postures", "sampled_rows"]
 
 MOST_ROWS = 600  # what depends on what is a matter of postures, not of rows
-
-_OF_LINK = ("m", "mx", "my", "mz")
 
 
 def sampled_columns(
@@ -99,12 +98,11 @@ def _weigh(
         gravity = np.asarray(part.campaign.gravity, dtype=float)
         weight = gravity_regressors(part.campaign.robot, gravity, _postures(part, wanted))
         links, tool = T @ weight["regressor"], T @ weight["tool_regressor"]
-        for i, name in enumerate(_OF_LINK):
-            for k in range(n):
-                slot = index.get(Slot("gravity", name, f"link{k + 1}"))
-                if slot is not None:
-                    columns[inside, slot] = links[of, motor[inside], 4 * k + i]
-            slot = index.get(Slot("payload", name, "tool"))
-            if slot is not None:
-                columns[inside, slot] = tool[of, motor[inside], i]
+        for k in range(n):
+            for i, own in enumerate(weight_slots(f"link{k + 1}")):
+                if own in index:
+                    columns[inside, index[own]] = links[of, motor[inside], 4 * k + i]
+        for i, own in enumerate(weight_slots("tool")):
+            if own in index:
+                columns[inside, index[own]] = tool[of, motor[inside], i]
         before += part.table.rows

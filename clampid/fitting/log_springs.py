@@ -21,6 +21,7 @@ from clampid.fitting.descent import inverse_of
 from clampid.fitting.log_sample import sampled_columns, sampled_postures, sampled_rows
 from clampid.fitting.moments import Moments
 from clampid.fitting.solve import Estimate
+from clampid.role_slots import slot_of
 from clampid.slots import Slot
 from clampid.stages.loads import described_weight, gravity_regressors, weight_stiffness
 from clampid.stages.log_design import LogDesign
@@ -33,7 +34,7 @@ __all__ = ["by_springs", "log_by_springs", "rows_by_springs", "spring_torques", 
 
 def springs(joints: int) -> tuple[Slot, ...]:
     """The drives' compliances, in the order of the columns of B."""
-    return tuple(Slot("joint_compliance", "c", f"joint{j + 1}") for j in range(joints))
+    return tuple(slot_of("compliance", f"joint{j + 1}") for j in range(joints))
 
 
 def spring_torques(robot: RobotDescription, weight: Array, gravity: Array, q: Array) -> Array:
@@ -80,7 +81,7 @@ def rows_by_springs(estimate: Estimate) -> Array | None:
     torques = np.zeros((len(part), rows.robot.n, rows.robot.n))
     for s in np.unique(part.session):
         own = part.session == s
-        weight, gravity = (rows.constants[name][s] for name in ("weight", "gravity"))
+        weight, gravity = (rows.constants[name][s] for name in ("weight", "gravity_vector"))
         torques[own] = spring_torques(rows.robot, weight, gravity, part.signals["q"][own])
     if not torques.any():
         return None

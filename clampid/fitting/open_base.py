@@ -23,7 +23,8 @@ from scipy import linalg
 
 from clampid.fitting.noise import Noise, initial_noise
 from clampid.fitting.solve import Estimate, prior_of, stage_point, start_of
-from clampid.slots import Prior, Slot
+from clampid.role_slots import slot_of
+from clampid.slots import Prior
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Rows
 from clampid.stages.statements import stated_equations
@@ -115,7 +116,7 @@ def _open(rows: Rows, session: int, points: Array, error: float) -> OpenTurn | N
 def _stated(rows: Rows, session: int, centre: Array) -> Array:
     """What is stated of a turn about the points' centre ``(3, 3)``, 1/rad², instrument axes."""
     place = rows.layout.sessions[session]
-    slots = [Slot("geometry", f"base_{a}", place) for a in ("rx", "ry", "rz", "x", "y", "z")]
+    slots = [slot_of("base_frame", place, a) for a in ("rx", "ry", "rz", "x", "y", "z")]
     at, matrix, _ = stated_equations(rows.constants.get("stated", ()), {slot: k for k, slot in enumerate(slots)})
     if not len(at):
         return np.zeros((3, 3))
@@ -205,7 +206,7 @@ def with_open_base(estimate: Estimate) -> Estimate:
             X = _reference(rows, turn.session)
             moved = log_se3(inverse(X) @ turn.by(drawn[k]) @ X)
             for name, value in zip(("rx", "ry", "rz", "x", "y", "z"), moved, strict=True):
-                slot = Slot("geometry", f"base_{name}", rows.layout.sessions[turn.session])
+                slot = slot_of("base_frame", rows.layout.sessions[turn.session], name)
                 if slot in index:
                     off[k, index[slot]] += value
         trial = estimate.experiment.with_rows(there)

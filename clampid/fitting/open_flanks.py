@@ -26,7 +26,7 @@ from clampid.fitting.repeatability import sums_over
 from clampid.fitting.solve import Estimate
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.fitting.visits import variance_along
-from clampid.slots import Slot
+from clampid.role_slots import slot_of
 from clampid.stages import poses
 from clampid.stages.rows import Array, Bools, Integers
 
@@ -78,7 +78,8 @@ def _unloaded(estimate: Estimate, pressing: Array) -> Mapping[int, int]:
     """Joint -> slot of its clearance, of joints that stand in every pose on the flank that they came from."""
     direction = estimate.experiment.rows.signals["direction"]
     decided = ((pressing * direction > 0) | (direction == 0)).all(axis=0) & direction.any(axis=0)
-    slots = {int(s.place.removeprefix("joint")) - 1: k for k, s in enumerate(estimate.slots) if s.effect == "backlash"}
+    clearances = estimate.experiment.numbers_of("clearance")
+    slots = {int(estimate.slots[k].place.removeprefix("joint")) - 1: k for k in clearances}
     return {joint: k for joint, k in slots.items() if decided[joint]}
 
 
@@ -91,7 +92,7 @@ def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: I
     signals, rng = estimate.experiment.rows.signals, np.random.default_rng(SEED)
     least = np.abs(signals["rest_direction"]).max(axis=0)[joints]
     values = estimate.values()
-    own = [values.get(Slot("wrist_coupling_friction", "F", f"joint{j + 1}"), 0.0) for j in joints]
+    own = [values.get(slot_of("arm_friction", f"joint{j + 1}"), 0.0) for j in joints]
     fitted = np.maximum(own, 0.0)
     by_lean, now = (v[first][:, joints] for v in (signals["lean_torque"], pressing))
     friction = fitted + least * rng.uniform(0.0, 2.0, (DRAWS, 1))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clampid.slots import Prior, Slot
+from clampid.role_slots import weight_slots
+from clampid.slots import Prior
 from clampid.stages.rows import Rows
 from kinematics.masses import usual_covariance
 
@@ -27,12 +28,12 @@ def description_priors(rows: Rows) -> tuple[Prior, ...]:
     """
     robot = rows.robot
     if not robot.has_masses:
-        slots = tuple(Slot("gravity", a, f"link{i + 1}") for i in range(robot.n) for a in ("m", "mx", "my", "mz"))
+        slots = tuple(slot for i in range(robot.n) for slot in weight_slots(f"link{i + 1}"))
         return (Prior(slots, np.zeros(len(slots)), usual_covariance(robot)),) if rows.stage == "poses" else ()
     priors = []
     for i, link in enumerate(robot.links):
         place = f"link{i + 1}"
-        slots = tuple(Slot("gravity", name, place) for name in ("m", "mx", "my", "mz"))
+        slots = weight_slots(place)
         centre = np.asarray(link.com) if link.mass > 0 else np.asarray(robot.joints[i].point)
         J = np.vstack([np.r_[1.0, centre], np.c_[np.zeros(3), np.eye(3)]]).T  # (m, m c) by (dm, M dc)
         spread = np.r_[MASS_SHARE * link.mass + MASS_FLOOR, np.full(3, CENTRE * max(link.mass, CENTRE_MASS))]

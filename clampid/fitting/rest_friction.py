@@ -25,6 +25,8 @@ from clampid.fitting.noise import NORMAL, initial_noise
 from clampid.fitting.repeatability import sums_over
 from clampid.fitting.solve import Estimate, prior_of, solve, start_of
 from clampid.fitting.visits import variance_along
+from clampid.role_slots import has_role
+from clampid.roles import WEIGHTS
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
 from clampid.stages.experiment import HELD, Experiment
@@ -33,7 +35,6 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
-FRICTION, CLEARANCE = "wrist_coupling_friction", "backlash"
 ROUNDS = 6  # of all joints, at most
 CELLS, LEAST = 2000, 33  # values tried, at most and at least
 VARIES = 0.1  # of the heaviest load
@@ -87,7 +88,7 @@ def with_rest_friction(
     if not anew and all(experiment.slots[k] in start for k in open_):
         places = {experiment.slots[k].place for k in open_}
         added = [s for s in experiment.slots if s not in start]
-        if any(s.effect == CLEARANCE and s.place in places for s in added):
+        if any(s.place in places and has_role(s, "clearance", effects=experiment.effects) for s in added):
             return RestFriction(start, None)
         if not added:
             free = _misses(experiment, experiment.error(theta))
@@ -145,8 +146,10 @@ def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
     contrary = signals["gravity_torque"] * signals["direction"] < 0.0
     load = np.where(contrary, np.abs(signals["gravity_torque"]) - np.abs(signals["rest_direction"]), 0.0)
     out = []
-    for k, slot in enumerate(experiment.slots):
-        if slot.effect != FRICTION or slot in known or Slot(CLEARANCE, "gap", slot.place) not in experiment.slots:
+    play = {experiment.slots[k].place for k in experiment.numbers_of("clearance")}
+    for k in experiment.numbers_of("arm_friction"):
+        slot = experiment.slots[k]
+        if slot in known or slot.place not in play:
             continue
         joint = int(slot.place.removeprefix("joint")) - 1
         turns = load[load[:, joint] > 0.0, joint]
@@ -169,7 +172,7 @@ def _solved(experiment: Experiment, priors: Sequence[Prior], open_: Sequence[int
 def _cost(estimate: Estimate) -> float:
     """Whitened squares of rows and priors, of held frictions as if they were not."""
     assumed, mean = estimate.experiment.prior()
-    frictions = [k for k, slot in enumerate(estimate.slots) if slot.effect == FRICTION]
+    frictions = estimate.experiment.numbers_of("arm_friction")
     weak = sum(assumed[k, k] * (estimate.theta[k] - mean[k]) ** 2 for k in frictions)
     return estimate.cost + float(weak)
 
@@ -206,7 +209,8 @@ class _Profile:
     @classmethod
     def of(cls, estimate: Estimate, friction: int) -> _Profile:
         joint = int(estimate.slots[friction].place.removeprefix("joint")) - 1
-        gap = estimate.slots.index(Slot(CLEARANCE, "gap", f"joint{joint + 1}"))
+        clearances = estimate.experiment.numbers_of("clearance")
+        gap = next(k for k in clearances if estimate.slots[k].place == f"joint{joint + 1}")
         row, visit = np.unique(estimate.experiment.rows.unit, return_index=True, return_inverse=True)[1:]
         none = estimate.theta.copy()
         none[friction] = 0.0
@@ -357,10 +361,13 @@ def _seals(estimate: Estimate, joint: int) -> float:
 
 def _load_variance(estimate: Estimate, joint: int) -> float:
     """Variance of a joint's load, Nm², as far as masses are not known: friction shows only beside it."""
-    masses = [k for k, slot in enumerate(estimate.slots) if slot.effect == "gravity"]
+    masses = estimate.experiment.numbers_of(*WEIGHTS, per="link")
     if not masses:
         return 0.0
-    part = {"m": 0, "mx": 1, "my": 2, "mz": 3}
-    at = [(int(estimate.slots[k].place.removeprefix("link")), part[estimate.slots[k].parameter]) for k in masses]
+    part = {"": 0, "x": 1, "y": 2, "z": 3}  # axis of a first moment; none of a mass
+    at = [
+        (int(estimate.slots[k].place.removeprefix("link")), part[estimate.experiment.parameters[k].axis])
+        for k in masses
+    ]
     Y = estimate.experiment.rows.signals["regressor"][:, joint][:, [4 * (link - 1) + p for link, p in at]]
     return float(np.mean(np.einsum("np,pq,nq->n", Y, estimate.covariance[np.ix_(masses, masses)], Y)))

@@ -331,7 +331,7 @@ def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors:
     for k, slot in enumerate(experiment.slots):
         if slot in known:
             theta[k] = known[slot]
-        elif experiment.stage == "clamped" and slot.effect == "joint_compliance":
+        elif experiment.stage == "clamped" and experiment.parameters[k].role == "compliance":
             theta[k] = stiffness[int(slot.place.removeprefix("joint")) - 1]
     if experiment.stage == "clamped":
         theta[len(experiment.slots) :] = clamping_offsets(experiment, theta)

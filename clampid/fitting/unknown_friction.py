@@ -33,9 +33,8 @@ def unknown_frictions(estimate: Estimate) -> list[int]:
     """
     springs = {estimate.slots[k].place for k in _untold_springs(estimate)}
     weak = np.sqrt(np.diag(estimate.prior_precision)) * estimate.experiment.prior_std() < 1.0 + 1e-9
-    slots = enumerate(zip(estimate.slots, estimate.identified, strict=False))
-    frictions = [(k, slot, told) for k, (slot, told) in slots if slot.effect == "wrist_coupling_friction"]
-    return [k for k, slot, told in frictions if not told or (weak[k] and slot.place in springs)]
+    frictions = estimate.experiment.numbers_of("arm_friction")
+    return [k for k in frictions if not estimate.identified[k] or (weak[k] and estimate.slots[k].place in springs)]
 
 
 def without_unknown_friction(estimate: Estimate) -> Estimate:
@@ -79,8 +78,8 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
 def _untold_springs(estimate: Estimate) -> list[int]:
     """Numbers of the compliances that a fit's rows do not tell, nor set apart from what springs are taken for."""
     clear = np.abs(estimate.theta - estimate.prior_mean) > SHOWN * estimate.std
-    slots = enumerate(zip(estimate.slots, estimate.identified | clear, strict=False))
-    return [k for k, (slot, told) in slots if slot.effect == "joint_compliance" and not told]
+    told = estimate.identified | clear
+    return [k for k in estimate.experiment.numbers_of("compliance") if not told[k]]
 
 
 def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:

@@ -18,21 +18,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clampid.effect import Stage
+from clampid.catalogue import catalogue
+from clampid.effect import Effect, Stage
 from clampid.fitting.log_springs import springs
 from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import Estimate
 from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.model import StageModel
+from clampid.role_slots import has_role
 from clampid.slots import Prior, Slot
 from clampid.stages.rows import Rows
 
-__all__ = ["Drives", "carried_drives", "carried_over", "prior_from"]
+__all__ = ["Drives", "carried_drives", "carried_over", "is_load", "is_start", "prior_from"]
 
-LOADS = ("gravity", "payload", "wrist_coupling_friction", "gravity_compensator", "dress_pack")
-"""Effects that enter the pose stage with their covariance from the torque stage: loads and flanks."""
-STARTS = (*LOADS, "joint_compliance", "backlash")
-"""Effects whose values a later stage takes over as its start."""
+
+def is_load(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
+    """Whether the pose stage takes a slot over from the torque stage with its covariance: loads and flanks."""
+    effect = (catalogue() if effects is None else effects).get(slot.effect)
+    return effect is not None and "joint_torque" in effect.acts and {"free_air", "poses"} <= set(effect.stages)
+
+
+def is_start(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
+    """Whether a later stage begins with a slot's value."""
+    return is_load(slot, effects) or has_role(slot, "compliance", "clearance", effects=effects)
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,9 @@ class Drives:
     contradicted: tuple[Agreement, ...]
 
 
-def carried_over(rows: Rows, stages: Mapping[Stage, StageModel]) -> tuple[tuple[Prior, ...], dict[Slot, float]]:
+def carried_over(
+    rows: Rows, stages: Mapping[Stage, StageModel], effects: Mapping[str, Effect] | None = None
+) -> tuple[tuple[Prior, ...], dict[Slot, float]]:
     """What a stage knows before it sees its rows: priors with covariance, and start values.
 
     Gravity has the description's tolerances; the pose stage takes what the torque stage found instead. Springs are a
@@ -61,11 +71,11 @@ def carried_over(rows: Rows, stages: Mapping[Stage, StageModel]) -> tuple[tuple[
     if rows.stage != "poses":
         return description_priors(rows), start
     for stage in stages.values():
-        start |= {slot: v for slot, v in stage.values().items() if slot.effect in STARTS}
+        start |= {slot: v for slot, v in stage.values().items() if is_start(slot, effects)}
     torque = stages.get("free_air")
     if torque is None:
         return description_priors(rows), start
-    loads = tuple(s for s in torque.slots if s.effect in LOADS)
+    loads = tuple(s for s in torque.slots if is_load(s, effects))
     prior = prior_from(torque, loads)
     if torque.by_springs is not None:
         slope = torque.by_springs[[torque.slots.index(s) for s in loads]]
@@ -81,7 +91,7 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
     poses
         Fitted without anything from the clamped stage but start values.
     """
-    if clamped is None or not shared_drives(clamped.slots, poses.slots):
+    if clamped is None or not shared_drives(clamped.slots, poses.slots, poses.experiment.effects):
         return Drives(None, ())
     count = len(poses.slots)
     alone = StageModel(
@@ -92,12 +102,16 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
         covariance=poses.covariance[:count, :count],
         identified=tuple(bool(b) for b in poses.identified[:count]),
     )
-    found, _ = agreement_of(clamped, alone)
+    found, _ = agreement_of(clamped, alone, poses.experiment.effects)
     contradicted = tuple(a for a in found if a.verdict == "differs")
     if contradicted:
         return Drives(None, contradicted)
     # What no pose tells stays out: a clearance that does not show would only stand, on a guessed flank, in predictions.
-    told = tuple(s for s in shared_drives(clamped.slots, poses.slots) if alone.identified[poses.slots.index(s)])
+    told = tuple(
+        s
+        for s in shared_drives(clamped.slots, poses.slots, poses.experiment.effects)
+        if alone.identified[poses.slots.index(s)]
+    )
     return Drives(prior_from(clamped, told) if told else None, ())
 
 

@@ -142,7 +142,7 @@ def fit_stage(
     """
     if told is None and not start and open_turns(rows):
         trial = experiment(rows, effects, active_slots(rows, effects, terms))
-        rows = from_likeliest_turn(trial, carried_over(rows, before)[0])
+        rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
 
     weights = last.noise if last is not None and rows.stage == "poses" else None
@@ -151,7 +151,7 @@ def fit_stage(
         first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
         if told is not None:
             return fit(first, (told,), values, weights=weights)
-        priors, carried = carried_over(rows, before)
+        priors, carried = carried_over(rows, before, effects)
         return fit(first, priors, {**carried, **values}, weights=weights)
 
     terms, start = begun(terms, effects, rows.layout, start or {}, begin)
@@ -161,7 +161,7 @@ def fit_stage(
     if told is not None:
         estimate = fit(trial, (told,), start, weights=weights)
     else:
-        priors, carried = carried_over(rows, before)
+        priors, carried = carried_over(rows, before, effects)
         if "free_air" in before:
             friction = with_rest_friction(trial, priors, {**carried, **start})
         else:
@@ -195,9 +195,13 @@ def fit_stage(
 
 def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
     """The slots of some terms in these rows; of the geometry, only what the robot's gauge leaves independent."""
-    geometry = independent_geometry(rows, effects) if any(t.effect == "geometry" for t in terms) else ()
-    rest = slots_of_terms([t for t in terms if t.effect != "geometry"], effects, rows.layout, rows.stage)
+    geometry = independent_geometry(rows, effects) if any(_is_geometry(t, effects) for t in terms) else ()
+    rest = slots_of_terms([t for t in terms if not _is_geometry(t, effects)], effects, rows.layout, rows.stage)
     return (*geometry, *rest)
+
+
+def _is_geometry(term: Term, effects: Mapping[str, Effect]) -> bool:
+    return "link_frame" in effects[term.effect].roles
 
 
 def _model_of(

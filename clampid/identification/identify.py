@@ -18,6 +18,7 @@ from clampid.identification.identify_log import LogStage
 from clampid.identification.joint import JointPart, fit_jointly, shared_slots
 from clampid.models.model import Model, Round, Session, StageModel
 from clampid.progress import in_parts
+from clampid.roles import INERTIAS
 from clampid.slots import Layout, Term, parse_term
 from clampid.stages.clamped_rows import clamped_rows
 from clampid.stages.layout import layout_of
@@ -26,6 +27,7 @@ from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Rows
 from clampid.stages.steady_share import steady_share
 from clampid.stages.torques import torque_rows
+from clampid.standard_sets import DYNAMICS, POSES_ALONE, POSES_DIRECTED, STANDARD
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
@@ -49,7 +51,6 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "poses": ("poses", "distances"),
 }
 FEW = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
-DYNAMICS = ("inertia", "link_inertia")
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
@@ -65,18 +66,14 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     find.
     """
     found = stages_of(campaigns)
-    names: dict[Stage, tuple[str, ...]] = {
-        "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
-        "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
-        "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
-    }
+    names = dict(STANDARD)
     if "free_air" not in found and "clamped" not in found:
         n = campaigns[0].robot.n
         columns = [f"dir{i + 1}" for i in range(n)]
         directed = any(
             (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in TABLES_OF["poses"] if t in c.tables
         )
-        names["poses"] = ("geometry", "joint_compliance", *(("backlash",) if directed else ()))
+        names["poses"] = (*POSES_ALONE, *(POSES_DIRECTED if directed else ()))
     if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < FEW:
         names["free_air"] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
@@ -107,7 +104,7 @@ def stage_rows(
 
 def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
     """Whether some terms explain torques of acceleration, so that such rows can be used."""
-    return any(t.effect in effects and effects[t.effect].family == "inertia" for t in terms)
+    return any(t.effect in effects and effects[t.effect].roles & set(INERTIAS) for t in terms)
 
 
 def has_friction_state(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:

@@ -12,7 +12,6 @@ import numpy as np
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
 from clampid.identification.identify import (
-    DYNAMICS,
     FEW,
     has_friction_state,
     has_inertia,
@@ -25,6 +24,7 @@ from clampid.slots import Term, parse_term
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import LogPart
 from clampid.stages.steady_share import steady_share
+from clampid.standard_sets import DYNAMICS, STANDARD
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 from experiments.columns import LOGS, table_format
@@ -34,8 +34,6 @@ from experiments.header import read_header
 from experiments.log_windows import LogTable
 
 __all__ = ["identify_folder"]
-
-STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
 
 
 @single_threaded
@@ -95,7 +93,7 @@ def identify_folder(
     )
     parts = [LogPart(campaign, 0, name, table) for name, table in tables.items()]
     catalogue, layout = with_user_effects(user_effects), layout_of([campaign])
-    terms = tuple(Term(name) for name in STANDARD)
+    terms = tuple(Term(name) for name in STANDARD["free_air"])
     if effects is not None:
         terms = tuple(dict.fromkeys(parse_term(name, catalogue, layout) for name in effects if name.strip()))
         for term in terms:

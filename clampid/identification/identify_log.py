@@ -11,7 +11,7 @@ import numpy as np
 from clampid.effect import Effect
 from clampid.fitting.accuracy import StageErrors
 from clampid.fitting.base_names import BaseParameter
-from clampid.fitting.base_parameters import INERTIAL, grouped
+from clampid.fitting.base_parameters import grouped
 from clampid.fitting.descent import covariance_of
 from clampid.fitting.equal_weights import Weights
 from clampid.fitting.fit_log import LogFit, LogPrior, fit_log
@@ -24,6 +24,7 @@ from clampid.fitting.observability import observability, projected
 from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import limits_of, prior_of, start_of
 from clampid.models.model import StageModel
+from clampid.roles import INERTIAL, INERTIAS
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
 from clampid.stages.experiment import experiment
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
@@ -194,10 +195,10 @@ class LogStage:
 
     def _base(self, fit: LogFit, covariance: Array, precision: Array) -> tuple[BaseParameter, ...]:
         """The base parameters of gravity and inertia."""
-        slots, effects = self.experiment.slots, self.experiment.effects
-        if not any(s.effect in INERTIAL for s in slots):
+        slots = self.experiment.slots
+        if not self.experiment.numbers_of(*INERTIAL):
             return ()
-        steady = not any(effects[s.effect].family == "inertia" for s in slots)
+        steady = not self.experiment.numbers_of(*INERTIAS)
         columns = sampled_columns(self.design, self.parts, slots, fit.noise.sigma, steady)
         return grouped(self.experiment, fit.moments.at[: len(slots)], covariance, precision, *columns)
 

@@ -33,7 +33,7 @@ from clampid.fitting.solve import Estimate, StagePoint, limits_of, prior_of, sta
 from clampid.fitting.visits import gradient_covariance
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify_log import FittedLog
-from clampid.models.agreement import SHARED as OF_DRIVES
+from clampid.models.agreement import is_of_drives
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Integers
@@ -167,7 +167,7 @@ def shared_slots(parts: Sequence[JointPart]) -> frozenset[Slot]:
         count.update(
             s
             for s in trial.slots
-            if is_shared(trial.effects[s.effect]) and not (contradicted and s.effect in OF_DRIVES)
+            if is_shared(trial.effects[s.effect]) and not (contradicted and is_of_drives(trial.effects[s.effect]))
         )
     return frozenset(slot for slot, stages in count.items() if stages > 1)
 

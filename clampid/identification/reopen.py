@@ -16,6 +16,8 @@ from clampid.identification.identify import has_friction_state, has_inertia, sta
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.own_effects import effects_of
 from clampid.progress import substep
+from clampid.role_slots import has_role
+from clampid.roles import Role
 from clampid.slots import Layout, Slot
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
@@ -174,8 +176,8 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
             if place != f"session{session + 1}":
                 continue
             place = layout.sessions[0]
-        known = {"target_": layout.targets, "anchor_": layout.anchors} if slot.effect == "geometry" else {}
-        if any(slot.parameter.startswith(kind) and place not in names for kind, names in known.items()):
+        known: dict[Role, tuple[str, ...]] = {"target_point": layout.targets, "anchor_point": layout.anchors}
+        if any(has_role(slot, role) and place not in names for role, names in known.items()):
             continue
         keep.append(k)
         slots.append(Slot(slot.effect, slot.parameter, place))

@@ -349,17 +349,19 @@ def _resolved(
     active = {slot.effect for slot in estimate.slots}
     out = {t: None for t in asked if effects[t.effect].aligns is not None and t.effect not in active}
     asked = [t for t in asked if effects[t.effect].aligns is None]
-    absent = {t.effect: replace(effects[t.effect], asked=False) for t in asked}  # somebody asks for them
+    absent = {  # somebody asks for them
+        t.effect: replace(e, search=replace(e.search, opt_in=False)) for t in asked for e in (effects[t.effect],)
+    }
     space = space_of(estimate)
     scored = [*score(space, named_candidates(estimate, absent)), *event_scores(estimate, space, absent)]
     shapes: dict[Any, float] = {}
     for term in asked:
         effect = effects[term.effect]
         own = [s for s in scored if s.candidate.name == term.effect and s.freedom]
-        if term.place is not None and effect.tried == "jointly":
+        if term.place is not None and effect.search.scope == "jointly":
             out |= {term: None} if own and term in own[0].candidate.terms else {}
             continue
-        if term.place is not None and effect.per != "robot" and effect.tried != "together":
+        if term.place is not None and effect.per != "robot" and effect.search.scope != "together":
             own = [s for s in own if s.candidate.places == (term.place,)]
         for s in sorted(own, key=lambda s: s.explained):
             shapes |= dict(s.candidate.shapes)

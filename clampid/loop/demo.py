@@ -21,17 +21,12 @@ from clampid.display import error_text
 from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.models.model import Model, save_model
+from clampid.standard_sets import DRAWN
 from experiments.campaign import Campaign, read_campaign
 from experiments.outputs import write_text
 from experiments.simulate import hidden_file, simulate
 
 __all__ = ["DRAWN", "DemoResult", "demo", "terms_to_add"]
-
-DRAWN = (
-    "gear_eccentricity", "thermal_expansion", "stribeck_friction", "fixture_compliance", "base_tilt", "torque_offset",
-    "payload",
-)  # fmt: skip
-"""What may be hidden: the catalogue knows it, the standard model lacks it. The order decides what a seed draws."""
 
 ROBOT = "kuka_kr20_r1810"
 FOUND = "It was found."

@@ -16,6 +16,8 @@ from clampid.fitting.solve import FitError
 from clampid.identification.identify import identify
 from clampid.loop.until import Until
 from clampid.models.model import Model, StageModel
+from clampid.role_slots import has_role
+from clampid.roles import FRAMES
 from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.errors import CampaignError
 from experiments.outputs import temporary_folder
@@ -138,7 +140,7 @@ class LiveFit:
                 continue
             before = self._std.get(slot.label)
             self._std[slot.label] = float(std[k])
-            if slot.effect == "geometry":
+            if has_role(slot, *FRAMES):
                 shrunk.append(1.0 if before is None else std[k] / before)
                 continue
             unit = units.get((slot.effect, slot.parameter), "")

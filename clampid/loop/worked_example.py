@@ -19,6 +19,7 @@ import numpy as np
 from clampid.identification.identify import identify
 from clampid.models.drives import Drives, drives_of, effective_compliance
 from clampid.models.model import ModelError, StageModel
+from clampid.role_slots import has_role
 from clampid.stages.rows import Array
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
@@ -133,7 +134,7 @@ def displacement(clamped: StageModel, robot: RobotDescription) -> tuple[tuple[fl
     """
     _, by = effective_compliance(clamped, robot)
     entry = by.reshape(robot.n, robot.n, -1)[AXIS, AXIS]
-    own = [s.place == f"joint{AXIS + 1}" and s.effect == "joint_compliance" for s in clamped.slots]
+    own = [s.place == f"joint{AXIS + 1}" and has_role(s, "compliance") for s in clamped.slots]
     force = FRICTION * LEVER
     found = []
     for row in (np.where(own, entry, 0.0), entry):

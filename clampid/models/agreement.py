@@ -8,7 +8,7 @@ section 11.2; Holm, A simple sequentially rejective multiple test procedure, Sca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg, stats
 
+from clampid.catalogue import catalogue
+from clampid.effect import Effect
 from clampid.models.model import StageModel
 from clampid.slots import Slot
 
-__all__ = ["Agreement", "agreement_of", "shared_drives", "stands_out"]
+__all__ = ["Agreement", "agreement_of", "is_of_drives", "shared_drives", "stands_out"]
 
-SHARED = ("joint_compliance", "backlash", "nonlinear_stiffness", "soft_near_zero", "cross_coupled_stiffness")
-"""Effects of the drives, which act with the same parameters in clamped sweeps and in poses."""
 LEVEL = 0.05  # chance that any joint of drives that do agree is called different
 
 
@@ -65,7 +65,9 @@ class Agreement:
         }
 
 
-def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreement, ...], float | None]:
+def agreement_of(
+    clamped: StageModel, poses: StageModel, effects: Mapping[str, Effect] | None = None
+) -> tuple[tuple[Agreement, ...], float | None]:
     """Hold two independent stages against each other.
 
     Parameters
@@ -79,7 +81,7 @@ def agreement_of(clamped: StageModel, poses: StageModel) -> tuple[tuple[Agreemen
         One entry for each shared parameter, in the order of the clamped stage, and the p-value of them all together
         (those not testable left out; None where none is left).
     """
-    slots = shared_drives(clamped.slots, poses.slots)
+    slots = shared_drives(clamped.slots, poses.slots, effects)
     a = np.array([clamped.slots.index(s) for s in slots], dtype=int)
     b = np.array([poses.slots.index(s) for s in slots], dtype=int)
     difference = poses.theta[b] - clamped.theta[a]
@@ -122,6 +124,14 @@ def stands_out(p: npt.NDArray[np.float64], level: float) -> npt.NDArray[np.bool_
     return out
 
 
-def shared_drives(clamped: Sequence[Slot], poses: Sequence[Slot]) -> tuple[Slot, ...]:
+def is_of_drives(effect: Effect | None) -> bool:
+    """Whether an effect is of the drives: it acts with the same parameters in clamped sweeps and in poses."""
+    return effect is not None and {"clamped", "poses"} <= set(effect.stages)
+
+
+def shared_drives(
+    clamped: Sequence[Slot], poses: Sequence[Slot], effects: Mapping[str, Effect] | None = None
+) -> tuple[Slot, ...]:
     """The drives' parameters that both stages have, in the order of the clamped stage."""
-    return tuple(s for s in clamped if s.effect in SHARED and s in poses)
+    known = catalogue() if effects is None else effects
+    return tuple(s for s in clamped if is_of_drives(known.get(s.effect)) and s in poses)

@@ -18,7 +18,8 @@ import numpy as np
 
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError
-from clampid.slots import Slot
+from clampid.role_slots import any_of_role, numbers_of_role, slot_of
+from clampid.roles import FRAMES, Role
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
@@ -27,9 +28,8 @@ from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 from kinematics.screws import adjoint, cayley, transform
 
-__all__ = ["EXPANSION", "CalibratedChain", "calibrated_chain", "sensitivity"]
+__all__ = ["CalibratedChain", "calibrated_chain", "sensitivity"]
 
-EXPANSION = "thermal_expansion"
 STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
 _AXES = ("rx", "ry", "rz", "x", "y", "z")
 
@@ -89,7 +89,7 @@ def calibrated_chain(
         the temperature is none of a robot.
     """
     stage = model.stages.get("poses")
-    if stage is None or not any(slot.effect == "geometry" for slot in stage.slots):
+    if stage is None or not any_of_role(stage.slots, *FRAMES):
         raise ModelError("expected a model with geometry identified from a table of poses, found none to export")
     if not 0 <= session < len(model.sessions):
         raise ModelError(f"session {session + 1}: the model has sessions 1 to {len(model.sessions)}")
@@ -101,28 +101,28 @@ def calibrated_chain(
             f"temperature {temperature:g} degC: expected one of a robot, {COLDEST_C:g} to {HOTTEST_C:g} degC; is it in "
             "kelvin?"
         )
-    if temperature != REFERENCE_TEMPERATURE and not any(slot.effect == EXPANSION for slot in stage.slots):
+    if temperature != REFERENCE_TEMPERATURE and not any_of_role(stage.slots, "expansion"):
         raise ModelError(
-            f"temperature {temperature:g} degC: expected a model with {EXPANSION} in poses, found none; its geometry "
-            f"is that of the temperatures of its poses, exported as {REFERENCE_TEMPERATURE:g} degC"
+            f"temperature {temperature:g} degC: expected a model with thermal_expansion in poses, found none; its "
+            f"geometry is that of the temperatures of its poses, exported as {REFERENCE_TEMPERATURE:g} degC"
         )
     nominal = robot_of(model, robot)
     values = dict(zip(stage.slots, stage.theta if theta is None else theta, strict=True))
     here = model.layout.sessions[session]
 
-    def twist(prefix: str, place: str) -> Array:
-        return np.array([values.get(Slot("geometry", prefix + axis, place), 0.0) for axis in _AXES])
+    def twist(role: Role, place: str) -> Array:
+        return np.array([values.get(slot_of(role, place, axis), 0.0) for axis in _AXES])
 
     vectors = link_vectors(nominal)
-    base = np.asarray(reference) @ _motion(twist("base_", here), np.zeros(3))
+    base = np.asarray(reference) @ _motion(twist("base_frame", here), np.zeros(3))
     moved, screws = np.eye(4), np.empty((nominal.n, 6))
     for i, pivot in enumerate(link_points(nominal)):
         screws[i] = adjoint(moved) @ nominal.screws[i]
-        far_end = twist("", f"link{i + 1}")
-        alpha = values.get(Slot(EXPANSION, "alpha", f"link{i + 1}"), 0.0)
+        far_end = twist("link_frame", f"link{i + 1}")
+        alpha = values.get(slot_of("expansion", f"link{i + 1}"), 0.0)
         far_end[3:] += alpha * (temperature - REFERENCE_TEMPERATURE) * vectors[i]
         if i + 1 == nominal.n:
-            far_end = far_end + twist("flange_", here)
+            far_end = far_end + twist("flange_frame", here)
         moved = moved @ _motion(far_end, pivot)
     return CalibratedChain(nominal, base, screws, moved @ nominal.flange)
 
@@ -160,8 +160,8 @@ def sensitivity(
         expansion), and these parameters' covariance ``(P, P)``.
     """
     stage = model.stages["poses"]
-    warm = (EXPANSION,) if temperature != REFERENCE_TEMPERATURE else ()
-    free = [k for k, slot in enumerate(stage.slots) if slot.effect in ("geometry", *warm)]
+    warm: tuple[Role, ...] = ("expansion",) if temperature != REFERENCE_TEMPERATURE else ()
+    free = numbers_of_role(stage.slots, *FRAMES, *warm)
     columns = []
     for k in free:
         step = STEP * np.eye(len(stage.slots))[k]

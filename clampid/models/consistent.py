@@ -25,6 +25,8 @@ import numpy as np
 from clampid.fitting.base_names import BaseParameter
 from clampid.fitting.base_parameters import described_parameters, to_joint_points
 from clampid.models.model import Model, ModelError, StageModel
+from clampid.role_slots import any_of_role, has_role, slot_of
+from clampid.roles import WEIGHTS as WEIGHT_ROLES
 from clampid.slots import Slot
 from clampid.stages.rows import Array
 from kinematics.dynamics import inertial_parameters
@@ -78,9 +80,9 @@ class ConsistentArm:
         theta = to_joint_points(stage.slots, robot) @ stage.theta
         described = described_parameters(stage.slots, robot)
         for k, slot in enumerate(stage.slots):
-            if slot.effect in ("gravity", "link_inertia"):
+            if has_role(slot, *WEIGHT_ROLES, "inertia_tensor", per="link"):
                 theta[k] = self.parameters[_number(slot), NAMES.index(slot.parameter)] - described[k]
-            elif slot.effect == "inertia" and self.rotors is not None:
+            elif has_role(slot, "rotor_inertia") and self.rotors is not None:
                 theta[k] = self.rotors[_number(slot)]
         return np.asarray(np.linalg.solve(to_joint_points(stage.slots, robot), theta))
 
@@ -99,7 +101,7 @@ def consistent_arm(model: Model, robot: RobotDescription) -> ConsistentArm:
     stage = model.stages.get("free_air")
     if stage is None or not stage.base:
         raise ModelError("expected a model with gravity identified from free-air or wrist logs, found none to export")
-    bodies = any(slot.effect == "link_inertia" for slot in stage.slots)
+    bodies = any_of_role(stage.slots, "inertia_tensor")
     K, held, rotors = _matrices(stage, robot.n, bodies)
     target = np.array([p.value for p in stage.base]) - held
     metric = _metric(stage, robot)
@@ -220,9 +222,9 @@ def _matrices(
     K, held, rotors = np.zeros((len(stage.base), 11 * n)), np.zeros(len(stage.base)), np.zeros(n, dtype=bool)
     for row, parameter in enumerate(stage.base):
         for slot, coefficient in parameter.terms:
-            if slot.effect in ("gravity", "link_inertia"):
+            if has_role(slot, *WEIGHT_ROLES, "inertia_tensor", per="link"):
                 K[row, 10 * _number(slot) + NAMES.index(slot.parameter)] = coefficient
-            elif slot.effect == "inertia" and bodies:
+            elif has_role(slot, "rotor_inertia") and bodies:
                 K[row, 10 * n + _number(slot)] = coefficient
                 rotors[_number(slot)] = True
             else:
@@ -244,7 +246,7 @@ def _metric(stage: StageModel, robot: RobotDescription) -> Array:
 
 def _fitted_rotors(stage: StageModel, n: int) -> Array:
     values = stage.values()
-    return np.array([values.get(Slot("inertia", "I", f"joint{i + 1}"), 0.0) for i in range(n)])
+    return np.array([values.get(slot_of("rotor_inertia", f"joint{i + 1}"), 0.0) for i in range(n)])
 
 
 def _number(slot: Slot) -> int:

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from clampid.models.model import Model, ModelError, StageModel
+from clampid.role_slots import any_of_role, has_role
+from clampid.roles import Role
 from clampid.slots import Slot
 from clampid.stages.rows import Array, Bools
 from kinematics.robot import RobotDescription
@@ -90,11 +92,11 @@ def drives_of(stage: StageModel, robot: RobotDescription) -> Drives:
         The stage has no springs.
     """
     n = robot.n
-    if not any(slot.effect == "joint_compliance" for slot in stage.slots):
+    if not any_of_role(stage.slots, "compliance"):
         raise ModelError(f"the stage {stage.stage} has no joint_compliance, so that nothing is known of its springs")
-    c, c_std = _per_joint(stage, "joint_compliance", "c", n)
-    gap, gap_std = _per_joint(stage, "backlash", "gap", n)
-    friction, friction_std = _per_joint(stage, "coulomb_friction", "Fc", n)
+    c, c_std = _per_joint(stage, "compliance", n)
+    gap, gap_std = _per_joint(stage, "clearance", n)
+    friction, friction_std = _per_joint(stage, "dry_friction", n)
     with np.errstate(divide="ignore", invalid="ignore"):
         k = np.where(c > 0, 1.0 / c, np.nan)
     own = np.diag(np.asarray(robot.transmission)) ** 2
@@ -118,7 +120,7 @@ def drives_of(stage: StageModel, robot: RobotDescription) -> Drives:
 def clamped_drives(model: Model, robot: RobotDescription) -> Drives | None:
     """The drives as a model's clamped stage knows them; None where it has no such stage, or no springs in it."""
     stage = model.stages.get("clamped")
-    if stage is None or not any(slot.effect == "joint_compliance" for slot in stage.slots):
+    if stage is None or not any_of_role(stage.slots, "compliance"):
         return None
     return drives_of(stage, robot)
 
@@ -130,18 +132,18 @@ def effective_compliance(stage: StageModel, robot: RobotDescription) -> tuple[Ar
     for k, slot in enumerate(stage.slots):
         i = _joint(slot)
         motor = np.zeros((n, n))
-        if slot.effect == "joint_compliance":
+        if has_role(slot, "compliance"):
             motor[i, i] = 1.0
-        elif slot.effect == "cross_coupled_stiffness" and i > 0:
+        elif has_role(slot, "cross_compliance") and i > 0:
             motor[i, i - 1] = motor[i - 1, i] = 1.0
         by[:, k] = (T.T @ motor @ T).ravel()
     return (by @ stage.theta).reshape(n, n), by
 
 
-def _per_joint(stage: StageModel, effect: str, parameter: str, n: int) -> tuple[Array, Array]:
+def _per_joint(stage: StageModel, role: Role, n: int) -> tuple[Array, Array]:
     value, std = np.full((2, n), np.nan)
     for slot, v, s in zip(stage.slots, stage.theta, stage.std, strict=True):
-        if slot.effect == effect and slot.parameter == parameter:
+        if has_role(slot, role):
             value[_joint(slot)], std[_joint(slot)] = v, s
     return value, std
 

@@ -41,7 +41,7 @@ def session_differences(stage: StageModel, effects: Mapping[str, Effect]) -> tup
     own: dict[str, list[int]] = {}
     for k, slot in enumerate(stage.slots):
         effect = effects.get(slot.effect)
-        if effect is not None and effect.asked and effect.of_session:
+        if effect is not None and effect.search.opt_in and effect.of_session:
             own.setdefault(f"{slot.effect}.{slot.parameter}", []).append(k)
     found = []
     for name, places in own.items():

@@ -27,6 +27,7 @@ from clampid.stages.clamped_rows import GAP_SOFTNESS, clamped_rows
 from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows
+from clampid.standard_sets import STANDARD
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits
@@ -36,7 +37,6 @@ from experiments.plans.validate import sweep_fault, validate_plan
 from kinematics.description import RobotDescription
 
 __all__ = [
-    "STANDARD",
     "Press",
     "careful_limits",
     "in_order",
@@ -47,7 +47,6 @@ __all__ = [
     "stiffness_of",
 ]
 
-STANDARD = ("joint_compliance", "backlash", "coulomb_friction")
 POSTURES = 16
 TRIED = 600  # configurations among which postures are looked for
 STEPS = (8, 16, 32)  # steps in a quarter of a sweep
@@ -121,7 +120,7 @@ def plan_clamping(
     press: Press,
     *,
     time: float = 7200.0,
-    effects: Sequence[str] = STANDARD,
+    effects: Sequence[str] = STANDARD["clamped"],
     joints: Sequence[int] | None = None,
     postures: Array | None = None,
     scene: Scene | None = None,
@@ -305,7 +304,7 @@ class _Bench:
             if "clamped" not in effects[term.effect].stages:
                 acts = ", ".join(effects[term.effect].stages)
                 raise PlanError(f"effect {term.effect} does not act in clamped; it does in: {acts}")
-        if not any(term.effect == "joint_compliance" for term in terms):
+        if not any("compliance" in effects[term.effect].roles for term in terms):
             raise PlanError("effects: expected joint_compliance among them: without springs a clamped drive is rigid")
         self.slots = slots_of_terms(terms, effects, self.layout, "clamped")
         self.experiment: Experiment = experiment(clamped_rows([blank], self.layout), effects, self.slots)
@@ -368,9 +367,9 @@ class _Bench:
         start = self.experiment.start()
         for k, slot in enumerate(self.slots):
             theta[k] = start[k]
-            if slot.effect == "joint_compliance":
+            if self.experiment.parameters[k].role == "compliance":
                 theta[k] = 1.0 / self.press.stiffness[int(slot.place.removeprefix("joint")) - 1]
-            elif slot.effect == "backlash":
+            elif self.experiment.parameters[k].role == "clearance":
                 theta[k] = self.size[k]
         T = np.asarray(self.cell.robot.transmission)
         C = T.T @ (T / self.press.stiffness[:, None])

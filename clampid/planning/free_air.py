@@ -14,11 +14,12 @@ import numpy as np
 from clampid.catalogue import catalogue
 from clampid.planning.choose import log_det
 from clampid.planning.expected import prior_precision
-from clampid.planning.logs import STANDARD, LogBench, TorqueNoise
+from clampid.planning.logs import LogBench, TorqueNoise
 from clampid.planning.program import check_program, finished_program, wishes
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.rows import Array
+from clampid.standard_sets import STANDARD
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits, course_of
@@ -42,7 +43,7 @@ def plan_free_air(
     *,
     time: float = 1200.0,
     speeds: Sequence[float] = (0.15, 0.06),
-    effects: Sequence[str] = STANDARD,
+    effects: Sequence[str] = STANDARD["free_air"],
     scene: Scene | None = None,
     dwell: float = 1.0,
     rate: float = 10.0,

@@ -28,9 +28,8 @@ from experiments.plans.model import Cell
 from experiments.plans.motion import Course
 from experiments.plans.press import rated_motor_torque
 
-__all__ = ["STANDARD", "LogBench", "Told", "TorqueNoise", "planned_log", "planned_rows", "torque_noise_of"]
+__all__ = ["LogBench", "Told", "TorqueNoise", "planned_log", "planned_rows", "torque_noise_of"]
 
-STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
 NOISE_SHARE = 0.01  # of the rated torque
 STILL = 1e-9  # rad/s: planned motion has no noise
 SETTLING = 0.25  # s after a change of speed in which a differentiated log still shows it

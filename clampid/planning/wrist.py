@@ -22,6 +22,7 @@ from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.layout import coupled_joints
 from clampid.stages.rows import Array
+from clampid.standard_sets import ARM_SIDE, LINK_WEIGHT, WRIST
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits, course_of
@@ -155,8 +156,8 @@ def plan_wrist(
 def _standard(robot: RobotDescription) -> tuple[str, ...]:
     """Friction of the coupled joints, and the gravity that acts in them."""
     wrist = coupled_joints(robot)
-    names = [f"{kind}@joint{j + 1}" for kind in ("coulomb_friction", "viscous_friction") for j in wrist]
-    return (*names, "wrist_coupling_friction", *(f"gravity@link{k + 1}" for k in range(wrist[0], robot.n)))
+    names = [f"{kind}@joint{j + 1}" for kind in WRIST for j in wrist]
+    return (*names, ARM_SIDE, *(f"{LINK_WEIGHT}@link{k + 1}" for k in range(wrist[0], robot.n)))
 
 
 def _impossible(robot: RobotDescription) -> tuple[str, ...]:

@@ -10,6 +10,8 @@ import numpy as np
 from clampid.charts import thin
 from clampid.fitting.accuracy import predicted
 from clampid.report.stage_data import StageData
+from clampid.role_slots import has_role
+from clampid.roles import FRAMES
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array
 
@@ -17,7 +19,6 @@ __all__ = ["SETUP", "Share", "pose_budget", "torque_budget"]
 
 MOST_ROWS = 2000
 SETUP = "geometry: base, targets, flange"
-SPRINGS = "joint_compliance"  # a clamped drive without its spring has no finite torque
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,9 @@ def _without(data: StageData, slots: Collection[Slot]) -> Array:
 
 def _part_of(slot: Slot) -> str:
     """The line of the budget that a slot belongs to; of the geometry, setup and robot apart."""
-    if slot.effect != "geometry":
+    if not has_role(slot, *FRAMES):
         return slot.effect
-    if slot.parameter.startswith(("base_", "target_", "flange_")):
+    if has_role(slot, "base_frame", "target_point", "flange_frame"):
         return SETUP
     return "geometry: links and joints"
 
@@ -81,7 +82,7 @@ def torque_budget(data: StageData) -> list[Share]:
 
     out = []
     for effect in dict.fromkeys(s.effect for s in data.model.slots):
-        if data.stage == "clamped" and effect == SPRINGS:
+        if data.stage == "clamped" and "compliance" in data.first.experiment.effects[effect].roles:
             continue
         off = _without(data, [s for s in data.model.slots if s.effect == effect])
         if data.stage == "clamped":  # the posture of clamping goes with it

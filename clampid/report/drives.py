@@ -13,6 +13,7 @@ from clampid.fitting.solve import clamping_offsets
 from clampid.models.drives import Drives, drives_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import Figure, Section, Table, as_table
+from clampid.role_slots import any_of_role
 from clampid.stages.clamped import fixture_motion
 from clampid.stages.rows import Array
 
@@ -25,7 +26,7 @@ MOST_ROWS = 1600
 
 def drives_section(clamped: StageData | None) -> Section | None:
     """Section "Drives"; None where no clamped stage with springs is."""
-    if clamped is None or not any(s.effect == "joint_compliance" for s in clamped.model.slots):
+    if clamped is None or not any_of_role(clamped.model.slots, "compliance"):
         return None
     drives = drives_of(clamped.model, clamped.first.rows.robot)
     blocks: list[str | Table | Figure] = [_table(drives), _matrix(drives)]

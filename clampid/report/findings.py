@@ -17,6 +17,7 @@ from clampid.models.model import Model, ModelError, Round
 from clampid.report.budget import SETUP, pose_budget
 from clampid.report.rounds import rounds_of, unit_of
 from clampid.report.stage_data import StageData, in_order, stage_title
+from clampid.role_slots import any_of_role
 from experiments.campaign import Campaign
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
@@ -182,7 +183,7 @@ def _torque(model: Model, first: Model | None) -> str:
 
 def _drives(clamped: StageData | None) -> str:
     """The softest drive, and how many clearances differ from zero."""
-    if clamped is None or not any(s.effect == "joint_compliance" for s in clamped.model.slots):
+    if clamped is None or not any_of_role(clamped.model.slots, "compliance"):
         return ""
     d = drives_of(clamped.model, clamped.first.rows.robot)
     k = np.where(np.isfinite(d.joint_stiffness) & (d.joint_stiffness > 0.0), d.joint_stiffness, np.inf)

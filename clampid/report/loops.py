@@ -9,6 +9,7 @@ from clampid.display import Scale, with_error, with_std
 from clampid.models.drives import Drives, drives_of
 from clampid.report.stage_data import StageData
 from clampid.report.style import Figure
+from clampid.role_slots import any_of_role
 from clampid.stages.rows import Integers
 
 __all__ = ["loops_figure"]
@@ -21,7 +22,7 @@ def loops_figure(data: StageData) -> Figure:
     piece = data.first
     driven, sweep = piece.rows.constants["driven"], piece.rows.constants["run"]
     joints = np.unique(driven).tolist()
-    springs = any(s.effect == "joint_compliance" for s in data.model.slots)
+    springs = any_of_role(data.model.slots, "compliance")
     drives = drives_of(data.model, piece.rows.robot) if springs else None
     panels = []
     for k, j in enumerate(joints):

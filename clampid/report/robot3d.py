@@ -11,6 +11,7 @@ from clampid.charts import Axis, Chart, Line, Mark, Panel, Points, Segments, thi
 from clampid.display import error_text
 from clampid.report.stage_data import StageData
 from clampid.report.style import Figure, Section
+from clampid.role_slots import axis_of, has_role
 from clampid.stages.rows import Array, Integers
 from kinematics.description import RobotDescription
 from kinematics.poe import joint_transforms
@@ -40,10 +41,10 @@ def base_pose(data: StageData) -> tuple[Array, Array]:
     """Where the instrument sees the robot's base: rotation ``(3, 3)`` and position ``(3,)``."""
     reference = data.first.rows.constants["base_reference"][0]
     twist = np.zeros(6)
-    names = ("base_rx", "base_ry", "base_rz", "base_x", "base_y", "base_z")
+    names = ("rx", "ry", "rz", "x", "y", "z")
     for slot, value in data.model.values().items():
-        if slot.effect == "geometry" and slot.parameter in names:
-            twist[names.index(slot.parameter)] = value
+        if has_role(slot, "base_frame"):
+            twist[names.index(axis_of(slot))] = value
     R, p = reference[:3, :3], reference[:3, 3]
     return R @ np.asarray(cayley(twist[:3])), R @ twist[3:] + p
 

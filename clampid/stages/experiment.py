@@ -10,7 +10,9 @@ import numpy as np
 from scipy import linalg
 
 from clampid.chain.chain import Chain, build_chain
-from clampid.effect import WEAK, Effect, Parameter, Stage
+from clampid.effect import WEAK, Effect, Parameter, Per, Stage
+from clampid.role_slots import numbers_of_role
+from clampid.roles import Role
 from clampid.slots import Slot, find_parameter, fixed_slots, unit_of
 from clampid.stages import clamped, poses, torques
 from clampid.stages.rows import Array, Rows
@@ -55,6 +57,10 @@ class Experiment:
     def parameters(self) -> tuple[Parameter, ...]:
         """What the slots are values of ``(P,)``, with sizes and bounds for this robot's gears."""
         return tuple(parameter_of(slot, self.effects, self.rows.robot) for slot in self.slots)
+
+    def numbers_of(self, *roles: Role, per: Per | None = None) -> list[int]:
+        """Which slots, counted from 0, are numbers of one of these roles (and one for each of such places)."""
+        return numbers_of_role(self.slots, *roles, per=per, effects=self.effects)
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P + K)``, SI."""
@@ -136,10 +142,7 @@ class Experiment:
         In ``poses`` springs are stiff, but no stiffer than springs are: dry friction in an infinitely stiff one does
         nothing, so that where a joint bears no load its clearance would seem told from friction that winds it up.
         """
-        own = [
-            STIFF * p.size if self.stage == "poses" and slot.effect == "joint_compliance" else p.start
-            for slot, p in zip(self.slots, self.parameters, strict=True)
-        ]
+        own = [STIFF * p.size if self.stage == "poses" and p.role == "compliance" else p.start for p in self.parameters]
         return np.array([*own, *([0.0] * self.offsets)])
 
     def sizes(self) -> Array:
@@ -219,9 +222,8 @@ class Experiment:
     def clearances(self, theta: Array) -> Array:
         """How far the joints play ``(n,)``, rad, at the slots' values ``theta`` ``(P,)``."""
         out = np.zeros(self.rows.robot.n)
-        for slot, value in zip(self.slots, theta, strict=True):
-            if slot.effect == "backlash":
-                out[int(slot.place.removeprefix("joint")) - 1] = abs(value)
+        for k in self.numbers_of("clearance"):
+            out[int(self.slots[k].place.removeprefix("joint")) - 1] += abs(float(theta[k]))
         return out
 
     def bounds(self) -> tuple[Array, Array]:

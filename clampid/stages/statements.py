@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from clampid.role_slots import slot_of
 from clampid.slots import Layout, Slot
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
@@ -125,11 +126,11 @@ def about(stated: Sequence[Statement], values: Mapping[Slot, float]) -> tuple[St
 
 
 def _target_slots(label: str) -> tuple[Slot, ...]:
-    return tuple(Slot("geometry", f"target_{a}", label) for a in "xyz")
+    return tuple(slot_of("target_point", label, a) for a in "xyz")
 
 
 def _of_base(stated: StatedBase, reference: Array, session: str) -> Statement:
-    slots = tuple(Slot("geometry", f"base_{a}", session) for a in ("rx", "ry", "rz", "x", "y", "z"))
+    slots = tuple(slot_of("base_frame", session, a) for a in ("rx", "ry", "rz", "x", "y", "z"))
     std = np.r_[stated.rpy_std, stated.position_std]
     rpy = roll_pitch_yaw(reference[:3, :3])
     off = np.r_[_wrapped(stated.rpy - rpy), stated.position - reference[:3, 3]]

@@ -140,7 +140,7 @@ def torque_rows(
             "regression": facts.regression,
             "log_row": np.arange(len(run)),
             "offset_keys": standing_joints(facts, layout.wrist),
-            "gravity": np.array([campaign.gravity for campaign in campaigns], dtype=float),
+            "gravity_vector": np.array([campaign.gravity for campaign in campaigns], dtype=float),
             "weight": np.array([described_weight(campaign) for campaign in campaigns]),
         },
         per_row=("time", "run", "log_row"),

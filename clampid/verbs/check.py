@@ -132,4 +132,4 @@ def _only_asked(effect: Effect, campaign: Campaign) -> bool:
     """Whether diagnosis does not look for it on this robot, and in these tables."""
     kinds = {joint.kind for joint in campaign.robot.joints}
     ranged = "distances" in campaign.tables or "anchor_way" not in effect.needs
-    return effect.asked or effect.tried_on not in (None, *kinds) or not ranged
+    return effect.search.opt_in or effect.search.joint_kind not in (None, *kinds) or not ranged

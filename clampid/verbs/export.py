@@ -285,8 +285,9 @@ def _measured_next(model: Path, output: Path, name: str) -> tuple[Next, ...]:
 
 def _by_convention(model: Model, out: Output) -> None:
     """Say of which numbers the standard errors are none, because nothing but a convention says where the flange is."""
-    slots = [slot for slot in model.stages["poses"].slots if slot.effect == "geometry"]
-    if not any(slot.parameter.startswith("flange_") for slot in slots):
+    from clampid.role_slots import any_of_role
+
+    if not any_of_role(model.stages["poses"].slots, "flange_frame"):
         out.step(
             "an error of the flange frame is absorbed by the target positions: the flange is kept as described, and "
             "the last row and the tool have no standard errors of their own"
@@ -295,11 +296,11 @@ def _by_convention(model: Model, out: Output) -> None:
 
 def _extrapolating(model: Model, temperature: float, out: Output) -> None:
     """Say of which links the file's temperature is beyond those that their expansion was identified on."""
-    from clampid.models.calibrated import EXPANSION
+    from clampid.role_slots import any_of_role
     from clampid.verbs.findings import extrapolating_text
 
     stage = model.stages["poses"]
-    if stage.ranges is None or not any(slot.effect == EXPANSION for slot in stage.slots):
+    if stage.ranges is None or not any_of_role(stage.slots, "expansion"):
         return
     beyond = stage.ranges.beyond_temperature(temperature)
     if beyond:

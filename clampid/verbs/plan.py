@@ -49,14 +49,14 @@ def free_air(
     out = begin(output, json, quiet, verbose)
     with refusals():
         from clampid.planning.free_air import plan_free_air
-        from clampid.planning.logs import STANDARD
+        from clampid.standard_sets import STANDARD
 
         cell, limits, assumed = where.cell(acceleration)
         noise, more = torques.noise(cell)
         with out.working("choosing configurations"):
             made = plan_free_air(
                 cell, limits, noise, time=time, speeds=numbers_of("--speeds", speeds) or (),
-                effects=names_of(effects) or STANDARD, scene=where.scene(cell), seed=seed,
+                effects=names_of(effects) or STANDARD["free_air"], scene=where.scene(cell), seed=seed,
                 assumed=(*assumed, *more),
             )  # fmt: skip
         finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
@@ -129,7 +129,8 @@ def clamping(
     with refusals():
         import numpy as np
 
-        from clampid.planning.clamping import STANDARD, Press, plan_clamping, press_limits, stiffness_of
+        from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
+        from clampid.standard_sets import STANDARD
         from experiments.plans.press import rated_motor_torque
 
         cell, limits, assumed = where.cell()
@@ -142,7 +143,7 @@ def clamping(
         press = Press(share, rated, stiffness, margin, dwell, clamping_time)
         with out.working("choosing sweeps"):
             made = plan_clamping(
-                cell, held, noise, press, time=time, effects=names_of(effects) or STANDARD,
+                cell, held, noise, press, time=time, effects=names_of(effects) or STANDARD["clamped"],
                 joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n, where.units),
                 scene=where.scene(cell), seed=seed, assumed=(*assumed, *more, *usual),
             )  # fmt: skip

@@ -16,6 +16,7 @@ from clampid.diagnosis.tried import Tried
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.reopen import Reopened, reopen
+from clampid.search_policy import Search
 from clampid.slots import Term
 from experiments.campaign import Campaign
 
@@ -89,7 +90,7 @@ def test_what_was_dropped_and_confirmed_again_stays(bench: Bench, start: FittedS
 def test_what_another_refines_stays(bench: Bench, start: FittedStage) -> None:
     """A law beyond another has no meaning without that."""
     steps = in_turn(bench, start, [CABLE, GEAR])
-    beyond = replace(bench.effects["gear_eccentricity"], beyond="dress_pack")
+    beyond = replace(bench.effects["gear_eccentricity"], search=Search(refines="dress_pack"))
     tied = replace(bench, effects={**bench.effects, "gear_eccentricity": beyond})
     assert [s.label for s in with_needed_only(tied, steps, set())] == [CABLE, GEAR]
 

@@ -13,7 +13,7 @@ import clampid.effects
 from clampid.catalogue import catalogue
 from clampid.chain.chain import OUTPUTS
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC
-from clampid.effect import FAMILIES, UNITS, Effect, Stage
+from clampid.effect import UNITS, Effect, Stage
 from clampid.fitting.solve import clamping_offsets
 from clampid.slots import find_parameter, slots_of
 from clampid.stages.experiment import Experiment, experiment
@@ -23,7 +23,15 @@ from kinematics.sources import load_sources
 EFFECTS = catalogue()
 ACTING = [(name, stage) for name, effect in EFFECTS.items() for stage in effect.stages]
 FILES = sorted(p for p in Path(clampid.effects.__path__[0]).glob("*.py") if p.name != "__init__.py")
-ALLOWED = {"clampid.effect", "clampid.algebra", "typing", "__future__", "itertools"}
+ALLOWED = {
+    "clampid.effect",
+    "clampid.roles",
+    "clampid.search_policy",
+    "clampid.algebra",
+    "typing",
+    "__future__",
+    "itertools",
+}
 VISIBLE: dict[Stage, tuple[str, ...]] = {
     **OUTPUTS,
     "free_air": (*OUTPUTS["free_air"], "friction_state"),
@@ -67,19 +75,23 @@ def _values(trial: Experiment, near: float, seed: int) -> np.ndarray:
 
 
 def test_the_catalogue_is_the_folder():
-    twice = [f"second_{name}" for name, effect in EFFECTS.items() if effect.event is not None and effect.beyond is None]
+    twice = [
+        f"second_{name}"
+        for name, effect in EFFECTS.items()
+        if effect.event is not None and effect.search.refines is None
+    ]
     assert twice
     assert sorted(EFFECTS) == sorted([*(p.stem for p in FILES), *twice])
 
 
 def test_declaration(effect: Effect):
-    assert effect.family in FAMILIES
+    assert EFFECTS[effect.family].family == effect.family
     assert {p.unit for p in effect.parameters} <= UNITS
     assert effect.source
     assert set(effect.source) <= set(load_sources())
     assert effect.equation
-    again = effect.event is not None and effect.beyond is not None
-    file = effect.beyond if again else effect.name  # a second time needs no file of its own
+    again = effect.event is not None and effect.search.refines is not None
+    file = effect.search.refines if again else effect.name  # a second time needs no file of its own
     assert (sys.modules[f"clampid.effects.{file}"].__doc__ or "").strip()
     assert all(p.meaning for p in effect.parameters)
     assert len({p.name for p in effect.parameters}) == len(effect.parameters)
@@ -90,7 +102,7 @@ def test_declaration(effect: Effect):
 
 
 def test_what_a_probe_reveals_names_a_probe_that_exists():
-    assert {e.revealed_by for e in EFFECTS.values()} <= {None, JOINT_ANGLE_PERIODIC}
+    assert {e.search.revealed_by for e in EFFECTS.values()} <= {None, JOINT_ANGLE_PERIODIC}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)

@@ -12,9 +12,10 @@ from clampid.identification.identify import identify
 from clampid.planning import log_det
 from clampid.planning.expected import prior_precision
 from clampid.planning.free_air import plan_free_air
-from clampid.planning.logs import STANDARD, LogBench, torque_noise_of
+from clampid.planning.logs import LogBench, torque_noise_of
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
+from clampid.standard_sets import STANDARD
 from experiments.campaign import read_campaign
 from experiments.check import check_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError, cell_of, limits_of
@@ -44,7 +45,7 @@ def test_every_joint_moves_both_ways(free_air: Plan) -> None:
 
 def test_it_tells_more_than_random_stops_in_the_same_time(free_air: Plan, cell: Cell, limits: Limits) -> None:
     noise, _ = torque_noise_of(cell, None, None)
-    bench = LogBench(cell, catalogue(), STANDARD, noise, 10.0)
+    bench = LogBench(cell, catalogue(), STANDARD["free_air"], noise, 10.0)
     size = np.outer(bench.size, bench.size)
     prior = prior_precision(bench.experiment) * size
 

@@ -13,7 +13,12 @@ from clampid.catalogue import catalogue
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("clampid", "experiments", "kinematics", "offline_ik")
-EXEMPT = ("clampid/effects/", "experiments/virtual_robot/", "experiments/second_world/")  # physics; the truth's kinds
+EXEMPT = (
+    "clampid/effects/",
+    "clampid/standard_sets.py",
+    "experiments/virtual_robot/",
+    "experiments/second_world/",
+)  # physics; the truth's kinds
 ALLOWED: dict[str, int] = json.loads((Path(__file__).parent / "names_left.json").read_text())
 """File → how many literal names it may still hold. Only lower these figures; remove a file that has none left."""
 
