@@ -103,20 +103,22 @@ def _run(source: bytes, path: Path) -> Mapping[str, Effect]:
     module.__file__ = str(path)
     try:
         exec(compile(source, str(path), "exec"), module.__dict__)
-    except Exception as error:  # a user's file may raise anything: name the file, keep the cause
+    except (Exception, SystemExit) as error:  # a user's file may raise anything: name the file, keep the cause
         raise EffectError(f"{path}: {type(error).__name__}: {error}") from error
     several = getattr(module, "EFFECTS", None)
-    own = tuple(several) if several is not None else (_effect_of(module),)
-    for effect in own:
-        if not isinstance(effect, Effect):
-            raise EffectError(f"{path}: expected values of type Effect in EFFECTS, found {type(effect).__name__}")
-        if effect.name in catalogue():
-            raise EffectError(f"{path}: the catalogue has an effect {effect.name!r}; expected another name")
-        try:
+    try:
+        own = tuple(several) if several is not None else (_effect_of(module),)
+        for effect in own:
+            if not isinstance(effect, Effect):
+                raise EffectError(f"expected values of type Effect in EFFECTS, found {type(effect).__name__}")
+            if effect.name in catalogue():
+                raise EffectError(f"the catalogue has an effect {effect.name!r}; expected another name")
             _check_family(effect, {**catalogue(), effect.name: effect})
             check_own_effect(effect)
-        except EffectError as error:
-            raise EffectError(f"{path}: {error}") from None
+    except EffectError as error:
+        raise EffectError(f"{path}: {error}".replace(f"{path}: {path}: ", f"{path}: ")) from None
+    except Exception as error:  # its functions may raise anything
+        raise EffectError(f"{path}: its effects cannot be used: {type(error).__name__}: {error}") from error
     return MappingProxyType({**catalogue(), **{effect.name: effect for effect in own}})
 
 

@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from copy import copy
-from importlib.metadata import entry_points, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,15 +22,15 @@ import typer
 
 from clampid.screen import wrapped
 from clampid.verbs.errors import is_wrong_input
+from clampid.verbs.installed import BrokenPackageError, installed_verbs
 from clampid.verbs.plain_help import PlainCommand
 from clampid.verbs.streams import any_encoding
 from experiments.targets import OutputError, one_call, real_path
 
 __all__ = ["app", "main"]
 
-GROUP = "clampid.verbs"
 LONGEST_LINE = 4000  # characters of an error: a file may bring names of any length
-OUTPUTS = frozenset({"output", "out", "report", "plan", "svg", "json", "truth"})
+OUTPUTS = frozenset({"output", "out", "report", "plan", "svg", "json", "truth", "picture", "poni"})
 """Parameters of verbs that name what is written; files that others name are read."""
 VERBS = {
     "demo": "Run the whole loop on a virtual robot: start here.",
@@ -76,10 +76,10 @@ def app() -> typer.Typer:
         rich_markup_mode=None,
     )
     command.callback()(_common)
-    found = {point.name: point for point in entry_points(group=GROUP)}
+    found = installed_verbs()
     order = [*(name for name in VERBS if name in found), *sorted(found.keys() - VERBS.keys())]
     for name in order:
-        verb = found[name].load()
+        verb, broken = found[name]
         if isinstance(verb, typer.Typer):
             group = copy(verb)  # the verb itself stays as it is: a process may make the command more than once
             group.registered_commands = [copy(one) for one in verb.registered_commands]
@@ -89,7 +89,10 @@ def app() -> typer.Typer:
                     one.callback = _guarded(one.callback)
             command.add_typer(group, name=name, short_help=VERBS.get(name))
         else:
-            command.command(name, cls=PlainCommand, short_help=VERBS.get(name))(_guarded(verb))
+            settings = {"ignore_unknown_options": True, "allow_extra_args": True} if broken else {}
+            command.command(name, cls=PlainCommand, short_help=VERBS.get(name), context_settings=settings)(
+                _guarded(verb)
+            )
     return command
 
 
@@ -196,6 +199,8 @@ def _failed(error: Exception, debug: bool, arguments: Sequence[str]) -> int:
         return _fail(str(error), 2)
     if type(error).__name__ == "Abort":
         return _fail("stopped", 130)
+    if isinstance(error, BrokenPackageError):
+        return _fail(str(error), 1)
     return _fail(f"{type(error).__name__}: {error} (clampid --debug … shows where)", 1)
 
 

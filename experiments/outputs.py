@@ -20,7 +20,17 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from experiments.targets import DISK, OutputError, descriptor_of, real_path, refuse_input, status_of
+from experiments.file_kinds import LOOKED_AT, kind_of
+from experiments.targets import (
+    DISK,
+    OutputError,
+    descriptor_of,
+    in_a_call,
+    real_path,
+    refuse_input,
+    refuse_other_kind,
+    status_of,
+)
 
 __all__ = [
     "OutputError", "flush_folder", "naming", "new_file", "new_folder", "scratch_folder", "temporary_folder",
@@ -41,7 +51,8 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     Raises
     ------
     OutputError
-        It cannot be written there, or this call reads it.
+        It cannot be written there, this call reads it, or what is there is of another kind and the call of the command
+        does not say ``--force``.
     OSError
         The disk is full or fails; the error names the file asked for.
     """
@@ -56,6 +67,8 @@ def write_bytes(path: str | Path, data: bytes) -> None:
         with naming(path), open(path, "wb", buffering=0) as device:
             _all(device.fileno(), data)
         return
+    if in_a_call():
+        refuse_other_kind(path, kind_of(data[:LOOKED_AT]))
     if not _without_a_name(path, data):
         with new_file(path) as partial, open(partial, "wb") as file:
             file.write(data)

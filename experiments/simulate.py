@@ -89,25 +89,47 @@ def simulate(
     description = load_robot(robot)
     try:
         asked = [Hidden.parse(item) if isinstance(item, str) else item for item in hidden]
-        measured = measure(
-            description,
-            asked,
-            seed=seed,
-            session=session,
-            poses=poses,
-            tables=tables,
-            outliers=outliers,
-            alter=alter,
-        )
+        beyond: Any = dict.fromkeys(("over", "divide", "invalid"), "ignore") if asked else {}  # is refused below
+        with np.errstate(**beyond):
+            measured = measure(
+                description,
+                asked,
+                seed=seed,
+                session=session,
+                poses=poses,
+                tables=tables,
+                outliers=outliers,
+                alter=alter,
+            )
     except ValueError as error:
         # The virtual robot imports nothing of ours, and so says every refusal as a plain ValueError.
         raise SimulationError(str(error)) from error
+    except RuntimeError as error:  # its equations have no solution
+        if not asked:
+            raise
+        raise SimulationError(f"{_named(asked)}: {error}; expected a smaller magnitude") from error
+    if asked:
+        _check_finite(measured, asked)
     header = dict(measured.header)
     if Path(robot).suffix:  # a description of the user's own is found by its path only
         header["robot"] = os.path.relpath(Path(robot).resolve(), Path(folder).resolve())
     path = write_campaign(folder, header, measured.tables, file_format, overwrite=overwrite)
     write_text(hidden_file(folder), json.dumps(measured.hidden, indent=1) + "\n")
     return path
+
+
+def _check_finite(measured: Measured, asked: Sequence[Hidden]) -> None:
+    for name, table in measured.tables.items():
+        for column in table.select_dtypes("float").columns:
+            if not np.isfinite(table[column]).all():
+                raise SimulationError(
+                    f"{_named(asked)}: expected magnitudes with which the robot still moves, found {name}, column "
+                    f"{column}, beyond all numbers"
+                )
+
+
+def _named(asked: Sequence[Hidden]) -> str:
+    return ", ".join(f"{item.effect}:{item.magnitude:g}" for item in asked)
 
 
 def measured_campaign(measured: Measured, robot: RobotDescription, name: str = "virtual") -> Campaign:

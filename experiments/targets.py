@@ -12,11 +12,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+
+from experiments.file_kinds import LOOKED_AT, Kind, kind_of
 
 __all__ = [
-    "DISK", "Kind", "OutputError", "check_folder", "check_output", "descriptor_of", "is_stdout", "one_call", "protect",
-    "real_path", "refuse_input", "status_of",
+    "DISK", "Kind", "OutputError", "check_folder", "check_output", "descriptor_of", "in_a_call", "is_forced",
+    "is_stdout", "one_call", "protect", "real_path", "refuse_input", "refuse_other_kind", "status_of",
 ]  # fmt: skip
 
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
@@ -24,11 +25,6 @@ DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 SPECIAL = {stat.S_IFBLK: "a block device", stat.S_IFSOCK: "a socket", stat.S_IFDIR: "a folder"}
 READ_ENDINGS = frozenset({".csv", ".parquet", ".toml"})
 """What may be a part of a campaign folder."""
-LOOKED_AT = 65536  # bytes of a file that say of what kind it is
-
-Kind = Literal["json", "markup", "text"]
-"""JSON; HTML, XML and URDF; anything else that a person can read (CSV, TOML, KRL, Python)."""
-NAMES: dict[str, str] = {"json": "JSON", "markup": "HTML or XML", "text": "plain text", "binary": "binary data"}
 
 
 class OutputError(ValueError):
@@ -98,8 +94,8 @@ def check_output(path: str | Path, kind: Kind | None = None) -> Path:
         return Path(path)
     target = real_path(path)
     _check_parent(path, target)
-    if found is not None and kind is not None:
-        _refuse_other_kind(path, kind)
+    if found is not None:
+        refuse_other_kind(path, kind)
     return Path(path)
 
 
@@ -199,40 +195,41 @@ def _check_parent(path: str | Path, target: Path) -> None:
         raise OutputError(f"{path}: cannot be written: {parent}: {error.strerror}") from error
 
 
-def _refuse_other_kind(path: str | Path, kind: Kind) -> None:
-    call = _call.get()
-    if call is not None and call.force:
+def refuse_other_kind(path: str | Path, kind: str | None) -> None:
+    """Refuse to replace a file by one of another kind, unless the call says ``--force``.
+
+    Parameters
+    ----------
+    path
+        Where a file is to go.
+    kind
+        Of what is to be written, as :func:`experiments.file_kinds.kind_of` names it; None: nothing is written.
+
+    Raises
+    ------
+    OutputError
+        There is a file of another kind.
+    """
+    if kind is None or is_forced():
         return
     try:
         with open(path, "rb") as file:
-            found = _kind(file.read(LOOKED_AT))
-    except OSError:  # what may be written and not read: nothing is known of it
+            found = kind_of(file.read(LOOKED_AT))
+    except OSError:  # there is none, or it may be written and not read: nothing is known of it
         return
     if found is not None and found != kind:
-        raise OutputError(f"{path}: expected {NAMES[kind]} to replace, found {NAMES[found]} (--force replaces it)")
+        raise OutputError(f"{path}: expected {kind} to replace, found {found} (--force replaces it)")
 
 
-def _kind(start: bytes) -> str | None:
-    """Of what kind a file is that begins so; None: it is empty."""
-    text = start.removeprefix(b"\xef\xbb\xbf").strip()
-    if not text:
-        return None
-    if b"\0" in text or _broken(text):
-        return "binary"
-    if text.startswith(b"<"):
-        return "markup"
-    if text.startswith(b"{") or re.match(rb"\[\s*([\[{\]\d-]|$)|\[\s*\"[^\"]*\"\s*,", text):
-        return "json"  # and not a TOML table, which begins with [name]
-    return "text"
+def is_forced() -> bool:
+    """Whether the call says ``--force``."""
+    call = _call.get()
+    return call is not None and call.force
 
 
-def _broken(text: bytes) -> bool:
-    """Whether it is no UTF-8; where it was cut, a character may be."""
-    try:
-        text.decode("utf-8")
-    except UnicodeDecodeError as error:
-        return error.start < len(text) - 4
-    return False
+def in_a_call() -> bool:
+    """Whether a call of the command is at work, and not a notebook or a program."""
+    return _call.get() is not None
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ QUATERNION_TOLERANCE = 1e-3
 
 LEAST_STEP_S = 1e-5  # of a log: controllers sample at 10 kHz at most
 LARGEST_WHOLE = 2**53  # from here on, neighbouring numbers are one and the same as floats
+LARGEST = 1e12  # in SI: beyond any angle, speed, torque, length, temperature and time, and far from overflow
 
 
 def validate_table(
@@ -137,6 +139,10 @@ def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray
     bad = np.flatnonzero(~np.isfinite(values) & ~(empty & column.gaps))
     if bad.size:
         raise _cell_fault(cells, column, bad, source)
+    beyond = np.abs(values) > LARGEST
+    if beyond.any() and column.kind == "number" and column.upper is None:
+        low = -LARGEST if column.lower is None else column.lower
+        raise _cell_fault(cells, replace(column, lower=low, upper=LARGEST), np.flatnonzero(beyond), source)
     wrong = np.zeros(len(values), dtype=bool)
     if column.lower is not None:
         wrong |= values < column.lower

@@ -123,7 +123,7 @@ def _one(text: str, pattern: str, variable: str) -> str:
 
 def _structure(text: str, variable: str, fields: tuple[str, ...]) -> list[float]:
     inside = _one(text, rf"^[^;\n]*{re.escape(variable)}\s*=\s*\{{([^}}]*)\}}", variable)
-    parts = dict(re.findall(rf"(\w+)\s+({_NUMBER})", inside))
+    parts = dict(re.findall(rf"\b(\w+)\s+({_NUMBER})", inside))
     if tuple(parts) != fields:
         raise MachineDataError(f"{variable}: expected {', '.join(fields)}, found {', '.join(parts) or 'nothing'}")
     return [float(parts[field]) for field in fields]

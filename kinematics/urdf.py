@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from kinematics.checks import validate
+from kinematics.reading import read_text
 from kinematics.robot import DescriptionError, Joint, JointKind, Link, RobotDescription
 from kinematics.screws import roll_pitch_yaw
 from kinematics.typing_ import Array
@@ -54,15 +55,22 @@ def read_urdf(path: str | Path, flange: str | None = None) -> RobotDescription:
 
     path = Path(path)
     try:
+        text = read_text(path)  # pinocchio would take names that are no UTF-8
         with _silent():
-            model = pin.buildModelFromUrdf(str(path))
+            model = pin.buildModelFromXML(text)
+    except UnicodeDecodeError as error:
+        raise DescriptionError(
+            f"{path}: expected a URDF in UTF-8, found a byte that is not, at {error.start}"
+        ) from None
+    except OSError as error:
+        raise DescriptionError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ValueError, RuntimeError) as error:
         raise DescriptionError(f"{path}: expected a URDF, but pinocchio says: {str(error).strip()}") from None
     if model.njoints < 2:
         raise DescriptionError(f"{path}: expected at least one moving joint, found none")
     data = model.createData()
     q = pin.neutral(model)
-    J = pin.computeJointJacobians(model, data, q)
+    J = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))  # of one joint it is a vector
     pin.framesForwardKinematics(model, data, q)
     joints, links = [], []
     for i in range(1, model.njoints):
@@ -70,7 +78,7 @@ def read_urdf(path: str | Path, flange: str | None = None) -> RobotDescription:
         if model.parents[i] != i - 1 or model.joints[i].nv != 1:
             raise DescriptionError(f"{path}: expected a serial chain of joints of one axis; {name} breaks it")
         origin = np.array(data.oMi[i].translation)
-        joints.append(_joint(model, i, np.concatenate([J[3:, i - 1], J[:3, i - 1]]), origin))
+        joints.append(_joint(path, model, i, np.concatenate([J[3:, i - 1], J[:3, i - 1]]), origin))
         moved = data.oMi[i].act(model.inertias[i])
         links.append(Link(float(moved.mass), np.array(moved.lever), np.array(moved.inertia)))
     frame = _flange_frame(model, path, flange)
@@ -106,7 +114,7 @@ def _silent() -> Iterator[None]:
         os.close(kept)
 
 
-def _joint(model: Any, i: int, S: Array, origin: Array) -> Joint:
+def _joint(path: Path, model: Any, i: int, S: Array, origin: Array) -> Joint:
     """Make a joint of pinocchio's number i, whose screw at the zero pose is S.
 
     Its point is the joint's own origin: where along its axis a bearing sits, and how long links are, no screw tells.
@@ -114,6 +122,9 @@ def _joint(model: Any, i: int, S: Array, origin: Array) -> Joint:
     moving = model.joints[i]
     turns = float(np.linalg.norm(S[:3])) > 0.5
     axis = S[:3] if turns else S[3:]
+    length = float(np.linalg.norm(axis))
+    if not 0.0 < length < np.inf:  # NaN neither
+        raise DescriptionError(f"{path}: joint {model.names[i]}: expected an axis of finite length, found {length:g}")
     pitch = float(S[:3] @ S[3:])
     kind: JointKind = "prismatic" if not turns else "helical" if abs(pitch) > _PITCH else "revolute"
     endless = moving.nq == 2  # pinocchio holds a continuous joint as cosine and sine
@@ -121,7 +132,7 @@ def _joint(model: Any, i: int, S: Array, origin: Array) -> Joint:
     return Joint(
         name=str(model.names[i]),
         kind=kind,
-        axis=axis / np.linalg.norm(axis),
+        axis=axis / length,
         point=origin,
         pitch=pitch if kind == "helical" else 0.0,
         lower=-np.inf if endless else float(model.lowerPositionLimit[moving.idx_q]),

@@ -7,6 +7,7 @@ the effects. What was drawn is not shown before the end, and nothing here reads 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -26,8 +27,13 @@ from experiments.campaign import Campaign, read_campaign
 from experiments.outputs import write_text
 from experiments.simulate import hidden_file, simulate
 
-__all__ = ["DRAWN", "DemoResult", "demo", "terms_to_add"]
+__all__ = ["DRAWN", "DemoResult", "demo", "foreign_file", "terms_to_add"]
 
+WRITTEN = (
+    "campaign", "model_standard.json", "compare_standard.json", "diagnose.json", "add.json", "model.json",
+    "compare.json", "report.html", "demo.json",
+)  # fmt: skip
+"""What it writes into its folder, beside what it says it hid."""
 ROBOT = "kuka_kr20_r1810"
 FOUND = "It was found."
 OPEN = "It is one of those that these data do not distinguish."
@@ -147,6 +153,17 @@ def demo(
     result = DemoResult(folder, report, tuple(hidden), terms, before, after, found, named)
     _write(folder / "demo.json", result.to_json())
     return result
+
+
+def foreign_file(out: str | Path) -> str | None:
+    """The name of something in a folder that a demo would replace and that no demo wrote; None: there is none.
+
+    An older demo is known by what it says it hid in its campaign.
+    """
+    folder = Path(out)
+    if hidden_file(folder / "campaign").is_file():
+        return None
+    return next((name for name in WRITTEN if os.path.lexists(folder / name)), None)
 
 
 def _draw(seed: int) -> str:

@@ -42,7 +42,7 @@ def add(
 ) -> None:
     """Add effects, fit again, and say what the error was and is, on held-out rows."""
     out = Output(quiet, json, verbose)
-    output_file(output, "json")
+    output_file(output, "a model")
     terms = split_terms(effects)
 
     from clampid.loop.add import add as add_effects

@@ -12,6 +12,7 @@ from clampid.verbs.inputs import fits_geometry, read_checked, split_effects
 from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
 from clampid.verbs.output import Output, finite, output_file
+from experiments.targets import OutputError, refuse_other_kind
 
 if TYPE_CHECKING:
     from clampid.models.model import Model
@@ -40,16 +41,16 @@ def auto(
 ) -> None:
     """Identify, then diagnose and add until nothing more is confirmed."""
     out = Output(quiet, json, verbose)
-    output_file(output, "json")
+    output_file(output, "a model")
     if report is not None:
-        output_file(report, "markup")
+        output_file(report, "HTML")
     chosen = split_effects(effects)
 
     from clampid.catalogue import with_user_effects
     from clampid.comparison.nominal import nominal_errors
     from clampid.identification.identify import identify
     from clampid.loop.auto import mend
-    from clampid.loop.kept_diagnosis import keep_diagnosis
+    from clampid.loop.kept_diagnosis import keep_diagnosis, kept_file
     from clampid.models.model import save_model
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.next_step import after_mending
@@ -57,6 +58,7 @@ def auto(
     from clampid.verbs.screens import mended_screen
     from clampid.verbs.show import model_json, show_model
 
+    refuse_other_kind(kept_file(output), "a diagnosis")
     with out.working("reading"):
         read = read_checked(campaigns, out, fits=fits_geometry(chosen))
     with out.working("identifying the start model"):
@@ -74,7 +76,7 @@ def auto(
         _write_report(report, model, read[0], found, first, seed, effects_from, out)
     try:
         keep_diagnosis(output, read, finite(found))
-    except OSError as error:  # it only saves a report the time to compute it again
+    except (OSError, OutputError) as error:  # it only saves a report the time to compute it again
         out.step(f"the diagnosis is not kept for a report: {error}")
     data = {"model": str(output), **model_json(model), "diagnosis": found}
     written = "" if report is None else f" Report: {report}, about {read[0].name}."

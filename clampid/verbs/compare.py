@@ -55,7 +55,7 @@ def compare(
         raise CallError("--mm is the unit of --sample: expected --sample X,Y,Z with it")
     centre = units.lengths(centre)
     if report is not None:
-        output_file(report, "markup")
+        output_file(report, "HTML")
 
     from clampid.comparison.compare import compare as hold_against
     from clampid.comparison.nominal import nominal_errors

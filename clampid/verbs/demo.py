@@ -10,7 +10,7 @@ import typer
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet, Verbose
 from clampid.verbs.output import Output
-from experiments.targets import check_folder
+from experiments.targets import check_folder, is_forced
 
 __all__ = ["demo"]
 
@@ -29,8 +29,15 @@ def demo(
     check_folder(out)
 
     from clampid.loop.demo import demo as run_demo
+    from clampid.loop.demo import foreign_file
     from clampid.verbs.demo_screen import demo_screen
 
+    foreign = foreign_file(out)
+    if foreign is not None and not is_forced():
+        raise CallError(
+            f"{out}: expected a folder without {foreign}, or one of an older demo, found what no demo wrote "
+            "(--force replaces it)"
+        )
     result = run_demo(out, seed, say=output.say, working=output.working)
     output.show(demo_screen(result))
     output.result(result.to_json())

@@ -12,6 +12,7 @@ from clampid.verbs.inputs import read_checked
 from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed, Verbose
 from clampid.verbs.output import Output, finite, output_file
 from clampid.verbs.plan_options import names_of
+from experiments.targets import OutputError, refuse_other_kind
 
 if TYPE_CHECKING:
     from clampid.diagnosis.diagnose import Diagnosis
@@ -54,14 +55,15 @@ def diagnose(
     from clampid.diagnosis.diagnose import diagnose as look_for_missing
     from clampid.diagnosis.headline import listed
     from clampid.diagnosis.look import refuse_few_flips
-    from clampid.loop.kept_diagnosis import keep_diagnosis
+    from clampid.loop.kept_diagnosis import keep_diagnosis, kept_file
     from clampid.models.model import load_model
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.next_step import after_diagnosis
     from clampid.verbs.screens import diagnosis_screen
 
     refuse_few_flips(flips)
-    target = None if plan is None else output_file(plan, "text")
+    refuse_other_kind(kept_file(model), "a diagnosis")
+    target = None if plan is None else output_file(plan, "a plan")
     if plan_for is not None and target is None:
         raise CallError("--plan-for: expected --plan PLAN.toml with it, found none")
     wanted = None if target is None else names_of(plan_for) or ()
@@ -77,7 +79,7 @@ def diagnose(
     show_diagnosis(data, out)
     try:
         keep_diagnosis(model, read, finite(data))
-    except OSError as error:  # it only saves a report the time to compute it again
+    except (OSError, OutputError) as error:  # it only saves a report the time to compute it again
         out.step(f"the diagnosis is not kept for a report: {error}")
     written = [] if target is None else _write_plans(found, len(read), target)
     done = f"Diagnosed {model} on {listed([str(c) for c in campaigns], 2)}."

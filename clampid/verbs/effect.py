@@ -47,7 +47,7 @@ def new(
     """Write the file of an effect with a given dependence; it works as it stands, and is there to be completed."""
     out = Output(quiet)
     if output is not None:
-        output_file(output, "text")
+        output_file(output, "Python")
 
     from clampid.diagnosis.effect_new import effect_new
     from clampid.screen import Next, Screen

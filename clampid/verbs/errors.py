@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 
 __all__ = ["CallError", "is_wrong_input"]
@@ -24,9 +25,12 @@ _WRONG_INPUT = (
     ("clampid.fitting.solve", "FitError"),
 )
 _WRONG_PLACE = (FileNotFoundError, FileExistsError, PermissionError, IsADirectoryError, NotADirectoryError)
+_WRONG_NAME = (errno.ENAMETOOLONG, errno.ELOOP, errno.EILSEQ)
 
 
 def is_wrong_input(error: BaseException) -> bool:
     """Whether an error is the caller's. Looks only at modules already imported: one that raised has been."""
     known = (getattr(sys.modules.get(module), name, None) for module, name in _WRONG_INPUT)
+    if isinstance(error, OSError) and error.errno in _WRONG_NAME:
+        return True
     return isinstance(error, (CallError, *_WRONG_PLACE, *(kind for kind in known if isinstance(kind, type))))

@@ -75,7 +75,7 @@ def dh(
 ) -> None:
     """The compensated Denavit–Hartenberg table with standard errors, and what it leaves of the model."""
     out = Output(quiet, json)
-    _writable(output, "text")
+    _writable(output, "a DH table" if layout == "csv" else "a printed table")
 
     from clampid.exports.dh_export import dh_export
     from clampid.exports.dh_layout import thesis_layout
@@ -114,7 +114,7 @@ def angles(
 ) -> None:
     """Errors of joint angles over their ranges, to be added before a DH table is used, as CSV."""
     out = Output(quiet)
-    _writable(output, "text")
+    _writable(output, "a table of joint errors")
 
     from clampid.exports.angle_export import angle_table
     from clampid.exports.dh_export import table_text
@@ -140,7 +140,7 @@ def urdf(
 ) -> None:
     """The calibrated chain as URDF, whose frame world is the instrument's, and what it leaves of the model."""
     out = Output(quiet, json)
-    _writable(output, "markup")
+    _writable(output, "a URDF")
 
     from clampid.exports.urdf_export import urdf_export
     from clampid.models.model import load_model
@@ -183,7 +183,7 @@ def kuka(
 ) -> None:
     """The part of KUKA machine data that is geometry, and what this form alone leaves over the joints' ranges."""
     out = Output(quiet)
-    _writable(output, "text")
+    _writable(output, "KUKA machine data")
     if mm and lever is None:
         raise CallError("--mm is the unit of --lever: expected --lever MM with it")
 
@@ -230,7 +230,7 @@ def dynamics(
 ) -> None:
     """Base parameters of gravity and inertia with standard errors, and on demand bodies that can have them, as JSON."""
     out = Output(quiet)
-    _writable(output, "json")
+    _writable(output, "JSON")
     if campaign is not None and not consistent:
         raise CallError("--campaign compares the fit with the consistent arm: give --consistent too")
 

@@ -40,7 +40,7 @@ def identify(
 ) -> None:
     """Fit a model, stage by stage: free air, clamped, poses; or all tables at once."""
     out = Output(quiet, json, verbose)
-    output_file(output, "json")
+    output_file(output, "a model")
     if not 0.0 <= holdout < 1.0:
         raise CallError(f"--holdout: expected a share from 0 to below 1, found {holdout:g}")
     if bootstrap < 0 or bootstrap == 1:

@@ -46,5 +46,5 @@ Json = Annotated[
     typer.Option("--json", metavar="FILE|-", help="The result for programs; - is stdout.", show_default=False),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.", show_default=False)]
-Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print the tables, too.", show_default=False)]

@@ -47,7 +47,7 @@ class Output:
         self.quiet, self.json = quiet, "-" if json is not None and is_stdout(json) else json
         self.verbose, self.said = verbose, False
         if self.json is not None and self.json != "-":
-            output_file(Path(self.json), "json")
+            output_file(Path(self.json), "JSON")
 
     @cached_property
     def console(self) -> Console:

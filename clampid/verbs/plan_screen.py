@@ -21,7 +21,7 @@ __all__ = ["begin", "finish", "refusals"]
 def begin(output: Path, json: str | None, quiet: bool, verbose: bool) -> Output:
     """The output of a verb that writes a plan."""
     out = Output(quiet, json, verbose)
-    output_file(output, "text")
+    output_file(output, "a plan")
     if output.suffix.lower() != ".toml":
         raise CallError(f"{output}: expected a name that ends in .toml")
     return out

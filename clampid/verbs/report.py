@@ -34,7 +34,7 @@ def report(
 ) -> None:
     """Write the report of a model and a campaign, with the diagnosis that ``diagnose`` or ``auto`` kept."""
     out = Output(quiet)
-    target = output_file(model.with_suffix(".html") if output is None else output, "markup")
+    target = output_file(model.with_suffix(".html") if output is None else output, "HTML")
 
     from clampid.comparison.compare import compare
     from clampid.loop.kept_diagnosis import kept_diagnosis, kept_file

@@ -53,7 +53,7 @@ def robots(
         from clampid.report.robot_drawing import robot_drawing
         from experiments.outputs import write_text
 
-        write_text(output_file(svg, "markup"), robot_drawing(description))
+        write_text(output_file(svg, "a picture (SVG)"), robot_drawing(description))
     for note in (*description.notes, *description.unverified):
         out.say(f"note: {note}")
     if description.source:

@@ -219,7 +219,7 @@ def _dry(plan: Plan, plan_file: Path, output: Path, out: Output) -> None:
 
     steps = list(motions(plan))
     svg = output.with_name(f"{output.name}.dry-run.svg")
-    write_text(output_file(svg, "markup"), picture(plan, steps))
+    write_text(output_file(svg, "a picture (SVG)"), picture(plan, steps))
     rows = [
         (
             s.name,

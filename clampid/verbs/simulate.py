@@ -11,7 +11,7 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet, Seed
-from clampid.verbs.output import Output
+from clampid.verbs.output import Output, output_file
 from experiments.targets import check_folder
 
 __all__ = ["simulate"]
@@ -60,6 +60,8 @@ def simulate(
     from clampid.screen import Next, Screen
     from experiments.simulate import hidden_file
     from experiments.simulate import simulate as measure
+
+    output_file(hidden_file(output), "JSON")
 
     only = None if tables is None else [name.strip() for name in tables.split(",")]
     items = [part.strip() for text in hide or () for part in text.split(",")]

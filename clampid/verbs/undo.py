@@ -21,7 +21,7 @@ def undo(
 ) -> None:
     """Take back the last round: fit again without what it added."""
     out = Output(quiet, json, verbose)
-    output_file(output, "json")
+    output_file(output, "a model")
 
     from clampid.loop.undo import undo as step_back
     from clampid.models.model import load_model, save_model

@@ -64,7 +64,7 @@ def virtual_robot(
     from kinematics.description import load_robot
 
     if truth is not None:
-        check_output(truth)
+        check_output(truth, "JSON")
     texts = tuple(
         (f"{channel.name}.xml", config_text(channel) if files is None else _text(files / f"{channel.name}.xml"))
         for channel in (MOTION, STATE)

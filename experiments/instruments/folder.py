@@ -35,6 +35,7 @@ UNENDED = 2.0  # s without a change, after which a last line without its end is 
 POLL = 0.05  # s
 LARGEST = 64_000_000  # bytes: 10 minutes at 500 Hz take 20 000 000
 FARTHEST = 1e3  # m
+HOTTEST = 1e3  # °C
 UNSEEN = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")
 KEYS = ("columns", "unit", "targets", "target", "temperatures", "separator", "decimal", "files")
 
@@ -262,6 +263,8 @@ class FolderInstrument:
         for sensor, column in self._reading.temperatures.items():
             k = header.index(column)
             read = [self._number(file, n, column, r[k]) for n, r in rows if r[k].strip().lower() not in UNSEEN]
+            if any(abs(value) > HOTTEST for value in read):
+                raise InstrumentError(f"{file}, column {column}: expected °C within {HOTTEST:g}, found more")
             if read:
                 out[sensor] = float(np.median(read))
         return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 from urllib.parse import parse_qsl
 
@@ -110,6 +110,19 @@ def open_link(text: str) -> Link:
     address = parse_address(text)
     for point in entry_points(group=GROUP):
         if point.name == address.scheme:
-            return cast("Callable[[LinkAddress], Link]", point.load())(address)
+            return _loaded(point)(address)
     known = ", ".join(installed()) or "none"
     raise LinkError(f"link {text[:80]}: expected one of the installed schemes ({known}), found {address.scheme}")
+
+
+def _loaded(point: EntryPoint) -> Callable[[LinkAddress], Link]:
+    """What makes the link; it may be another package's, which may be broken."""
+    package = point.value if point.dist is None else f"{point.dist.name} {point.dist.version}"
+    try:
+        connect = point.load()
+    except Exception as error:  # another's code may raise anything
+        why = f"{type(error).__name__}: {error}"
+        raise LinkError(f"link {point.name} of the package {package} cannot be loaded: {why}") from error
+    if not callable(connect):
+        raise LinkError(f"link {point.name} of the package {package}: expected a function, found {connect!r:.80}")
+    return cast("Callable[[LinkAddress], Link]", connect)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import sys
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -14,7 +15,9 @@ from experiments.runs.errors import RunStopped
 __all__ = ["Console", "Person", "VirtualOperator", "Yes", "host_and_port"]
 
 Say = Callable[[str], None]
-PATIENCE = 10.0  # s for the virtual operator's answer
+PATIENCE = 10.0  # s for the virtual operator's whole answer
+LONGEST_LINE = 65536  # bytes of it
+LONGEST_WORDS = 300  # characters of it in a message
 
 
 class Person(Protocol):
@@ -113,14 +116,41 @@ class VirtualOperator:
 
     def _do(self, line: str) -> None:
         try:
-            with socket.create_connection(self._where, PATIENCE) as peer, peer.makefile("r", encoding="utf-8") as read:
+            with socket.create_connection(self._where, PATIENCE) as peer:
                 peer.sendall(f"{line}\n".encode())
-                answer = json.loads(read.readline() or "{}")
-        except (OSError, ValueError) as error:
-            raise RunStopped(f"the virtual operator does not answer: {error}") from None
-        refusal = str(answer.get("error", ""))
+                answer = json.loads(_line(peer, PATIENCE))
+        except (OSError, ValueError, RecursionError) as error:
+            raise RunStopped(f"the virtual operator does not answer: {str(error)[:LONGEST_WORDS]}") from None
+        if not isinstance(answer, dict):
+            raise RunStopped(f"the virtual operator does not answer: expected a JSON object, found {str(answer)[:80]}")
+        refusal = str(answer.get("error", ""))[:LONGEST_WORDS]
         if refusal and "already" not in refusal:
             raise RunStopped(f"the virtual operator cannot {line}: {refusal}")
+
+
+def _line(peer: socket.socket, patience: float) -> bytes:
+    """The first line that comes, without its end.
+
+    Raises
+    ------
+    OSError
+        It is not whole within ``patience`` seconds, or the other side hangs up first.
+    ValueError
+        It is longer than `LONGEST_LINE`.
+    """
+    end, found = time.monotonic() + patience, bytearray()
+    while b"\n" not in found:
+        left = end - time.monotonic()
+        if left <= 0:
+            raise TimeoutError(f"no whole line within {patience:g} s")
+        peer.settimeout(left)
+        data = peer.recv(4096)
+        if not data:
+            raise ConnectionError("it hung up")
+        found += data
+        if len(found) > LONGEST_LINE:
+            raise ValueError(f"expected a line of at most {LONGEST_LINE} bytes, found more")
+    return bytes(found.partition(b"\n")[0])
 
 
 def host_and_port(text: str, what: str) -> tuple[str, int]:

@@ -18,6 +18,7 @@ from experiments.virtual_robot.sizes import Sight
 
 OUTSIDE: tuple[str, ...] = tuple(OUTSIDE_KINDS)
 HIDEABLE: tuple[str, ...] = tuple(KINDS)
+LARGEST_MAGNITUDE = 1000.0  # a default size is clearly visible; a thousand of them is no robot
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,11 @@ class Hidden:
             near = get_close_matches(self.effect, KINDS, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise ValueError(f"effect {self.effect!r} cannot be hidden{hint}; known are {', '.join(HIDEABLE)}")
-        if not np.isfinite(self.magnitude):
-            raise ValueError(f"{self.effect}: expected a finite magnitude, found {self.magnitude}")
+        if not abs(self.magnitude) <= LARGEST_MAGNITUDE:  # NaN neither
+            raise ValueError(
+                f"{self.effect}: expected a magnitude of at most {LARGEST_MAGNITUDE:g} times the default size, found "
+                f"{self.magnitude:g}"
+            )
         kind = KINDS[self.effect]
         if self.where is not None and not kind.accepts(self.where):
             raise ValueError(f"{self.effect}@{self.where}: expected {kind.wanted}, found {self.where!r}")

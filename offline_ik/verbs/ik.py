@@ -14,7 +14,7 @@ from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 from clampid.verbs.units import Degrees, Millimetres, Units
 from offline_ik.errors import DetectorError
-from offline_ik.verbs.looking import Look, Picture, Pixel, Pixels, Poni, looked
+from offline_ik.verbs.looking import Look, Picture, Pixel, Pixels, Poni, check_looks, looked
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 from offline_ik.verbs.screen import ik_screen
 
@@ -66,6 +66,7 @@ def ik(
 ) -> None:  # fmt: skip
     """Give joint and motor angles for a detector position, its uncertainty, and whether the move is safe."""
     out = Output(quiet, json, verbose)
+    check_looks(picture, poni)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
     from offline_ik.assumed import assumptions
     from offline_ik.checks import check_directions

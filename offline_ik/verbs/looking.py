@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from clampid.display import readable
+from clampid.verbs.output import output_file
 from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import numbers
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from offline_ik.detector import Detector
     from offline_ik.simulation import Simulation
 
-__all__ = ["Look", "Picture", "Pixel", "Pixels", "Poni", "looked"]
+__all__ = ["Look", "Picture", "Pixel", "Pixels", "Poni", "check_looks", "looked"]
 
 Picture = Annotated[
     Path | None,
@@ -42,6 +43,20 @@ class Look(NamedTuple):
     poni: Path | None
     pixel: str | None
     pixels: str | None
+
+
+def check_looks(picture: Path | None, poni: Path | None) -> None:
+    """Check that the files can be written, before the work.
+
+    Raises
+    ------
+    OutputError
+        One cannot.
+    """
+    if picture is not None:
+        output_file(picture, "a picture (SVG)")
+    if poni is not None:
+        output_file(poni, "a geometry for pyFAI")
 
 
 def looked(detector: Detector, simulation: Simulation, look: Look, units: Units) -> tuple[list[str], dict[str, Any]]:

@@ -101,7 +101,9 @@ def serve(
 def _token(path: Path, out: Output) -> str:
     """What stands in a file, blanks at its ends aside."""
     try:
-        with open(path, "rb") as file:
+        with open(
+            os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb"
+        ) as file:  # a pipe keeps nobody waiting
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise DetectorError(f"--token-file {path}: expected a regular file")
             text = file.read(MAX_TOKEN + 3).decode("ascii").strip()

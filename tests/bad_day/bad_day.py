@@ -24,7 +24,14 @@ from typing import Any
 Call = Callable[[], int]
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 EVENTS = frozenset({"os.rename", "os.link", "os.mkdir", "os.rmdir", "os.remove", "os.chmod", "os.truncate"})
-OLD = {".json": '{"old": 1}', ".html": "<html>old</html>", ".csv": "old\n", ".urdf": "<robot/>"}
+OLD = {
+    "m.json": '{"format": "clampid-model/0"}',
+    "r.json": '{"old": 1}',
+    "m.diagnosis.json": '{"format": "clampid-diagnosis/0"}',
+    "r.html": "<html>old</html>",
+    "dh.csv": "row,old\n",
+    "arm.urdf": "<robot/>",
+}
 """What stands where an output goes: of the same kind, and no result."""
 MAPPING = (
     """format = "clampid-mapping/1"
@@ -182,7 +189,7 @@ def results(bench: Bench, verb: str) -> dict[str, str]:
 
 def old_of(verb: str, new: dict[str, str]) -> dict[str, str]:
     """An older file in the place of each output."""
-    return {name: OLD[Path(name).suffix] for name in new if Path(name).suffix in OLD and "/" not in name}
+    return {name: OLD[name] for name in new if name in OLD}
 
 
 def wrong(now: dict[str, str], old: dict[str, str], new: dict[str, str], partials: bool) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import resource
@@ -9,16 +10,34 @@ import signal
 import sys
 import tempfile
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from more_readers import more_readers
 from spoil import misstated, spoilt
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 10.0
+MEMORY = "/dev/shm" if os.path.isdir("/dev/shm") else None  # a disk takes longer than most readers
+MIDDLE = {"robot", "mapping", "touched", "plan"}
+"""Readers that take a few milliseconds a file."""
+TABLES = ("csv", "parquet")
+SLOW = {
+    "model", "torque model", "campaign.toml", "poses.csv", "poses.parquet", "points", "touches", "peaks", "pairing",
+    "tracker's log", "robot's log",
+    *(f"{table}.{ending}" for table in ("free_air", "wrist", "clamped", "verification") for ending in TABLES),
+}  # fmt: skip
+"""Readers that take 5 to 30 ms a file: tables, and what is worked out of them."""
+
+
+def share_of(name: str) -> int:
+    """How many spoilt files a reader gets, so that all of them take about three minutes of a quiet core."""
+    return 150 if name in SLOW else 1500 if name in MIDDLE else 10_000
+
 
 MAPPING = """format = "clampid-mapping/1"
 table = "poses"
@@ -112,7 +131,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
 
     arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
     parquet = simulate(folder / "arm2", "ur10", seed=3, poses=8, tables=("poses",))
-    save_model(drawn_model(), folder / "model.json")
+    save_model(drawn_model(effects=("geometry", "joint_compliance", "backlash")), folder / "model.json")
     cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
     plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], time=60.0)
     write_plan(plan, folder / "plan.toml")
@@ -158,6 +177,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
         "stl": (STL.encode(), "mesh.stl", read_mesh),
         "trusted": (trust_file().read_bytes(), "config/clampid/trusted_effects.json", lambda path: list_of_trusted()),
         "dh": (table.encode(), "dh.csv", lambda path: read_dh(path.read_text("utf-8", "replace"))),
+        **more_readers(folder),
         "machine data": (data.encode(), "m.dat", lambda path: read_machine_data(path.read_text("utf-8", "replace"))),
     }
 
@@ -172,35 +192,47 @@ def _urdf(robot: Any) -> bytes:
 
 def misspelt(name: str, at: str, good: bytes, seed: int) -> bytes:
     """The file with other values, where its syntax is one that can be written."""
-    said = Path(at).suffix in (".toml", ".json", ".csv") and name not in ("points", "dh")
+    said = Path(at).suffix in (".toml", ".json", ".csv") and name not in ("points", "dh", "answer")
     return misstated(good, seed, at) if said else spoilt(good, seed)
 
 
 def is_refusal(error: Exception) -> bool:
     """Whether an error says what is wrong with a file: exit code 2 and one line."""
     from clampid.verbs.errors import is_wrong_input
+    from experiments.instruments import InstrumentError
+    from experiments.links.protocol import LinkError
+    from experiments.virtual_controller.errors import ControllerError
     from kinematics.kuka import MachineDataError
     from offline_ik.mesh import MeshError
 
-    return is_wrong_input(error) or isinstance(error, MeshError | MachineDataError)
+    # Verbs make wrong calls of the last three.
+    known = (MeshError, MachineDataError, InstrumentError, LinkError, ControllerError)
+    return is_wrong_input(error) or isinstance(error, known)
 
 
-def outcomes(names: list[str], count: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Read spoilt files; what was neither read nor refused in words, and the counts of each reader."""
+def outcomes(names: list[str], count: int | None, seed: int) -> Iterator[dict[str, Any]]:
+    """Read spoilt files; what was neither read nor refused in words, and the counts of each reader.
+
+    ``count`` is of each reader; None: `share_of` it.
+    """
 
     def late(*_: object) -> None:
         raise TimeoutError(f"not read within {SECONDS:g} s")
 
     signal.signal(signal.SIGALRM, late)
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory(dir=MEMORY) as place:
         folder = Path(place)
         every = readers(folder)
+        warnings.simplefilter("error", RuntimeWarning)  # a user would see its lines
+        warnings.simplefilter("ignore", SyntaxWarning)  # of spoilt effect files, which are code
+        gc.collect()
+        gc.freeze()  # what is imported need not be looked at again and again
         for name in names or list(every):
             good, at, read = every[name]
             counts: Counter[str] = Counter()
             slowest = 0.0
             read(_put(folder / at, good))  # as it is, it is read
-            for k in range(count):
+            for k in range(share_of(name) if count is None else count):
                 number = seed * 1_000_003 + k
                 path = _put(folder / at, misspelt(name, at, good, number) if k % 2 else spoilt(good, number))
                 print(json.dumps({"trying": name, "seed": number}), flush=True)  # the last one, if a signal ends it
@@ -219,11 +251,11 @@ def outcomes(names: list[str], count: int, seed: int) -> Iterator[dict[str, Any]
                     signal.setitimer(signal.ITIMER_REAL, 0)
                 slowest = max(slowest, time.monotonic() - begun)
             _put(folder / at, good)
-            memory = _most_memory()
+            memory = most_memory()
             yield {"counts": name, **counts, "slowest_s": round(slowest, 2), "memory_MB": memory}
 
 
-def _most_memory() -> int:
+def most_memory() -> int:
     """The most memory of this program, MB. A child of a large process would begin with that one's ``ru_maxrss``."""
     status = Path("/proc/self/status")
     if status.exists():
@@ -247,5 +279,5 @@ def _put(path: Path, data: bytes) -> Path:
 
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for found in outcomes(sys.argv[3:], int(sys.argv[1]), int(sys.argv[2])):
+    for found in outcomes(sys.argv[3:], None if sys.argv[1] == "share" else int(sys.argv[1]), int(sys.argv[2])):
         print(json.dumps(found), flush=True)

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from readers import is_refusal, misspelt, readers
+from readers import is_refusal, misspelt, readers, share_of
 from spoil import spoilt
 
 from clampid.cli import run
@@ -28,7 +28,9 @@ from kinematics.robot import DescriptionError
 MEMORY = 1024  # MB
 NAMES = (
     "model", "campaign.toml", "poses.csv", "poses.parquet", "robot", "plan", "mapping", "points", "cell", "touched",
-    "touches", "peaks", "obstacles", "obj", "stl", "trusted", "dh", "machine data",
+    "touches", "peaks", "obstacles", "obj", "stl", "trusted", "dh", "machine data", "torque model", "free_air.csv",
+    "wrist.parquet", "clamped.csv", "verification.parquet", "journal", "truth", "events", "channel", "readings",
+    "answer", "address", "pairing", "robot's log", "effect", "until", "token",
 )  # fmt: skip
 """All but URDF, which compiled code reads: that is tried in a process of its own."""
 
@@ -60,11 +62,11 @@ def test_a_spoilt_file_is_read_or_refused(name: str, seed: int, every: tuple[Pat
         (folder / at).write_bytes(good)
 
 
-def fuzzed(count: int, seed: int, *names: str, program: str = "readers.py") -> None:
-    """Run the readers in a process of its own, and look at what it says."""
+def fuzzed(count: int | None, seed: int, *names: str, program: str = "readers.py") -> None:
+    """Run the readers in a process of its own, and look at what it says; without a count, each gets its share."""
     here = Path(__file__).parent
     done = subprocess.run(
-        [sys.executable, program, str(count), str(seed), *names],
+        [sys.executable, program, "share" if count is None else str(count), str(seed), *names],
         cwd=here, capture_output=True, text=True, errors="replace", check=False,
         env={**os.environ, "PYTHONPATH": str(here.parents[1])},
     )  # fmt: skip
@@ -78,7 +80,7 @@ def fuzzed(count: int, seed: int, *names: str, program: str = "readers.py") -> N
     assert not [line for line in lines if "error" in line]
     assert all(line["memory_MB"] < MEMORY for line in counts)
     assert all(line["slowest_s"] < (10 if program == "readers.py" else 20) for line in counts)  # a report takes seconds
-    assert len(tried) == count * len(counts)
+    assert len(tried) == sum(share_of(line["counts"]) if count is None else count for line in counts)
 
 
 def test_compiled_readers_survive_spoilt_files() -> None:
@@ -86,8 +88,15 @@ def test_compiled_readers_survive_spoilt_files() -> None:
 
 
 @pytest.mark.slow
-def test_ten_thousand_spoilt_files() -> None:
-    fuzzed(550, 8)  # each of 19 readers
+def test_each_reader_reads_or_refuses_its_share_of_spoilt_files() -> None:
+    """10 000 of each reader that takes less than 1.5 ms a file, 1500 or 150 of the others."""
+    fuzzed(None, 8)
+
+
+@pytest.mark.study
+@pytest.mark.timeout(7200)
+def test_each_reader_reads_or_refuses_ten_thousand_spoilt_files() -> None:
+    fuzzed(10_000, 12)
 
 
 def test_verbs_answer_spoilt_inputs_in_one_line() -> None:
@@ -97,6 +106,21 @@ def test_verbs_answer_spoilt_inputs_in_one_line() -> None:
 @pytest.mark.slow
 def test_verbs_answer_a_thousand_spoilt_inputs_in_one_line() -> None:
     fuzzed(130, 10, program="verbs.py")
+
+
+def test_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
+    fuzzed(2, 13, program="calls.py")
+
+
+@pytest.mark.slow
+def test_hundreds_of_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
+    fuzzed(15, 14, program="calls.py")
+
+
+@pytest.mark.study
+@pytest.mark.timeout(7200)
+def test_ten_thousand_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
+    fuzzed(320, 15, program="calls.py")
 
 
 HUGE = {

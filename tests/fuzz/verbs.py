@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from readers import _most_memory
+from readers import most_memory
 from spoil import misstated, spoilt
 
 ROOT = Path(__file__).parents[2]
@@ -185,7 +185,7 @@ def outcomes(names: list[str], count: int, seed: int) -> Iterator[dict[str, Any]
                 if _hashes() != before:
                     yield {"input": name, "seed": number, "call": call, "error": "an input was changed"}
             file.write_bytes(good)
-            yield {"counts": name, **counts, "slowest_s": round(slowest, 2), "memory_MB": _most_memory()}
+            yield {"counts": name, **counts, "slowest_s": round(slowest, 2), "memory_MB": most_memory()}
 
 
 def _hashes() -> dict[str, str]:

@@ -157,3 +157,35 @@ def test_joints_stay_where_the_file_has_them(name, tmp_path):
         np.testing.assert_allclose(joint.point, was.point, atol=1e-12)
     masses = [sum(link.mass for link in usual_links(replace(r, links=()))) for r in (robot, back)]
     assert masses[1] == pytest.approx(masses[0], rel=1e-9)
+
+
+def test_an_arm_of_one_joint_is_read(tmp_path):
+    path = tmp_path / "one.urdf"
+    path.write_text(
+        '<robot name="one"><link name="a"/><link name="b"/><joint name="turn" type="revolute"><parent link="a"/>'
+        '<child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    robot = read_urdf(path)
+    assert robot.n == 1
+    assert np.allclose(robot.screws, [[0, 0, 1, 0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (b"turn", b"t\xc5rn", "expected a URDF in UTF-8"),
+        (b"0 0 1", b"0 0 1e-320", "expected"),
+        (b"0 0 1", b"0 0 1e300", "expected"),
+        (b"<link", b"\0<link", "expected a URDF"),
+    ],
+)
+def test_a_urdf_of_no_utf_8_or_without_an_axis_is_refused_in_words(old, new, says, tmp_path):
+    path = tmp_path / "one.urdf"
+    good = (
+        b'<robot name="one"><link name="a"/><link name="b"/><joint name="turn" type="revolute"><parent link="a"/>'
+        b'<child link="b"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    path.write_bytes(good.replace(old, new, 1))
+    with pytest.raises(DescriptionError, match=says) as raised:
+        read_urdf(path)
+    assert str(path) in str(raised.value)
