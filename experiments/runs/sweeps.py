@@ -1,12 +1,13 @@
 """Runs a plan for a clamped robot: one step, one reading, one line of the journal, and the limits before the next step.
 
 What stops a sweep: a reading beyond a limit, a spring that does not wind up (the clamp is open), a clamp that has
-shifted. The drives are then unwound step by step on the way they came.
+shifted or rocks. The drives are then unwound step by step on the way they came.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from experiments.runs.errors import RunStopped
 from experiments.runs.load import Watch, loaded
 from experiments.runs.logs import check_torque
 from experiments.runs.robot import ARRIVED, Reading
+from experiments.runs.rocking import find_rocking
 from experiments.runs.slips import SweepRows, find_shift
 
 __all__ = ["run_sweeps"]
@@ -134,6 +136,7 @@ def _sweep(context: Context, sweep: Sweep, number: int, name: str, state: ClampS
         if (way := _way_to(sweep, step)) is not None:
             _check_open(context, sweep, number, way, name)
     _check_shift(context, sweep, number, watch, name)
+    _check_rocking(context, sweep, number, watch, name)
     context.journal.add("swept", sweep=number)
     state.current, state.step = None, 0
 
@@ -223,10 +226,8 @@ def _described(context: Context) -> Array:
 
 def _check_shift(context: Context, sweep: Sweep, number: int, watch: Watch, name: str) -> None:
     """Look whether the clamp has shifted during this sweep or the one before; if so, unwind, open and stop."""
-    since = max((i for i, e in enumerate(context.journal.entries) if e["what"] == "clamped"), default=0)
-    here = {e["key"][1] for e in context.journal.entries[since:] if e["what"] == "row"}
     plan = context.plan
-    rows = [_rows_of(context, k) for k in sorted(here)]
+    rows = [_rows_of(context, k) for k in _since_clamped(context)]
     found = find_shift(rows, plan.cell.robot, _described(context), watch.jacobian)
     if found is None:
         return
@@ -236,12 +237,42 @@ def _check_shift(context: Context, sweep: Sweep, number: int, watch: Watch, name
         f"the clamp shifted by about {found.size * 1e3:.2f} mm in sweep {found.sweep}, before step {found.step} "
         f"(p = {found.p_value:.1g}): from there on, torques of every joint are off"
     )
-    context.journal.add("note", words=words)
-    context.journal.add("void", table="clamped", sweeps=bad, why=words)
-    _release(context)
     before = [row.number for row in rows if row.number < found.sweep]
+    _stop_for(context, words, bad, before, "Tighten the clamp")
+
+
+def _check_rocking(context: Context, sweep: Sweep, number: int, watch: Watch, name: str) -> None:
+    """Look whether the block rocked during this sweep; if so, unwind, open and stop."""
+    plan = context.plan
+    found = find_rocking(
+        _rows_of(context, number), plan.cell.robot, _described(context), watch.jacobian, sweep.joint, len(plan.sweeps)
+    )
+    if found is None:
+        return
+    context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
+    words = (
+        f"the clamp rocks: in sweep {number} it tilted {found.turns} times by about {found.size * 1e3:.2f} mm between "
+        f"two rests, where joint {sweep.joint + 1} was wound up by {math.degrees(found.forward):.3f} deg on the way "
+        f"forward and {math.degrees(found.backward):.3f} deg on the way back (p = {found.p_value:.1g} for the whole "
+        "run): there the drive looks softer than it is, and backlash seems larger"
+    )
+    before = [k for k in _since_clamped(context) if k < number]
+    _stop_for(context, words, [number], before, "Put the block on firm feet before it is clamped again")
+
+
+def _since_clamped(context: Context) -> list[int]:
+    """Numbers of the sweeps that were begun since the clamp was closed."""
+    since = max((i for i, e in enumerate(context.journal.entries) if e["what"] == "clamped"), default=0)
+    return sorted({e["key"][1] for e in context.journal.entries[since:] if e["what"] == "row"})
+
+
+def _stop_for(context: Context, words: str, bad: Sequence[int], before: Sequence[int], remedy: str) -> None:
+    """Declare sweeps void, open the clamp, and stop; say which sweeps stand."""
+    context.journal.add("note", words=words)
+    context.journal.add("void", table="clamped", sweeps=list(bad), why=words)
+    _release(context)
     stand = (
         f"sweeps {', '.join(map(str, before))} of this clamping stand" if before else "no sweep of this clamping stands"
     )
     again = f"sweep{'s' if len(bad) > 1 else ''} {', '.join(map(str, bad))}"
-    raise RunStopped(f"{words}. {again} will be made again; {stand}. Tighten the clamp")
+    raise RunStopped(f"{words}. {again} will be made again; {stand}. {remedy}")
