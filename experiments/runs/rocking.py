@@ -9,7 +9,8 @@ with the same s at every turn: the block tilts at a wind-up of u+ on the way for
 within w of the driven joint's way. Each (u-, u+, w) of a grid is tried in the sweep's rows alone. A size over its
 standard error follows Student's distribution, its degrees of freedom lessened by the noise's autocorrelation; squares
 of the equivalent normal scores are added over the standing motors (chi-squared). A tilt also has to give way: the
-flange moves as the load pushes. A clearance that a standing drive crosses looks alike, and pushes back. And it has to explain more than u^3: a block that yields gets stiffer smoothly.
+flange moves as the load pushes. A clearance that a standing drive crosses looks alike, and pushes back. And it
+has to explain more than u^3: a block that yields gets stiffer smoothly.
 
 The probability is multiplied by the number of grid points and by the number of sweeps of the plan (Bonferroni), so that
 `FALSE_ALARM` is the chance of one false alarm in a whole run.
@@ -36,6 +37,8 @@ EDGE = 3  # readings in either rest
 WIDTHS = (0.01, 0.25, 0.5, 1.0)  # of the largest wind-up: over how much of the way the block tilts
 POWERS = (1,)  # of the wind-up, which a torque may follow without a tilt
 LEAST_LEFT = 0.02  # of a template's squares: the rest is what a torque may follow without a tilt
+
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def find_rocking(
         Of the plan: so many times this is asked in the run.
     """
     pairs, states = _states(rows.offset)
-    still = np.flatnonzero(~rows.turned)
+    still = np.flatnonzero(~rows.turned).astype(np.int64)
     if not len(pairs) or not len(still):
         return None
     size, error, freedom = _sizes(rows, still, states)
@@ -127,7 +130,7 @@ def _turns(states: Array) -> npt.NDArray[np.int64]:
     return np.asarray(np.count_nonzero(np.diff(states > 0.0, axis=0), axis=0), dtype=np.int64)
 
 
-def _sizes(rows: SweepRows, still: Array, states: Array) -> tuple[Array, Array, Array]:
+def _sizes(rows: SweepRows, still: Indices, states: Array) -> tuple[Array, Array, Array]:
     """Size of the alternating step ``(s, R)``, Nm, its standard error, and degrees of freedom ``(s,)``, by motor."""
     design = design_of([rows], [True], POWERS)
     basis, values, _ = np.linalg.svd(design, full_matrices=False)
@@ -158,7 +161,7 @@ def _squares(size: Array, error: Array, freedom: Array) -> Array:
 
 
 def _tilt(
-    size: Array, error: Array, motors: Array, robot: RobotDescription, stiffness: Array, jacobian: Array
+    size: Array, error: Array, motors: Indices, robot: RobotDescription, stiffness: Array, jacobian: Array
 ) -> Array:
     """How the flange moves from rest to rest ``(3,)``, m, if it does not turn; a usual size as prior."""
     wound = np.asarray(-np.linalg.pinv(jacobian)[:, :3].T, dtype=np.float64)
