@@ -18,6 +18,7 @@ from experiments.runs.clamp_state import ClampState, clamp_state
 from experiments.runs.comparison import compared_places
 from experiments.runs.context import Block, Context, place_on, straight_to
 from experiments.runs.errors import RunStopped
+from experiments.runs.least_torque import hold, least_torque_posture, placed
 from experiments.runs.load import Watch, loaded
 from experiments.runs.logs import check_torque
 from experiments.runs.robot import ARRIVED, Reading
@@ -50,8 +51,11 @@ def run_sweeps(context: Context) -> str | None:
         if state.clamping != sweep.clamping:
             if state.clamping:
                 _release(context)
-            _clamp(context, sweep, name)
-            state.clamping = sweep.clamping
+            _clamp(context, sweep, name, state)
+        if plan.least_torque is not None and state.reference is None:
+            context.progress((number - 1) / total, f"{name}, posture of least torque")
+            least_torque_posture(context, sweep, plan.least_torque, state)
+        sweep = placed(sweep, state)
         _sweep(context, sweep, number, name, state)
         state.done.add(number)
         enough = context.finished(Block(f"sweep {number}", "clamped", number / total))
@@ -70,14 +74,17 @@ def _resumed(context: Context, state: ClampState) -> ClampState:
     """After a break: go on in the same clamping if it is surely the same; else the sweep that was cut is void."""
     if not state.clamping:
         return state
-    sweep = next(s for s in context.plan.sweeps if s.clamping == state.clamping)
+    planned = next(s for s in context.plan.sweeps if s.clamping == state.clamping)
+    sweep = placed(planned, state)
     status = context.robot.rest()
     current = state.current
     way = [sweep.posture]
     if current is not None:
-        sweep = context.plan.sweeps[current - 1]
+        sweep = placed(context.plan.sweeps[current - 1], state)
         way = [sweep.posture, *(_target(sweep, k) for k in range(1, state.step + 2) if k <= len(sweep.offset))]
     near = np.max(np.abs(status.joints - sweep.posture)) < ARRIVED or place_on(way[-3:], status.joints) is not None
+    if context.plan.least_torque is not None and state.reference is None:  # the search was cut
+        near = bool(np.all(np.abs(status.joints - planned.posture) <= context.plan.least_torque.within + ARRIVED))
     if status.boot == state.boot and near:
         context.person.confirm(
             f"The flange was clamped (place {state.clamping}) when the run ended.", "Is it still clamped as it was?"
@@ -94,12 +101,16 @@ def _resumed(context: Context, state: ClampState) -> ClampState:
     return clamp_state(context.journal.entries)
 
 
-def _clamp(context: Context, sweep: Sweep, name: str) -> None:
+def _clamp(context: Context, sweep: Sweep, name: str, state: ClampState) -> None:
     straight_to(context, sweep.posture, f"place {sweep.clamping} of the clamp")
     context.begun = True
+    if context.plan.least_torque is not None:
+        hold(context, sweep, context.plan.least_torque)
     status = context.robot.rest()
     context.person.clamp(f"{name}: the flange is to be clamped (place {sweep.clamping}).")
     context.journal.add("clamped", clamping=sweep.clamping, boot=status.boot, at=status.joints.tolist())
+    fresh = clamp_state(context.journal.entries)
+    state.clamping, state.boot, state.held, state.reference = fresh.clamping, fresh.boot, fresh.held, fresh.reference
 
 
 def _release(context: Context) -> None:
