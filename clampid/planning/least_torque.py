@@ -1,4 +1,4 @@
-"""How the posture of least torque is to be searched for in a clamping plan: steps and bounds from the drives' springs."""
+"""How a clamping plan searches for the posture of least torque: steps and bounds from the springs of the drives."""
 
 from __future__ import annotations
 

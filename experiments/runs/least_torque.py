@@ -128,8 +128,8 @@ def _stepped(context: Context, here: Array, joint: int, way: float, sweep: Sweep
         _give_up(
             context,
             sweep.posture,
-            f"joint {joint + 1}: expected it within {search.within[joint]:.3g} rad of the clamped posture, found torque "
-            "that leads further; close the clamp with less force",
+            f"joint {joint + 1}: expected it within {search.within[joint]:.3g} rad of the clamped posture, found "
+            "torque that leads further; close the clamp with less force",
         )
     return there
 

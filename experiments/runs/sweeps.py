@@ -55,8 +55,7 @@ def run_sweeps(context: Context) -> str | None:
         if plan.least_torque is not None and state.reference is None:
             context.progress((number - 1) / total, f"{name}, posture of least torque")
             least_torque_posture(context, sweep, plan.least_torque, state)
-        sweep = placed(sweep, state)
-        _sweep(context, sweep, number, name, state)
+        _sweep(context, placed(sweep, state), number, name, state)
         state.done.add(number)
         enough = context.finished(Block(f"sweep {number}", "clamped", number / total))
         if enough is not None:
