@@ -210,7 +210,7 @@ def main() -> None:
     import sys
 
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "runs"))
-    from conftest import CLAMPED, Controller, clamping_plan, free_air_plan, poses_plan
+    from run_controller import CLAMPED, Controller, clamping_plan, free_air_plan, poses_plan
 
     from experiments.plans import cell_of, limits_of
 

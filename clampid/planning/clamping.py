@@ -7,7 +7,7 @@ than described by a margin, and bounded. A sweep beyond a limit is refused here,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -171,10 +171,8 @@ def plan_clamping(
                 rows = sum(sweeps[k].offset.size for k in order) * cell.robot.n
                 best = (value, [sweeps[k] for k in order], information, rows)
     if best is None:
-        need = press.clamping_time + sum(_cost(planned_sweep(blank, press, places[0], j, STEPS[0])) for j in driven)
-        raise PlanError(
-            f"time: expected at least {need:.0f} s, for one clamping and a sweep of each joint, found {time:g} s"
-        )
+        sweeps = [planned_sweep(blank, press, posture, joint, STEPS[0]) for posture, joint in allowed]
+        raise PlanError(_too_short(bench, sweeps, bench.tell(sweeps), driven, press, time))
     chosen = in_order(best[1])
     plan = replace(
         blank,
@@ -392,20 +390,11 @@ def _choices(
     for k, f in enumerate(factors):
         table[k, :, : f.shape[1]] = f
     cost = np.array([_cost(sweep) for sweep in sweeps])
-    groups: dict[tuple[float, ...], list[int]] = {}
-    for k, sweep in enumerate(sweeps):
-        groups.setdefault(tuple(sweep.posture), []).append(k)
     out = []
-    taken: list[int] = []
-    left = dict(groups)
-    for clampings in range(1, MOST_CLAMPINGS + 1):
+    for clampings, taken in _clamped_in_turn(bench, sweeps, told):
         budget = time - clampings * press.clamping_time
-        if not left or budget <= 0:
+        if budget <= 0:
             break
-        known = bench.prior + sum((told[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
-        # Clamp where all that may be swept there tells most beyond what the earlier clampings tell.
-        best = max(left, key=lambda g: log_det(known + sum(told[k] * bench.scale for k in left[g])))
-        taken += left.pop(best)
         first = _each_once(sweeps, table, bench.prior, taken, driven)
         if first is None or cost[first].sum() > budget:
             continue
@@ -416,6 +405,36 @@ def _choices(
         )
         out.append([int(inside[k]) for k in picked])
     return out
+
+
+def _clamped_in_turn(bench: _Bench, sweeps: list[Sweep], told: list[Array]) -> Iterator[tuple[int, list[int]]]:
+    """One, two and three clampings, and the sweeps that may be made in them."""
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for k, sweep in enumerate(sweeps):
+        groups.setdefault(tuple(sweep.posture), []).append(k)
+    taken: list[int] = []
+    for clampings in range(1, min(MOST_CLAMPINGS, len(groups)) + 1):
+        known = bench.prior + sum((told[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
+        # Clamp where all that may be swept there tells most beyond what the earlier clampings tell.
+        best = max(groups, key=lambda g: log_det(known + sum(told[k] * bench.scale for k in groups[g])))
+        taken = [*taken, *groups.pop(best)]
+        yield clampings, taken
+
+
+def _too_short(
+    bench: _Bench, sweeps: list[Sweep], told: list[Array], driven: Sequence[int], press: Press, time: float
+) -> str:
+    """Why no sweeps fit into the time: how many clampings it takes to drive each joint once, and how long."""
+    for clampings, taken in _clamped_in_turn(bench, sweeps, told):
+        able = {sweeps[k].joint: _cost(sweeps[k]) for k in taken}
+        if set(driven) <= able.keys():
+            need = clampings * press.clamping_time + sum(able[j] for j in driven)
+            many = "one clamping" if clampings == 1 else f"{clampings} clampings"
+            return f"time: expected at least {need:.0f} s, for {many} and a sweep of each joint, found {time:g} s"
+    return (
+        f"expected at most {MOST_CLAMPINGS} postures in which every joint may be driven within the limits, found none; "
+        "less amplitude or a stronger clamp would do"
+    )
 
 
 def _each_once(

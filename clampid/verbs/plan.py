@@ -118,6 +118,9 @@ def clamping(
         list[str] | None,
         typer.Option(metavar="Q1,…", help="Where it can be clamped, rad; may be repeated.", show_default=False),
     ] = None,
+    least_torque: Annotated[
+        bool, typer.Option("--least-torque", help="Search for the posture of least torque in each clamping.")
+    ] = False,
     effects: Effects = None,
     seed: Seed = 0,
     json: Json = None,
@@ -127,9 +130,12 @@ def clamping(
     """Plan sweeps against a clamped flange that identify springs, clearances and friction within load limits."""
     out = begin(output, json, quiet, verbose)
     with refusals():
+        from dataclasses import replace
+
         import numpy as np
 
         from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
+        from clampid.planning.least_torque import search_for
         from clampid.standard_sets import STANDARD
         from experiments.plans.press import rated_motor_torque
 
@@ -147,6 +153,8 @@ def clamping(
                 joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n, where.units),
                 scene=where.scene(cell), seed=seed, assumed=(*assumed, *more, *usual),
             )  # fmt: skip
+        if least_torque:
+            made = replace(made, least_torque=search_for(cell.robot, press))
         force = max(float(s.force.max()) for s in made.sweeps)
         moment = max(float(s.moment.max()) for s in made.sweeps)
         load = f"on the clamp at most {force:.0f} N of {max_force:g} N and {moment:.0f} Nm of {max_moment:g} Nm"

@@ -19,6 +19,7 @@ __all__ = [
     "Expected",
     "ExpectedParameter",
     "Kind",
+    "LeastTorque",
     "Plan",
     "Run",
     "Steady",
@@ -195,6 +196,20 @@ class Steady:
     beyond: float
 
 
+@dataclass(frozen=True, eq=False)
+class LeastTorque:
+    """The search for the posture of least torque, after a clamp is closed and before its first sweep.
+
+    Attributes
+    ----------
+    step, within
+        ``(n,)`` rad: of one step of each joint, and how far from the clamped posture it may go.
+    """
+
+    step: Array
+    within: Array
+
+
 @dataclass(frozen=True)
 class Plan:
     """A plan: the cell, the limits, the steps in their order, and what they will tell.
@@ -207,6 +222,8 @@ class Plan:
         s for each tracked point.
     steady
         Warming up ends when temperatures have been steady for long enough; None: only with the last step.
+    least_torque
+        How the posture of least torque is searched for in each clamping; None: it is not.
     assumed
         What nobody said and was taken as usual, in words.
     wished
@@ -226,6 +243,7 @@ class Plan:
     stiffness: Array | None = None
     expected: Expected | None = None
     steady: Steady | None = None
+    least_torque: LeastTorque | None = None
     assumed: tuple[str, ...] = ()
     wished: Mapping[str, float | int | str] = field(default_factory=lambda: MappingProxyType({}))
 

@@ -12,7 +12,19 @@ import numpy as np
 from experiments.header import FARTHEST_POINT_M, LARGEST_MASS_KG, WORST_POSITION_STD_M, robot_in
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits
-from experiments.plans.model import KINDS, Cell, Expected, ExpectedParameter, Kind, Plan, Run, Steady, Sweep, Visit
+from experiments.plans.model import (
+    KINDS,
+    Cell,
+    Expected,
+    ExpectedParameter,
+    Kind,
+    LeastTorque,
+    Plan,
+    Run,
+    Steady,
+    Sweep,
+    Visit,
+)
 from experiments.plans.motion import Course
 from experiments.plans.validate import validate_plan
 from experiments.plans.write import FORMAT
@@ -82,6 +94,7 @@ def parse_plan(text: str, file: Path) -> Plan:
         stiffness=root.vector("stiffness_Nm_rad", n, 0.0) if root.has("stiffness_Nm_rad") else None,
         expected=_expected(root.section("expected")) if root.has("expected") else None,
         steady=_steady(root) if root.has("steady_K_h") else None,
+        least_torque=_least_torque(root, n) if root.has("least_torque_step_rad") else None,
         assumed=root.texts("assumed"),
         wished=MappingProxyType(_wished(root.section("wished", optional=True))),
     )
@@ -184,6 +197,14 @@ def _visit(section: Section, n: int, targets: tuple[str, ...]) -> Visit:
 
 def _steady(root: Section) -> Steady:
     return Steady(root.number("steady_K_h", 0.0, above=True), root.number("steady_for_s", 0.0))
+
+
+def _least_torque(root: Section, n: int) -> LeastTorque:
+    found = LeastTorque(root.vector("least_torque_step_rad", n, 0.0), root.vector("least_torque_within_rad", n, 0.0))
+    for name, values in (("step", found.step), ("within", found.within)):
+        if np.any(values <= 0.0):
+            raise root.fault(f"least_torque_{name}_rad", "numbers above 0", str(values.tolist()))
+    return found
 
 
 def _expected(section: Section) -> Expected:

@@ -46,6 +46,8 @@ def plan_text(plan: Plan, folder: Path = Path()) -> str:
         head["stiffness_Nm_rad"] = plan.stiffness
     if plan.steady is not None:
         head |= {"steady_K_h": plan.steady.rate, "steady_for_s": plan.steady.beyond}
+    if plan.least_torque is not None:
+        head |= {"least_torque_step_rad": plan.least_torque.step, "least_torque_within_rad": plan.least_torque.within}
     head["assumed"] = list(plan.assumed)
     bounds: dict[str, Any] = {
         "lower_rad": limits.lower,

@@ -21,6 +21,10 @@ class ClampState:
         Which place the flange is clamped in; 0: it is free.
     boot
         Of the controller, when it was clamped.
+    held
+        Torques of the free arm where it was clamped ``(n,)``, Nm, if they were measured.
+    reference
+        Where the torque is least ``(n,)``, rad, once that has been found in this clamping.
     current, step
         The sweep that was begun and not finished, and its last recorded step.
     """
@@ -28,6 +32,8 @@ class ClampState:
     done: set[int] = field(default_factory=set)
     clamping: int = 0
     boot: int | None = None
+    held: list[float] | None = None
+    reference: list[float] | None = None
     current: int | None = None
     step: int = 0
 
@@ -37,10 +43,14 @@ def clamp_state(entries: Sequence[Mapping[str, Any]]) -> ClampState:
     state = ClampState()
     for entry in entries:
         match entry["what"]:
+            case "held":
+                state.held = entry["torque"]
+            case "least_torque":
+                state.reference = entry["posture"]
             case "clamped":
                 state.clamping, state.boot = entry["clamping"], entry["boot"]
             case "released":
-                state.clamping = 0
+                state.clamping, state.held, state.reference = 0, None, None
             case "row":
                 state.current, state.step = entry["key"][1], entry["key"][2]
             case "swept" | "cut":

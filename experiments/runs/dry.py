@@ -14,6 +14,7 @@ from experiments.runs.robot import share_of
 
 __all__ = ["Motion", "motions"]
 
+SEARCHED = 3  # places of each joint that a search for the posture of least torque usually looks at
 NOT_PLANNED = "not checked by the plan: asked for"
 
 
@@ -105,6 +106,10 @@ def _steps(plan: Plan) -> Iterator[_Step]:
         if sweep.clamping != clamping:
             clamping = sweep.clamping
             yield f"place {clamping} of the clamp: way there", sweep.posture, None, SLOW, 0.0, "", NOT_PLANNED
+            if plan.least_torque is not None:
+                seconds = SEARCHED * robot.n * 4 * (sweep.dwell + 0.1)
+                limit = f"{np.degrees(plan.least_torque.within.max()):.2f} deg about it at most"
+                yield f"place {clamping}: posture of least torque", sweep.posture, seconds, 0.02, 0.0, "", limit
         for step, offset in enumerate(sweep.offset):
             to = np.array(sweep.posture)
             to[sweep.joint] += offset

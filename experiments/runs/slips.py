@@ -122,7 +122,7 @@ def _steps_of(sweeps: Sequence[SweepRows], motor: int, steps: Array) -> tuple[Ar
     unknown = np.zeros(steps.shape[1]), np.full(steps.shape[1], np.inf)
     if rows.sum() < 4 * EDGE:
         return unknown
-    design = _design(sweeps, still)
+    design = design_of(sweeps, still)
     y = np.concatenate([s.torque[:, motor] for s, keep in zip(sweeps, still, strict=True) if keep])
     basis, _ = np.linalg.qr(design)
     rank = np.linalg.matrix_rank(design)
@@ -136,12 +136,15 @@ def _steps_of(sweeps: Sequence[SweepRows], motor: int, steps: Array) -> tuple[Ar
     size = np.where(enough, free.T @ y / np.where(enough, norm, 1.0), 0.0)
     rest = (y @ y - size**2 * norm) / max(len(y) - basis.shape[1] - 1, 1)
     best = y - free[:, int(np.argmax(size**2 * norm))] * size[int(np.argmax(size**2 * norm))]
-    error = np.sqrt(np.maximum(rest, 1e-30) * _inflation(best) / np.where(enough, norm, 1.0))
+    error = np.sqrt(np.maximum(rest, 1e-30) * inflation(best) / np.where(enough, norm, 1.0))
     return size, np.where(enough, error, np.inf)
 
 
-def _design(sweeps: Sequence[SweepRows], still: Sequence[bool]) -> Array:
-    """What a standing motor's torque may follow without a shift, ``(m, p)``; one constant for each time it stood."""
+def design_of(sweeps: Sequence[SweepRows], still: Sequence[bool], powers: Sequence[int] = (1, 3)) -> Array:
+    """What a standing motor's torque may follow without a shift, ``(m, p)``; one constant for each time it stood.
+
+    ``powers`` of the wind-up, besides its magnitude and the direction.
+    """
     segment = np.cumsum([not keep for keep in still])
     count = sum(len(s.time) for s, keep in zip(sweeps, still, strict=True) if keep)
     columns: list[Array] = []
@@ -156,14 +159,14 @@ def _design(sweeps: Sequence[SweepRows], still: Sequence[bool]) -> Array:
         at += len(sweep.time)
         constants.setdefault(int(segment[number]), np.zeros(count))[own] = 1.0
         u = sweep.offset / max(float(np.max(np.abs(sweep.offset))), 1e-12)
-        for values in (u, u**3, np.abs(u), sweep.direction):
+        for values in (*(u**power for power in powers), np.abs(u), sweep.direction):
             column = np.zeros(count)
             column[own] = values - values.mean()
             columns.append(column)
     return np.array([*constants.values(), *columns]).T
 
 
-def _inflation(rest: Array) -> float:
+def inflation(rest: Array) -> float:
     """By how much correlated noise makes the variance of a mean larger than independent noise."""
     rest = rest - rest.mean()
     power = float(rest @ rest)

@@ -1,12 +1,13 @@
 """Runs a plan for a clamped robot: one step, one reading, one line of the journal, and the limits before the next step.
 
 What stops a sweep: a reading beyond a limit, a spring that does not wind up (the clamp is open), a clamp that has
-shifted. The drives are then unwound step by step on the way they came.
+shifted or rocks. The drives are then unwound step by step on the way they came.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,11 @@ from experiments.runs.clamp_state import ClampState, clamp_state
 from experiments.runs.comparison import compared_places
 from experiments.runs.context import Block, Context, place_on, straight_to
 from experiments.runs.errors import RunStopped
+from experiments.runs.least_torque import hold, least_torque_posture, placed
 from experiments.runs.load import Watch, loaded
 from experiments.runs.logs import check_torque
 from experiments.runs.robot import ARRIVED, Reading
+from experiments.runs.rocking import find_rocking
 from experiments.runs.slips import SweepRows, find_shift
 
 __all__ = ["run_sweeps"]
@@ -48,9 +51,11 @@ def run_sweeps(context: Context) -> str | None:
         if state.clamping != sweep.clamping:
             if state.clamping:
                 _release(context)
-            _clamp(context, sweep, name)
-            state.clamping = sweep.clamping
-        _sweep(context, sweep, number, name, state)
+            _clamp(context, sweep, name, state)
+        if plan.least_torque is not None and state.reference is None:
+            context.progress((number - 1) / total, f"{name}, posture of least torque")
+            least_torque_posture(context, sweep, plan.least_torque, state)
+        _sweep(context, placed(sweep, state), number, name, state)
         state.done.add(number)
         enough = context.finished(Block(f"sweep {number}", "clamped", number / total))
         if enough is not None:
@@ -68,14 +73,17 @@ def _resumed(context: Context, state: ClampState) -> ClampState:
     """After a break: go on in the same clamping if it is surely the same; else the sweep that was cut is void."""
     if not state.clamping:
         return state
-    sweep = next(s for s in context.plan.sweeps if s.clamping == state.clamping)
+    planned = next(s for s in context.plan.sweeps if s.clamping == state.clamping)
+    sweep = placed(planned, state)
     status = context.robot.rest()
     current = state.current
     way = [sweep.posture]
     if current is not None:
-        sweep = context.plan.sweeps[current - 1]
+        sweep = placed(context.plan.sweeps[current - 1], state)
         way = [sweep.posture, *(_target(sweep, k) for k in range(1, state.step + 2) if k <= len(sweep.offset))]
     near = np.max(np.abs(status.joints - sweep.posture)) < ARRIVED or place_on(way[-3:], status.joints) is not None
+    if context.plan.least_torque is not None and state.reference is None:  # the search was cut
+        near = bool(np.all(np.abs(status.joints - planned.posture) <= context.plan.least_torque.within + ARRIVED))
     if status.boot == state.boot and near:
         context.person.confirm(
             f"The flange was clamped (place {state.clamping}) when the run ended.", "Is it still clamped as it was?"
@@ -92,12 +100,16 @@ def _resumed(context: Context, state: ClampState) -> ClampState:
     return clamp_state(context.journal.entries)
 
 
-def _clamp(context: Context, sweep: Sweep, name: str) -> None:
+def _clamp(context: Context, sweep: Sweep, name: str, state: ClampState) -> None:
     straight_to(context, sweep.posture, f"place {sweep.clamping} of the clamp")
     context.begun = True
+    if context.plan.least_torque is not None:
+        hold(context, sweep, context.plan.least_torque)
     status = context.robot.rest()
     context.person.clamp(f"{name}: the flange is to be clamped (place {sweep.clamping}).")
     context.journal.add("clamped", clamping=sweep.clamping, boot=status.boot, at=status.joints.tolist())
+    fresh = clamp_state(context.journal.entries)
+    state.clamping, state.boot, state.held, state.reference = fresh.clamping, fresh.boot, fresh.held, fresh.reference
 
 
 def _release(context: Context) -> None:
@@ -134,6 +146,7 @@ def _sweep(context: Context, sweep: Sweep, number: int, name: str, state: ClampS
         if (way := _way_to(sweep, step)) is not None:
             _check_open(context, sweep, number, way, name)
     _check_shift(context, sweep, number, watch, name)
+    _check_rocking(context, sweep, number, watch, name)
     context.journal.add("swept", sweep=number)
     state.current, state.step = None, 0
 
@@ -223,10 +236,8 @@ def _described(context: Context) -> Array:
 
 def _check_shift(context: Context, sweep: Sweep, number: int, watch: Watch, name: str) -> None:
     """Look whether the clamp has shifted during this sweep or the one before; if so, unwind, open and stop."""
-    since = max((i for i, e in enumerate(context.journal.entries) if e["what"] == "clamped"), default=0)
-    here = {e["key"][1] for e in context.journal.entries[since:] if e["what"] == "row"}
     plan = context.plan
-    rows = [_rows_of(context, k) for k in sorted(here)]
+    rows = [_rows_of(context, k) for k in _since_clamped(context)]
     found = find_shift(rows, plan.cell.robot, _described(context), watch.jacobian)
     if found is None:
         return
@@ -236,12 +247,42 @@ def _check_shift(context: Context, sweep: Sweep, number: int, watch: Watch, name
         f"the clamp shifted by about {found.size * 1e3:.2f} mm in sweep {found.sweep}, before step {found.step} "
         f"(p = {found.p_value:.1g}): from there on, torques of every joint are off"
     )
-    context.journal.add("note", words=words)
-    context.journal.add("void", table="clamped", sweeps=bad, why=words)
-    _release(context)
     before = [row.number for row in rows if row.number < found.sweep]
+    _stop_for(context, words, bad, before, "Tighten the clamp")
+
+
+def _check_rocking(context: Context, sweep: Sweep, number: int, watch: Watch, name: str) -> None:
+    """Look whether the block rocked during this sweep; if so, unwind, open and stop."""
+    plan = context.plan
+    found = find_rocking(
+        _rows_of(context, number), plan.cell.robot, _described(context), watch.jacobian, sweep.joint, len(plan.sweeps)
+    )
+    if found is None:
+        return
+    context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
+    words = (
+        f"the clamp rocks: in sweep {number} it tilted {found.turns} times by about {found.size * 1e3:.2f} mm between "
+        f"two rests, where joint {sweep.joint + 1} was wound up by {math.degrees(found.forward):.3f} deg on the way "
+        f"forward and {math.degrees(found.backward):.3f} deg on the way back (p = {found.p_value:.1g} for the whole "
+        "run): there the drive looks softer than it is, and backlash seems larger"
+    )
+    before = [k for k in _since_clamped(context) if k < number]
+    _stop_for(context, words, [number], before, "Put the block on firm feet before it is clamped again")
+
+
+def _since_clamped(context: Context) -> list[int]:
+    """Numbers of the sweeps that were begun since the clamp was closed."""
+    since = max((i for i, e in enumerate(context.journal.entries) if e["what"] == "clamped"), default=0)
+    return sorted({e["key"][1] for e in context.journal.entries[since:] if e["what"] == "row"})
+
+
+def _stop_for(context: Context, words: str, bad: Sequence[int], before: Sequence[int], remedy: str) -> None:
+    """Declare sweeps void, open the clamp, and stop; say which sweeps stand."""
+    context.journal.add("note", words=words)
+    context.journal.add("void", table="clamped", sweeps=list(bad), why=words)
+    _release(context)
     stand = (
         f"sweeps {', '.join(map(str, before))} of this clamping stand" if before else "no sweep of this clamping stands"
     )
     again = f"sweep{'s' if len(bad) > 1 else ''} {', '.join(map(str, bad))}"
-    raise RunStopped(f"{words}. {again} will be made again; {stand}. Tighten the clamp")
+    raise RunStopped(f"{words}. {again} will be made again; {stand}. {remedy}")

@@ -200,6 +200,13 @@ class Arm:
         further = np.concatenate([shift, np.zeros(3)])
         self._clampings[-1] = replace(clamping, slipped=(*clamping.slipped, (now, further)))
 
+    def rock(self, now: float, tilt: Sequence[float]) -> None:
+        """Let the block that holds the flange rock from now on; from rest to rest by a tilt, m, (3,)."""
+        clamping = self.clamped(now)
+        if clamping is None:
+            raise ControllerError("the flange is not clamped")
+        self._clampings[-1] = replace(clamping, rocks=(now, np.concatenate([tilt, np.zeros(3)])))
+
     def gauges(self, now: float) -> Array | None:
         """Return what the dial gauges at the block see, m and rad, (6,), with their noise; None: no clamp."""
         clamping = self.clamped(now)

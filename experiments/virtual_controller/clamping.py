@@ -24,6 +24,7 @@ from experiments.virtual_robot.outside import outside_torque
 __all__ = ["Clamping", "close_clamp", "gauges", "held_torques"]
 
 TRIED = 0.4  # of the rated torque, by which every joint is wound up on trial
+BISECTIONS = 20  # a millionth of the tilt
 STIFF = 0.01  # of the torque that a rigid block would give back; less, and the joint just turns
 
 
@@ -45,6 +46,8 @@ class Clamping:
         When the block slips by what is hidden, if it does, s.
     slipped
         When it slipped besides, s, and by how much, m and rad, (6,).
+    rocks
+        From when on the block rocks, s, and from one rest to the other, m and rad, (6,); None: it does not.
     """
 
     start: float
@@ -54,6 +57,7 @@ class Clamping:
     slips: float
     end: float = math.inf
     slipped: tuple[tuple[float, Array], ...] = ()
+    rocks: tuple[float, Array] | None = None
 
 
 def close_clamp(plant: Plant, bodies: Bodies, time: float, rows: Rows, rng: np.random.Generator) -> Clamping:
@@ -90,7 +94,33 @@ def _pressed(plant: Plant, bodies: Bodies, clamping: Clamping, times: Sequence[f
     when = np.asarray(times)
     slips = [(clamping.slips, plant.fixture.shift), *clamping.slipped]
     shift = np.sum([np.outer(when >= time, by) for time, by in slips], axis=0)
+    if clamping.rocks is None:
+        return clamped_torques(plant, bodies, output, clamping.arm, clamping.load, shift=shift)
+    since, tilt = clamping.rocks
+    loose = when >= since
+    if loose.any():
+        shift = shift + np.outer(_rest(plant, bodies, clamping, output, shift, tilt) * loose, tilt)
     return clamped_torques(plant, bodies, output, clamping.arm, clamping.load, shift=shift)
+
+
+def _rest(plant: Plant, bodies: Bodies, clamping: Clamping, output: Array, shift: Array, tilt: Array) -> Array:
+    """Where a rocking block stands, (N,): at -1/2 or 1/2 as it is loaded along its tilt, between without a load."""
+    load = clamping.load
+    wrench = np.linalg.pinv(bodies.jacobian(clamping.arm)).T  # W = J⁻ᵀ (tau - load)
+
+    def push(place: Array) -> Array:
+        tau, _ = clamped_torques(plant, bodies, output, clamping.arm, load, shift=shift + np.outer(place, tilt))
+        return np.asarray((tau - load) @ wrench.T @ tilt)
+
+    high, low = np.full(len(output), 0.5), np.full(len(output), -0.5)
+    up, down = push(high) >= 0.0, push(low) <= 0.0  # the load falls as the block gives way
+    low, high = np.where(up, high, low), np.where(down & ~up, low, high)
+    if np.any(low < high):
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            more = push(middle) >= 0.0
+            low, high = np.where(more, middle, low), np.where(more, high, middle)
+    return np.asarray((low + high) / 2)
 
 
 def held_torques(

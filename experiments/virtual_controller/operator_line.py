@@ -10,6 +10,7 @@
 ``sight lost N``           the instrument finds no line of sight, N times
 ``sight silent SECONDS``   the instrument answers nothing for so long
 ``slip X Y Z``             the clamped block slips by so many mm along the base's axes
+``rock X Y Z``             the clamped block rocks from now on, from rest to rest by so many mm along the base's axes
 ``speed X``                simulated seconds in a second
 ``fault NAME=VALUE``       arm a fault, see `experiments.virtual_controller.faults`
 ``state``                  what a person would see
@@ -84,13 +85,15 @@ class Operator:
                 self._tracker.fall_silent(_number(number, 0.0, 3600.0))
             case ["slip", x, y, z]:
                 self._controller.slip([_number(text, -5.0, 5.0) / 1000.0 for text in (x, y, z)])
+            case ["rock", x, y, z]:
+                self._controller.rock([_number(text, -5.0, 5.0) / 1000.0 for text in (x, y, z)])
             case ["speed", number]:
                 self._speed(_number(number, 0.0, MAX_SPEED))
             case ["fault", *items] if items:
                 self._faults(items)
             case _:
                 known = ", ".join(self._hands)
-                more = "sight lost N, sight silent SECONDS, slip X Y Z, speed X, fault NAME=VALUE"
+                more = "sight lost N, sight silent SECONDS, slip X Y Z, rock X Y Z, speed X, fault NAME=VALUE"
                 raise ControllerError(f"expected one of {known}, {more}")
         return self._state()
 

@@ -287,6 +287,12 @@ class Controller:
         self.arm.slip(self.clock.now(), shift)
         self._tell({"event": "slipped", "boot": self.boot, "time": self.clock.now(), "shift_m": list(shift)})
 
+    def rock(self, tilt: Sequence[float]) -> None:
+        """Let the block that holds the flange rock from now on, m along the base's axes; raises as `slip`."""
+        self.due()
+        self.arm.rock(self.clock.now(), tilt)
+        self._tell({"event": "rocks", "boot": self.boot, "time": self.clock.now(), "tilt_m": list(tilt)})
+
     def restart(self) -> None:
         """Start the controller's programs anew: the robot brakes, the boot number rises, numbers begin again."""
         self.due()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -189,7 +190,7 @@ def test_promised_errors_hold_on_the_virtual_robot(clamping: Plan, tmp_path: Pat
     ("options", "words"),
     [
         ({"time": -1.0}, "time: expected seconds above 0"),
-        ({"time": 700.0}, r"time: expected at least \d+ s, for one clamping and a sweep of each joint, found 700 s"),
+        ({"time": 700.0}, r"time: expected at least \d+ s, for 2 clampings and a sweep of each joint, found 700 s"),
         ({"effects": ("backlash",)}, "expected joint_compliance among them"),
         ({"effects": ("joint_compliance", "gravity")}, "gravity does not act in clamped"),
     ],
@@ -197,6 +198,21 @@ def test_promised_errors_hold_on_the_virtual_robot(clamping: Plan, tmp_path: Pat
 def test_wrong_wishes_are_refused(cell: Cell, held: Limits, options: dict, words: str) -> None:
     with pytest.raises(PlanError, match=words):
         plan_clamping(cell, held, torque_noise_of(cell, None, None)[0], press_of(cell), **options)
+
+
+def test_a_time_that_is_too_short_is_told_the_least_that_is_not(cell: Cell, held: Limits) -> None:
+    """All six joints take two clampings here; what one would take is above none of it."""
+    noise, press = torque_noise_of(cell, None, None)[0], press_of(cell)
+    with pytest.raises(PlanError, match="and a sweep of each joint") as refused:
+        plan_clamping(cell, held, noise, press, time=1.01 * press.clamping_time)
+    found = re.search(r"expected at least (\d+) s, for (one|\d+) clampings?", str(refused.value))
+    assert found is not None
+    enough = float(found[1]) + 1.0
+    made = plan_clamping(cell, held, noise, press, time=enough)
+    assert made.duration <= enough
+    assert made.sweeps[-1].clamping == (1 if found[2] == "one" else int(found[2]))
+    with pytest.raises(PlanError, match=f"at least {found[1]} s.*found {enough - 10:g} s"):
+        plan_clamping(cell, held, noise, press, time=enough - 10)
 
 
 def test_wrong_amplitudes_and_limits_are_refused(cell: Cell, limits: Limits, held: Limits) -> None:

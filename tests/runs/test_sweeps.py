@@ -36,7 +36,7 @@ def test_a_sweep_beyond_a_limit_exceeds_it_by_one_step_and_unwinds(
     controller: Controller, cell: Cell, limits: Limits, tmp_path: Path, stiffer: float
 ) -> None:
     """The plan believes in springs softer by 1.6 than the robot has, so that its limit comes early."""
-    plan = clamping_plan(cell, limits, [(1, 1, CLAMPED), (1, 2, CLAMPED)], share=0.35, margin=1 / stiffer)
+    plan = clamping_plan(cell, limits, [(1, 1, CLAMPED), (1, 2, CLAMPED)], share=0.45, margin=1 / stiffer)
     tight = plan.limits.motor_torque.copy()
     with pytest.raises(RunStopped, match=r"sweep \d, step \d+: .* expected at most .*; the drives were unwound"):
         run(plan, tmp_path / "C", controller.asked())
