@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 __all__ = [
     "Scale",
+    "change_text",
     "compact",
     "count_text",
     "error_text",
@@ -162,6 +163,13 @@ def with_error(value: float, std: float, unit: str) -> str:
     """``12.34 ± 0.42 µm``, in the unit that suits the larger; without an error ``±`` is followed by a dash."""
     told, error, symbol = quantity(value, std, unit)
     return f"{told} ± {error} {symbol}".rstrip()
+
+
+def change_text(change: float, std: float, unit: str) -> str:
+    """``−52.9 ± 6.9 µm``: a change with its sign and its standard error; ``sigma`` is printed as σ."""
+    told, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
+    known = f" ± {error}" if error != "–" else ""
+    return f"{'+' if change > 0 else '−'}{told}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
 
 
 def span(low: float, high: float, unit: str) -> str:

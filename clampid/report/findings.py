@@ -177,7 +177,7 @@ def _torque(model: Model, first: Model | None) -> str:
         if stage != "poses" and rounds:
             now = error_text(rounds[-1].heldout_rms, unit_of(stage))
             said.append(f"{now} in {stage_title(stage).partition(' (')[0].lower()}")
-    return f"Held-out torque error: {listed(said, 3)}, where noise alone leaves 1 σ." if said else ""
+    return f"Held-out torque error: {listed(said, 3)}, the noise floor is 1 σ." if said else ""
 
 
 def _drives(clamped: StageData | None) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
-from clampid.display import error_text
+from clampid.display import change_text, error_text
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.verbs.show import weights_text
 
@@ -257,8 +257,7 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
         elif rise > 0:
             worse.append(name)
         if std is not None:
-            size, error = error_text(abs(rise), part["unit"]), error_text(std, part["unit"])
-            facts.append((f"{name}:", f"held-out error {'+' if rise > 0 else '−'}{size} ± {error} (standard error)"))
+            facts.append((f"{name}:", f"paired change of the held-out error {change_text(rise, std, part['unit'])}"))
     first = next(iter(data["stages"].values()))
     ends = [error_text(first[key], first["unit"]) for key in KEYS]
     if worse:
