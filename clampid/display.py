@@ -16,6 +16,7 @@ __all__ = [
     "change_text",
     "compact",
     "count_text",
+    "counted",
     "error_text",
     "fixed",
     "label_text",
@@ -212,6 +213,13 @@ def error_text(value: float | None, unit: str) -> str:
 def count_text(value: int) -> str:
     """A count, in groups of three."""
     return f"{value:,}".replace(",", _THIN)
+
+
+def counted(number: int, what: str, verb: str = "") -> str:
+    """``1 row was`` or ``13 423 rows were``: a number, what it counts, and a verb (``was``, ``lies``) that agrees."""
+    plural = {"": "", "was": " were", "is": " are", "has": " have", "lies": " lie"}
+    agrees = plural[verb] if number != 1 else f" {verb}" if verb else ""
+    return f"{count_text(number)} {what}{'' if number == 1 else 's'}{agrees}"
 
 
 def label_text(effect: str, places: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.headline import listed, named
-from clampid.display import count_text, error_text, number
+from clampid.display import counted, error_text, number
 from clampid.effect import Stage
 from clampid.exports.dh_export import nominal_rows, static_table
 from clampid.models.drives import drives_of
@@ -66,10 +66,10 @@ def _measured(campaign: Campaign) -> str:
     for table, one, column in (("poses", "pose", "pose"), ("distances", "pose", "pose"), ("clamped", "sweep", "sweep")):
         if table in campaign.tables:
             count = int(campaign.tables[table][column].nunique())
-            held.append(f"{count_text(count)} {one}{'s' if count > 1 else ''}{_OF.get(table, '')}")
+            held.append(f"{counted(count, one)}{_OF.get(table, '')}")
     rows = sum(len(campaign.tables[table]) for table in ("free_air", "wrist") if table in campaign.tables)
     if rows:
-        held.append(f"{count_text(rows)} rows of motor torques")
+        held.append(f"{counted(rows, 'row')} of motor torques")
     return f"{listed(held, 4)} were measured." if held else ""
 
 

@@ -165,11 +165,12 @@ def _progress(asked: Asked, plan: Plan, out: Output) -> Any:
 
 
 def _stopped(why: str, asked: Asked, again: str, out: Output) -> None:
+    from clampid.display import counted
     from clampid.screen import Next, Screen
     from experiments.runs.folder import tables_of
 
     rows = {} if asked.journal is None else {k: len(v) for k, v in tables_of(asked.journal.entries).items()}
-    kept = ", ".join(f"{count} rows of {name}" for name, count in rows.items()) or "nothing yet"
+    kept = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in rows.items()) or "nothing yet"
     out.show(
         Screen(
             f"Stopped before the end: {why}.",
@@ -181,9 +182,10 @@ def _stopped(why: str, asked: Asked, again: str, out: Output) -> None:
 
 
 def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
+    from clampid.display import counted
     from clampid.screen import Next, Screen
 
-    counted = ", ".join(f"{count} rows of {name}" for name, count in outcome.rows.items())
+    counted = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in outcome.rows.items())
     early = [outcome.enough] if outcome.enough else []
     out.show(
         Screen(
