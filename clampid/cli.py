@@ -194,7 +194,9 @@ def _failed(error: Exception, debug: bool, arguments: Sequence[str]) -> int:
             typer.echo(worded(), err=True)
             return 2
         message = worded() + _as_list(worded(), arguments)
-        return _fail(f"{message} (see clampid --help)" if not message.endswith("?") else message, 2)
+        context = getattr(error, "ctx", None)
+        verb = "clampid" if context is None else context.command_path
+        return _fail(f"{message} (see {verb} --help)" if not message.endswith("?") else message, 2)
     if is_wrong_input(error):
         return _fail(str(error), 2)
     if type(error).__name__ == "Abort":

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 __all__ = [
     "Scale",
+    "change_text",
     "compact",
     "count_text",
+    "counted",
     "error_text",
     "fixed",
     "label_text",
@@ -164,6 +166,13 @@ def with_error(value: float, std: float, unit: str) -> str:
     return f"{told} ± {error} {symbol}".rstrip()
 
 
+def change_text(change: float, std: float, unit: str) -> str:
+    """``−52.9 ± 6.9 µm``: a change with its sign and its standard error; ``sigma`` is printed as σ."""
+    told, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
+    known = f" ± {error}" if error != "–" else ""
+    return f"{'+' if change > 0 else '−'}{told}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
+
+
 def span(low: float, high: float, unit: str) -> str:
     """``12 – 340 µm``, both to two digits in the unit that suits the larger; one number where they read the same."""
     scale = scale_for(unit, [high]) if unit or abs(high) > 1e-2 else Scale(1e6, "ppm")
@@ -204,6 +213,13 @@ def error_text(value: float | None, unit: str) -> str:
 def count_text(value: int) -> str:
     """A count, in groups of three."""
     return f"{value:,}".replace(",", _THIN)
+
+
+def counted(number: int, what: str, verb: str = "") -> str:
+    """``1 row was`` or ``13 423 rows were``: a number, what it counts, and a verb (``was``, ``lies``) that agrees."""
+    plural = {"": "", "was": " were", "is": " are", "has": " have", "lies": " lie"}
+    agrees = plural[verb] if number != 1 else f" {verb}" if verb else ""
+    return f"{count_text(number)} {what}{'' if number == 1 else 's'}{agrees}"
 
 
 def label_text(effect: str, places: Sequence[str]) -> str:

@@ -11,13 +11,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeVar
 
-__all__ = ["Listener", "in_parts", "left_in_words", "listen", "substep", "time_left"]
+__all__ = ["Listener", "Remaining", "in_parts", "left_in_words", "listen", "substep", "time_left"]
 
 T = TypeVar("T")
 Listener = Callable[[float, str], None]
 """Takes the share that is done (0 to 1) and the names of the parts that are under way, outermost first."""
 
 SOON = 4.0  # seconds
+SHORTEST_PART = 0.5  # seconds
 LEAST_DONE = 0.05  # below which the time left is anybody's guess
 
 
@@ -80,11 +81,29 @@ def time_left(done: float, elapsed: float) -> float | None:
     return None if done < LEAST_DONE else elapsed * (1.0 - done) / done
 
 
-def left_in_words(done: float, elapsed: float) -> str:
-    """``, about 40 s left``; empty where too little is done to tell."""
+class Remaining:
+    """The time left of work whose number of parts nobody knows, such as rounds of a search.
+
+    The shares of such parts shrink, and the time left would say "a few seconds" for minutes. So it is never less than
+    the part took that ended last.
+    """
+
+    def __init__(self) -> None:
+        self._last, self._part = 0.0, 0.0
+
+    def words(self, done: float, elapsed: float) -> str:
+        """As :func:`left_in_words`, where a part begins ``elapsed`` seconds after the work did."""
+        took, self._last = elapsed - self._last, elapsed
+        self._part = took if took >= SHORTEST_PART else self._part  # a part within a part begins with it
+        return left_in_words(done, elapsed, self._part)
+
+
+def left_in_words(done: float, elapsed: float, least: float = 0.0) -> str:
+    """``, about 40 s left``; empty where too little is done to tell. ``least``: seconds that are left at least."""
     left = time_left(done, elapsed)
     if left is None:
         return ""
+    left = max(left, least)
     if left < SOON:
         return ", a few seconds left"
     return f", about {left:.0f} s left" if left < 90 else f", about {left / 60:.0f} min left"

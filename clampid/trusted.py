@@ -44,7 +44,8 @@ def source_of(path: str | Path) -> bytes:
     try:
         if not Path(path).is_file():
             raise EffectError(
-                f"{path}: expected a Python file that defines EFFECT, found none; say where it is by --effects-from"
+                f"{path}: expected a Python file that defines EFFECT, found no such file (it can be given as "
+                "--effects-from FILE.py)"
             )
         with open(path, "rb") as file:
             source = file.read(MAX_BYTES + 1)

@@ -98,9 +98,10 @@ def _repeats(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
     whole = stale & np.r_[False, np.all(np.diff(tau, axis=0) == 0.0, axis=1)]
     if whole.any():
         row = int(np.flatnonzero(whole)[0]) + 1
+        count = np.count_nonzero(whole)
         message = (
-            f"{np.count_nonzero(whole)} rows repeat positions and torques of the row before while the robot moves, "
-            f"first row {row}: samples were lost, and the last one written again"
+            f"{count} {'row repeats' if count == 1 else 'rows repeat'} positions and torques of the row before while "
+            f"the robot moves, first row {row}: samples were lost, and the last one written again"
         )
         yield Finding("warning", table, "q1_rad", row, message)
         return

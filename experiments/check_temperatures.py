@@ -76,7 +76,8 @@ def _gaps(table: str, name: str, frame: pd.DataFrame, extract: bool) -> Iterator
     values, known = readings(frame, name)
     bridged, lost = int((known & ~read).sum()), int((~known).sum())
     if bridged:
-        message = f"{bridged} rows have no reading, first row {first}; interpolated in time over gaps up to {GAP_S:g} s"
+        rows = "row has" if bridged == 1 else "rows have"
+        message = f"{bridged} {rows} no reading, first row {first}; interpolated in time over gaps up to {GAP_S:g} s"
         yield Finding("note", table, name, first, message)
     if lost:
         row = int(np.flatnonzero(~known)[0]) + 1

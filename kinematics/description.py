@@ -79,7 +79,8 @@ def load_robot(name_or_path: str | Path, relative_to: Path | None = None) -> Rob
         return _parse(str(path), _read(path))
     known = robot_names()
     if name not in known:
-        near = get_close_matches(name, known, n=1, cutoff=0.5)
+        begun = [whole for whole in known if name and whole.startswith(name)]
+        near = begun or get_close_matches(name, known, n=1, cutoff=0.5)
         hint = f"; did you mean {near[0]}?" if near else ""
         raise DescriptionError(
             f"robot {name!r}: expected a path to a .toml or .urdf file or one of {', '.join(known)}{hint}"

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from clampid.diagnosis.look import ABLE
+from clampid.display import counted
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
 from clampid.stages.rows import Rows
@@ -134,7 +135,7 @@ def above_floor(
             0, f"the poses are few: the error of the estimates alone brings the floor to {few:.2g} times itself"
         )
     if outliers:
-        reasons.append(f"{outliers} rows were rejected as outliers, and others may be wrong by less")
+        reasons.append(f"{counted(outliers, 'row', 'was')} rejected as outliers, and others may be wrong by less")
     reasons.append("effects below their detection limits, or that cannot be tested here, may add up")
     return {
         "times_floor": after / floor,

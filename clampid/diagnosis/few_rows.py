@@ -55,6 +55,6 @@ def refuse_unjudged(fitted: FittedStage, verified: bool) -> None:
     numbers, told = freedom_of(estimate)
     raise FitError(
         "poses: expected measured numbers of which four fifths are more than the parameters that they determine, "
-        f"found {numbers} and {told}: too few degrees of freedom are left to tell a missing effect from the "
+        f"found {numbers} and {told}: too few degrees of freedom are left to separate a missing effect from the "
         "error of the fit; measure more poses, or a table verification"
     )

@@ -16,7 +16,16 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from clampid.exports.determined import hold_undetermined
-from clampid.exports.form_error import CHECKED, FormError, LeftOut, form_error, left_out, measured_error, postures
+from clampid.exports.form_error import (
+    CHECKED,
+    FormError,
+    LeftOut,
+    Measured,
+    form_error,
+    left_out,
+    measured_error,
+    postures,
+)
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError
@@ -55,8 +64,8 @@ class KukaExport:
         What the nominal machine data leave of it, with the best base and flange.
     whole
         What these data leave of the whole model.
-    measured
-        What a controller with these data alone leaves of measured poses, in a sentence; empty without a campaign.
+    on_points
+        What a controller with these data alone leaves of measured points; None without a campaign.
     """
 
     data: MachineData
@@ -64,7 +73,7 @@ class KukaExport:
     left: FormError
     nominal: FormError
     whole: LeftOut
-    measured: str = ""
+    on_points: Measured | None = None
 
 
 def kuka_machine_data(
@@ -129,15 +138,14 @@ def kuka_machine_data(
     def form(q: Array) -> Array:
         return np.asarray(forward(data, q))
 
-    measured = ""
-    if campaign is not None:
-        measured = f"These data alone leave {measured_error(form, model, session, campaign)}"
+    on_points = None if campaign is None else measured_error(form, model, session, campaign)
     whole = left_out(
         form, model, nominal, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
     )
     said = _header(nominal.name, temperature, (left, plain), whole, lever)
-    text = machine_data_text(fitted, std, [*said, *([measured] if measured else []), ""])
-    return KukaExport(data, text, left, plain, whole, measured)
+    said += [] if on_points is None else [f"These data alone leave {on_points}"]
+    text = machine_data_text(fitted, std, [*said, ""])
+    return KukaExport(data, text, left, plain, whole, on_points)
 
 
 def _header(

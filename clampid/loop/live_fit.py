@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from clampid.catalogue import catalogue
-from clampid.display import scale_for, with_std
+from clampid.display import counted, scale_for, with_std
 from clampid.effect import EffectError
 from clampid.fitting.solve import FitError
 from clampid.identification.identify import identify
@@ -115,7 +115,9 @@ class LiveFit:
         if stage is None:
             return []
         known = sum(stage.identified)
-        head = f"After {block.name}: {rows} rows; {known} of {len(stage.slots)} parameters of {name} are known."
+        head = (
+            f"After {block.name}: {counted(rows, 'row')}; {known} of {len(stage.slots)} parameters of {name} are known."
+        )
         lines = [head, *self._parameters(stage)]
         last = next((entry for entry in reversed(model.ledger) if entry.stage == name), None)
         if last is not None and last.noise_floor > 0 and last.rms > ODD * last.noise_floor:

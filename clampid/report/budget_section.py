@@ -1,4 +1,4 @@
-"""The error budget as figures and tables, against what noise alone leaves."""
+"""The error budget as figures and tables, beside the noise floor."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _pose_blocks(data: StageData) -> list[Table | Figure]:
         at, heights = np.array([v for _, v, _ in dots]), np.array([float(k) for k, _, _ in dots])
         marks.append(Points(at, heights, "single joints and links, by number", "orange", 16, symbol="ring", tips=told))
         marks += [Label((_short(place),), v, float(k)) for k, v, place in dots]
-    marks.append(Level(1e6 * floor, "x", "noise alone"))
+    marks.append(Level(1e6 * floor, "x", "noise floor"))
     high = max([*totals, 1e6 * floor]) * 10**0.15
     panel = Panel(
         tuple(marks),
@@ -84,7 +84,7 @@ def _torque_blocks(data: StageData) -> list[Table | Figure]:
     shares = torque_budget(data)
     motors = data.channels
     floor = data.floor.sigma[:motors]
-    lines = [*shares, Share("noise alone", floor, {})]
+    lines = [*shares, Share("noise floor", floor, {})]
     across = min(motors, 6)
     named = tuple((float(k), s.name) for k, s in enumerate(lines))
     colors = ["grey" if s.name in ("torque measured", "gravity as described") else "blue" for s in shares] + ["green"]
@@ -96,7 +96,7 @@ def _torque_blocks(data: StageData) -> list[Table | Figure]:
         tips = [f"{s.name}, motor {k + 1}: {number(v, 3)} Nm" for s, v in zip(lines, values.tolist(), strict=True)]
         bars = Bars(np.where(values > tiny, values, np.nan), colors, "", tips)
         axis = Axis("", flipped=True, ticks=() if k else named)
-        level = Level(float(floor[k]), "x", "noise alone")
+        level = Level(float(floor[k]), "x", "noise floor")
         panels.append(Panel((bars, level), Axis("Nm", tiny, top, log=True), axis, f"motor {k + 1}"))
     plot = Chart(tuple(panels), 110 + 30 * len(lines), across, left=210)
     rows = [(s.name, *(number(float(v)) if v > 1e-9 else "0" for v in s.total)) for s in lines]

@@ -23,7 +23,7 @@ Json = Mapping[str, Any]
 MOST_CONSIDERED = 12
 MOST_OUTLIERS = 40
 MOST_PARAMETERS = 80
-_COMPARED = "Root mean square errors of the fitted and of the held-out rows, and what noise alone leaves."
+_COMPARED = "Root mean square errors of the fitted and of the held-out rows, and the noise floor."
 _HEADS = (
     "Effect",
     "At",
@@ -115,7 +115,7 @@ def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
         remarks.append(f"depends on {', '.join(map(str, c['depends_on']))}")
     if state != "testable":
         remarks.append(
-            f"{state}: {number(100 * float(c.get('retained') or 0.0), 2)} % of it is not taken up by the model"
+            f"{state}: the fitted parameters absorb all but {number(100 * float(c.get('retained') or 0.0), 2)} % of it"
         )
     return (
         str(c.get("effect", "")),
@@ -210,7 +210,7 @@ def comparison_table(tables: Json) -> Table:
         "Rows held out#",
         "RMS, held out#",
         "Largest#",
-        "Noise alone#",
+        "Noise floor#",
         "Known from",
     )
     return as_table(heads, rows, _COMPARED)

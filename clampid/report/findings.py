@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clampid.diagnosis.headline import listed, named
-from clampid.display import count_text, error_text, number
+from clampid.display import counted, error_text, number
 from clampid.effect import Stage
 from clampid.exports.dh_export import nominal_rows, static_table
 from clampid.models.drives import drives_of
@@ -67,10 +67,10 @@ def _measured(campaign: Campaign) -> str:
     for table, one, column in (("poses", "pose", "pose"), ("distances", "pose", "pose"), ("clamped", "sweep", "sweep")):
         if table in campaign.tables:
             count = int(campaign.tables[table][column].nunique())
-            held.append(f"{count_text(count)} {one}{'s' if count > 1 else ''}{_OF.get(table, '')}")
+            held.append(f"{counted(count, one)}{_OF.get(table, '')}")
     rows = sum(len(campaign.tables[table]) for table in ("free_air", "wrist") if table in campaign.tables)
     if rows:
-        held.append(f"{count_text(rows)} rows of motor torques")
+        held.append(f"{counted(rows, 'row')} of motor torques")
     return f"{listed(held, 4)} were measured." if held else ""
 
 
@@ -178,7 +178,7 @@ def _torque(model: Model, first: Model | None) -> str:
         if stage != "poses" and rounds:
             now = error_text(rounds[-1].heldout_rms, unit_of(stage))
             said.append(f"{now} in {stage_title(stage).partition(' (')[0].lower()}")
-    return f"Held-out torque error: {listed(said, 3)}, where noise alone leaves 1 σ." if said else ""
+    return f"Held-out torque error: {listed(said, 3)}, the noise floor is 1 σ." if said else ""
 
 
 def _drives(clamped: StageData | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from clampid.display import count_text, number
+from clampid.display import count_text, counted, number
 from clampid.models.model import Model
 from clampid.report.style import Section, as_table
 from experiments.campaign import Campaign
@@ -75,8 +75,8 @@ def _units(name: str, frame: pd.DataFrame) -> str:
         poses = frame["pose"].nunique()
         visits = len(frame[["pose", "visit"]].drop_duplicates())
         targets = frame["target"].nunique()
-        again = f", {visits - poses} returns" if visits > poses else ", no returns"
-        return f"{poses} poses{again}, {targets} target{'s' if targets != 1 else ''}"
+        again = f", {counted(visits - poses, 'return')}" if visits > poses else ", no returns"
+        return f"{counted(poses, 'pose')}{again}, {counted(targets, 'target')}"
     if name == "clamped":
         return f"{frame['sweep'].nunique()} sweeps of {frame['joint'].nunique()} joints"
     runs = frame["run"].nunique()

@@ -1,4 +1,4 @@
-"""The error falling round by round, against what noise alone leaves."""
+"""The error falling round by round, beside the noise floor."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def rounds_section(
         panels.append(_panel(stage, rounds, nominal))
         rows += _table_rows(stage, rounds, nominal)
     plot = Chart(tuple(panels), 440)
-    table = as_table(("Stage", "Round", "Fitted#", "Held out#", "Noise alone#"), rows)
+    table = as_table(("Stage", "Round", "Fitted#", "Held out#", "Noise floor#"), rows)
     norms = ["Poses: norm of the position error."] if any(s == "poses" for s, _ in listed) else []
     if any(s != "poses" for s, _ in listed):
         norms.append("Torques: in units of each motor's noise, so that the floor is 1.")
@@ -74,7 +74,7 @@ NOMINAL = "robot as described, base and targets fitted"
 
 
 def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Panel:
-    """One stage: error on rows fitted and held out, round by round, above what noise alone leaves."""
+    """One stage: error on rows fitted and held out, round by round, above the noise floor."""
     factor, unit = (1e6, "m") if stage == "poses" else (1.0, "sigma")
     at = np.arange(len(rounds), dtype=float)
     fit, held, floor = (
@@ -82,7 +82,7 @@ def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Pane
     )
     start = -1.0 if nominal is not None else 0.0
     marks: list[Mark] = [
-        Line(np.r_[start - 0.3, at, at[-1] + 0.3], np.r_[floor[0], floor, floor[-1]], "noise alone", "green", 2, "6 4"),
+        Line(np.r_[start - 0.3, at, at[-1] + 0.3], np.r_[floor[0], floor, floor[-1]], "noise floor", "green", 2, "6 4"),
         _line(at, fit, "rows fitted", "blue", "circle", [error_text(v / factor, unit) for v in fit.tolist()]),
         _line(at, held, "rows held out", "orange", "square", [error_text(v / factor, unit) for v in held.tolist()]),
     ]

@@ -58,20 +58,20 @@ def _fall(model: Model, first: Model | None, stage: Stage, found: Json | None, c
         went = f"{'fell' if change < 1 else 'rose'} from {ends[0]} to {ends[1]}"
         if abs(change - 1) < 0.005:
             went = f"stayed at {ends[1]}"
-        return f"The error on rows that no fit saw {went}; noise alone leaves {floor}."
+        return f"The held-out error {went}; the noise floor is {floor}."
     if found and found.get("candidates"):
         ends = [error_text(found.get(f"heldout_rms_{when}"), unit) for when in ("before", "after")]
         floor = error_text(found.get("noise_floor"), unit)
         fall = f"the held-out error falls from {ends[0]} to {ends[1]}"
-        return f"With the candidates below, {fall}; noise alone leaves {floor}."
+        return f"With the candidates below, {fall}; the noise floor is {floor}."
     table = _compared(comparison, stage)
     if table is not None:
         held = (table.get("heldout") or {}).get("rms", table.get("rms"))
         floor = error_text(table.get("noise_floor"), unit)
-        return f"The error on rows that no fit saw is {error_text(held, unit)}; noise alone leaves {floor}."
+        return f"The held-out error is {error_text(held, unit)}; the noise floor is {floor}."
     if rounds:
         held, floor = error_text(rounds[-1].heldout_rms, unit), error_text(rounds[-1].noise_floor, unit)
-        return f"The error on rows that no fit saw is {held}; noise alone leaves {floor}."
+        return f"The held-out error is {held}; the noise floor is {floor}."
     return ""
 
 

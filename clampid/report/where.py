@@ -29,7 +29,7 @@ EDGE = 0.97  # of an axis
 def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | None:
     """Section "Where it fails"."""
     blocks: list[Any] = []
-    finding = ""
+    most: list[tuple[str, str, float, float]] = []
     for stage, data in stages.items():
         variables = variables_of(data)
         if not variables or not data.good.any():
@@ -37,8 +37,7 @@ def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | Non
         shares, chance = explained(data, variables, seed)
         order = sorted(range(len(variables)), key=lambda k: -shares[k])
         rows = [(variables[k].title, _percent(shares[k]), _percent(chance)) for k in order[:LISTED]]
-        if not finding or stage == "poses":
-            finding = _finding(variables[order[0]].title, shares[order[0]], chance)
+        most.append((stage_title(stage), variables[order[0]].title, shares[order[0]], chance))
         blocks.append(stage_title(stage))
         blocks.append(
             as_table(
@@ -49,15 +48,20 @@ def where_section(stages: Mapping[Stage, StageData], seed: int) -> Section | Non
         )
         blocks.append(_against(data, variables, order))
         blocks.append(sizes_figure(data))
-    return Section("where", "Where it fails", (), tuple(blocks), finding=finding) if blocks else None
+    return Section("where", "Where it fails", (), tuple(blocks), finding=_finding(most)) if blocks else None
 
 
-def _finding(title: str, share: float, chance: float) -> str:
-    """On what the residual depends most, in one sentence."""
-    if not share > chance:
+def _finding(most: Sequence[tuple[str, str, float, float]]) -> str:
+    """On what the residual of each stage depends most, in one sentence: title, variable, share and chance of each."""
+    beyond = [
+        f"{stage} on {variable.rpartition(', ')[0] or variable} ({_percent(share)} of the variance, by chance up to "
+        f"{_percent(chance)})"
+        for stage, variable, share, chance in most
+        if share > chance
+    ]
+    if not beyond:
         return "The residual depends on no recorded variable beyond chance."
-    what, part = title.rpartition(", ")[0] or title, _percent(share)
-    return f"The residual depends most on {what}: {part} of its variance, where chance gives up to {_percent(chance)}."
+    return f"Residuals depend on a recorded variable beyond chance: {'; '.join(beyond)}."
 
 
 def _beyond(shares: Sequence[float], chance: float) -> str:

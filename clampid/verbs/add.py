@@ -68,14 +68,13 @@ def add(
 
 def _risen(data: Mapping[str, Any], stages: Sequence[str]) -> str:
     """That the error has risen, by stage, and how to go on all the same."""
-    from clampid.display import error_text
+    from clampid.display import change_text, error_text
 
     said = []
     for stage in stages:
         part = data["stages"][stage]
         before, after = (error_text(part[f"heldout_rms_{when}"], part["unit"]) for when in ("before", "after"))
-        rise = error_text(part["heldout_rise"], part["unit"])
         std = part["heldout_rise_std"]
-        known = "" if std is None else f" ± {error_text(std, part['unit'])}"
-        said.append(f"{stage}: the held-out error would rise from {before} to {after} (by {rise}{known})")
+        rise = change_text(part["heldout_rise"], 0.0 if std is None else std, part["unit"])
+        said.append(f"{stage}: the held-out error would rise from {before} to {after} ({rise})")
     return f"{'; '.join(said)}; nothing is written. To go on all the same: --accept-worse"

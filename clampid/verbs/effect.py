@@ -73,13 +73,21 @@ def trust(
     quiet: Quiet = False,
 ) -> None:
     """Let models run the code of an effect file without --effects-from, as long as the file is not changed."""
+    from clampid.screen import Next, Screen
     from clampid.trusted import distrust, trust_file
     from clampid.trusted import trust as trust_effect
 
     out = Output(quiet)
     if remove:
-        out.say(f"no longer trusted: {file}" if distrust(file) else f"was not trusted: {file}")
+        out.say(f"{file} is no longer trusted." if distrust(file) else f"{file} was not trusted.")
         return
     mark = trust_effect(file)
-    out.say(f"trusted: {file} (SHA-256 {mark[:16]}…, listed in {trust_file()})")
-    out.say("a model that names it runs it now; once the file is changed, it has to be trusted again")
+    look = shlex.join(["clampid", "effects", "--effects-from", str(file)])
+    out.show(
+        Screen(
+            f"Trusted {file}: a model that names this file runs it now.",
+            facts=(("SHA-256", f"{mark[:16]}…"), ("listed in", str(trust_file()))),
+            notes=("Once the file is changed, it has to be trusted again.",),
+            next=(Next("Next, list the effects that are known with it:", look),),
+        )
+    )

@@ -84,7 +84,9 @@ def _all(found: Mapping[str, Effect]) -> Screen:
 
 def _one(effect: Effect) -> Screen:
     from clampid.screen import Next, Screen
+    from kinematics.sources import load_sources
 
+    titles = load_sources()
     facts = [
         ("family", effect.family),
         ("acts in", ", ".join(f"{stage} ({STAGES[stage]})" for stage in effect.stages)),
@@ -95,11 +97,11 @@ def _one(effect: Effect) -> Screen:
         facts.append((p.name, " ".join(filter(None, (f"[{p.unit or '1'}] for each {p.per}:", p.meaning)))))
     if many:
         facts.append(("…", f"{len(effect.parameters)} parameters in all"))
-    facts += [("needs", ", ".join(effect.needs)), ("source", ", ".join(effect.source))]
+    facts += [("needs", ", ".join(effect.needs)), ("source", "; ".join(titles.get(key, key) for key in effect.source))]
     return Screen(
         f"{effect.name}: {in_words(effect)}",
         facts=tuple(facts),
-        next=(Next("All effects:", "clampid effects"),),
+        next=(Next("Next, list all effects:", "clampid effects"),),
     )
 
 

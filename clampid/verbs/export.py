@@ -98,7 +98,7 @@ def dh(
         _written(found.text if layout == "csv" else thesis_layout(found, nominal), output)
     _by_convention(loaded, out)
     _extrapolating(loaded, temperature, out)
-    further = () if output is None or campaign else _measured_next(model, output, loaded.sessions[session - 1].name)
+    further = () if output is None else _after("dh", model, output, campaign, loaded.sessions[session - 1].name)
     _tell("DH table", found, output, out, further)
 
 
@@ -120,10 +120,12 @@ def angles(
     from clampid.exports.dh_export import table_text
     from clampid.models.model import load_model
 
-    text = table_text(angle_table(load_model(model), robot=_robot(robot), effects_from=effects_from))
-    if not _written(text, output):
+    table = angle_table(load_model(model), robot=_robot(robot), effects_from=effects_from)
+    if not _written(table_text(table), output) or output is None:
         return
-    out.say(f"angle errors: {output}; arm less controller, with standard errors")
+    from clampid.verbs.export_screen import angles_screen, use_next
+
+    out.show(angles_screen(table, output, use_next(model)))
 
 
 @export.command(short_help="The calibrated chain as URDF.")
@@ -155,7 +157,7 @@ def urdf(
         user_effects=effects_from,
     )
     _written(found.text, output)
-    _tell("URDF", found, output, out)
+    _tell("URDF", found, output, out, _after("urdf", model, output, campaign, loaded.sessions[session - 1].name))
     _extrapolating(loaded, temperature, out)
 
 
@@ -201,15 +203,12 @@ def kuka(
         user_effects=effects_from,
     )
     _extrapolating(loaded, temperature, out)
-    if not _written(found.text, output):
+    if not _written(found.text, output) or output is None:
         return
-    out.say(f"machine data: {output}; static geometry at {temperature:g} degC")
-    out.say(f"what this form alone leaves: {found.left}")
-    out.say(f"what nominal machine data leave: {found.nominal}")
-    out.say(f"not in it: {found.whole.worth}")
-    out.say(str(found.whole))
-    if found.measured:
-        out.say(found.measured)
+    from clampid.verbs.export_screen import kuka_screen
+
+    further = _after("kuka", model, output, campaign, loaded.sessions[session - 1].name)
+    out.show(kuka_screen(found, temperature, output, further))
 
 
 @export.command(short_help="Base parameters of gravity and inertia as JSON.")
@@ -245,11 +244,11 @@ def dynamics(
         load_model(model), consistent=consistent, campaign=log, robot=_robot(robot), user_effects=effects_from
     )
     text = json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-    if not _written(text, output):
+    if not _written(text, output) or output is None:
         return
-    for line in _told(found):
-        out.say(line)
-    out.say(f"dynamics: {output}")
+    from clampid.verbs.export_screen import dynamics_screen
+
+    out.show(dynamics_screen(_consistent_arm(found), len(found["base_parameters"]), output, model))
 
 
 def _read(folder: Path | None) -> Campaign | None:
@@ -271,16 +270,20 @@ def _tell(kind: str, found: Exported, output: Path | None, out: Output, further:
     out.result({"file": None if output is None else str(output), **found.to_json()})
 
 
-def _measured_next(model: Path, output: Path, name: str) -> tuple[Next, ...]:
-    """The command that says what a table alone leaves of the points that the model was fitted on."""
+def _after(form: str, model: Path, output: Path, campaign: Path | None, name: str) -> tuple[Next, ...]:
+    """What to type next: say what the file alone leaves of the fitted points, or use the whole model."""
     from clampid.screen import Next
+    from clampid.verbs.export_screen import use_next
     from clampid.verbs.next_step import free_name
+
+    if campaign is not None:
+        return use_next(model)
 
     beside = model.parent / name
     folder = beside if (beside / "campaign.toml").is_file() else Path(name)
     target = str(free_name(output))
-    command = shlex.join(["clampid", "export", "dh", str(model), "--campaign", str(folder), "-o", target])
-    return (Next("Next, see what the table alone leaves of the measured points:", command),)
+    command = shlex.join(["clampid", "export", form, str(model), "--campaign", str(folder), "-o", target])
+    return (Next("Next, see what the file alone leaves of the measured points:", command),)
 
 
 def _by_convention(model: Model, out: Output) -> None:
@@ -307,10 +310,10 @@ def _extrapolating(model: Model, temperature: float, out: Output) -> None:
         out.warn(f"warning: extrapolating: {extrapolating_text([found.to_json() for found in beyond])}")
 
 
-def _told(found: Mapping[str, Any]) -> list[str]:
-    """What the consistent arm is and what it costs, in a few lines."""
+def _consistent_arm(found: Mapping[str, Any]) -> list[str]:
+    """What the consistent arm is and what it costs, in a few lines; none where it was not asked for."""
     if "links" not in found:
-        return [f"{len(found['base_parameters'])} base parameters"]
+        return []
     lines = [
         f"link {link['link']}: {link['mass_kg']:.3g} kg at ({', '.join(f'{1e3 * c:.0f}' for c in link['com_m'])}) mm"
         for link in found["links"]

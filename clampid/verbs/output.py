@@ -131,7 +131,9 @@ class _ProgressLines:
     """Plain lines about the parts of a long step, at most one every :data:`LINES_APART` seconds."""
 
     def __init__(self, say: Callable[[str], None], text: str) -> None:
-        self.say, self.text = say, text
+        from clampid.progress import Remaining
+
+        self.say, self.text, self.remaining = say, text, Remaining()
         self.start = self.last = time.monotonic()
 
     @property
@@ -141,13 +143,12 @@ class _ProgressLines:
 
     def heard(self, done: float, names: str) -> None:
         """A part begins."""
-        from clampid.progress import left_in_words
-
         now = time.monotonic()
+        left = self.remaining.words(done, now - self.start)
         if now - self.last >= LINES_APART:
             self.last = now
             part = f"{self.text}: {names}" if names else self.text
-            self.say(f"  {part}; {now - self.start:.0f} s so far{left_in_words(done, now - self.start)}")
+            self.say(f"  {part}; {now - self.start:.0f} s so far{left}")
 
 
 def finite(data: Any) -> Any:

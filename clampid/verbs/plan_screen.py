@@ -1,7 +1,8 @@
-"""How the verbs of ``clampid plan`` begin and end: the file to write, refusals, and what the plan will tell."""
+"""How the verbs of ``clampid plan`` begin and end: the file to write, refusals, and what the plan will identify."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,19 +40,20 @@ def refusals() -> Iterator[None]:
 
 
 def finish(made: Plan, output: Path, out: Output, what: str, notes: Sequence[str] = (), **more: Any) -> None:
-    """Write the plan, and say what it is and what it will tell."""
+    """Write the plan, and say what it is and what it will identify."""
     from experiments.plans.write import write_plan
 
     write_plan(made, output)
     if made.expected is not None:
-        _tell(made.expected, out)
+        _show(made.expected, out)
     out.show(_screen(made, output, what, notes))
     out.result(_as_json(made, output) | more)
 
 
 def _screen(made: Plan, output: Path, what: str, said: Sequence[str]) -> Screen:
     """What was planned, and what it will identify."""
-    from clampid.screen import Screen
+    from clampid.screen import Next, Screen
+    from clampid.verbs.next_step import free_name
 
     facts = [("assumed", sentence) for sentence in made.assumed]
     verdict, notes = "", list(said)
@@ -59,25 +61,32 @@ def _screen(made: Plan, output: Path, what: str, said: Sequence[str]) -> Screen:
         known = sum(p.identified for p in made.expected.parameters)
         verdict = f"It identifies {known} of {len(made.expected.parameters)} parameters."
         notes += [f"not identified: {sentence}" for sentence in made.expected.not_identified]
+    look = shlex.join(["clampid", "run", str(output), "-o", str(free_name(Path("measured"))), "--dry-run"])
     return Screen(
-        f"Wrote {output}: {made.kind} of {made.cell.robot.name}, {what}, {made.duration / 60:.1f} min.",
+        f"Wrote {output}: {made.kind} of {made.cell.robot.name}, {what}, {_time(made.duration)}.",
         facts=tuple(facts),
         verdict=verdict,
         notes=tuple(notes),
         more="Expected errors of all parameters: --verbose, --json FILE." if verdict else "",
+        next=(Next("Next, see what would move, without a robot:", look),),
     )
 
 
-def _tell(expected: Expected, out: Output) -> None:
-    """What a plan will tell, for people."""
+def _time(seconds: float) -> str:
+    """Minutes, and from two hours on hours."""
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _show(expected: Expected, out: Output) -> None:
+    """What a plan will identify, for people."""
     from clampid.fitting.observability import index_words
 
     out.say(index_words(expected.indices))
     rows = []
     for p in expected.parameters:
         scale = scale_for(p.unit, [min(p.std, p.size)])
-        told = (number(v * scale.factor, 2) for v in (p.std, p.size))
-        rows.append((p.name, scale.unit, *told, "" if p.identified else "not identified"))
+        shown = (number(v * scale.factor, 2) for v in (p.std, p.size))
+        rows.append((p.name, scale.unit, *shown, "" if p.identified else "not identified"))
     out.table("", ("parameter", "unit", "expected error", "plausible size", ""), rows, left=2)
     for sentence in expected.not_identified:
         out.say(f"not identified: {sentence}")

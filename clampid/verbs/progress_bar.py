@@ -6,7 +6,7 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from clampid.progress import left_in_words
+from clampid.progress import Remaining
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,13 +24,14 @@ class ProgressBar:
 
         columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}")
         self._bar = Progress(*columns, console=console, transient=True)
-        self._text, self._start = text, time.monotonic()
+        self._text, self._start, self._remaining = text, time.monotonic(), Remaining()
         self._task = self._bar.add_task(text, total=None, left="")
 
     def heard(self, done: float, names: str) -> None:
         """A part begins."""
         elapsed = time.monotonic() - self._start
-        left = left_in_words(done, elapsed).removeprefix(", ") if elapsed >= SHORTEST else ""
+        words = self._remaining.words(done, elapsed).removeprefix(", ")
+        left = words if elapsed >= SHORTEST else ""
         total = 1.0 if done > 0 else None
         self._bar.update(self._task, description=f"{self._text}: {names}", total=total, completed=done, left=left)
 

@@ -11,7 +11,7 @@ import typer
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet
-from clampid.verbs.output import Output, output_file
+from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
     from experiments.campaign import Campaign
@@ -64,13 +64,16 @@ def run(
         int, typer.Option(min=1, metavar="N", help="With --adaptive: at most so many more visits, runs or sweeps.")
     ] = 20,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="No robot: list every motion, and draw CAMPAIGN.dry-run.svg.")
+        bool, typer.Option("--dry-run", help="No robot: say what would move, and draw CAMPAIGN.dry-run.svg.")
     ] = False,
     json: Json = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="With --dry-run: list every motion, too.", show_default=False)
+    ] = False,
     quiet: Quiet = False,
 ) -> None:
     """Run a measurement campaign on a robot; every row is on the disk before the next motion."""
-    out = Output(quiet, json, verbose=dry_run)
+    out = Output(quiet, json, verbose)
 
     from clampid.loop.until import parse_until
     from experiments.instruments import InstrumentError, instrument_of
@@ -86,7 +89,9 @@ def run(
     plan = read_plan(plan_file)
     conditions = () if until is None else parse_until(until)
     if dry_run:
-        _dry(plan, plan_file, output, out)
+        from clampid.verbs.dry_run import dry_run as show_motions
+
+        show_motions(plan, plan_file, output, out)
         return
     if link is None:
         raise CallError("--link: expected the robot's address (or --dry-run), found none")
@@ -160,11 +165,12 @@ def _progress(asked: Asked, plan: Plan, out: Output) -> Any:
 
 
 def _stopped(why: str, asked: Asked, again: str, out: Output) -> None:
+    from clampid.display import counted
     from clampid.screen import Next, Screen
     from experiments.runs.folder import tables_of
 
     rows = {} if asked.journal is None else {k: len(v) for k, v in tables_of(asked.journal.entries).items()}
-    kept = ", ".join(f"{count} rows of {name}" for name, count in rows.items()) or "nothing yet"
+    kept = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in rows.items()) or "nothing yet"
     out.show(
         Screen(
             f"Stopped before the end: {why}.",
@@ -176,13 +182,14 @@ def _stopped(why: str, asked: Asked, again: str, out: Output) -> None:
 
 
 def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
+    from clampid.display import counted
     from clampid.screen import Next, Screen
 
-    counted = ", ".join(f"{count} rows of {name}" for name, count in outcome.rows.items())
+    rows = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in outcome.rows.items())
     early = [outcome.enough] if outcome.enough else []
     out.show(
         Screen(
-            f"Ran {plan_file} and wrote {output}: {counted}.",
+            f"Ran {plan_file} and wrote {output}: {rows}.",
             notes=(*early, *outcome.notes, *(f"skipped: {text}" for text in outcome.skipped)),
             next=(
                 Next("Next, fit a model:", shlex.join(["clampid", "identify", str(output), "-o", f"{output}.json"])),
@@ -206,55 +213,3 @@ def _words(plan: Path, output: Path, given: Mapping[str, str | None], adaptive: 
     for name, value in given.items():
         words += [] if value is None else [name, value]
     return shlex.join([*words, *(["--adaptive", "--budget", str(budget)] if adaptive else [])])
-
-
-def _dry(plan: Plan, plan_file: Path, output: Path, out: Output) -> None:
-    """List what would move, and draw it."""
-    import math
-
-    from clampid.screen import Next, Screen
-    from experiments.outputs import write_text
-    from experiments.runs.dry import motions
-    from experiments.runs.picture import picture
-
-    steps = list(motions(plan))
-    svg = output.with_name(f"{output.name}.dry-run.svg")
-    write_text(output_file(svg, "a picture (SVG)"), picture(plan, steps))
-    rows = [
-        (
-            s.name,
-            s.measured,
-            f"{s.start:.1f}",
-            f"{s.duration:.1f}",
-            f"{s.share:.0%}",
-            f"{math.degrees(s.travel):.2f}",
-            s.limit,
-        )
-        for s in steps
-    ]
-    out.table("", ("motion", "measured", "at s", "takes s", "speed", "turns deg", "nearest limit"), rows, left=2)
-    seconds = steps[-1].start + steps[-1].duration
-    place = plan.cell.robot.name
-    out.show(
-        Screen(
-            f"{plan_file} would make {len(steps)} motions of {place} in {seconds / 60:.1f} min; nothing has moved.",
-            facts=(("picture", str(svg)),),
-            next=(
-                Next(
-                    "Next, run it:", f"clampid run {shlex.quote(str(plan_file))} -o {shlex.quote(str(output))} --link …"
-                ),
-            ),
-        )
-    )
-    out.result(
-        {
-            "plan": str(plan_file),
-            "picture": str(svg),
-            "duration_s": seconds,
-            "motions": [
-                {"name": s.name, "to_rad": s.to.tolist(), "start_s": s.start, "duration_s": s.duration,
-                 "speed_share": s.share, "measured": s.measured, "limit": s.limit}
-                for s in steps
-            ],
-        }
-    )  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
-from clampid.display import error_text
+from clampid.display import change_text, counted, error_text
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.verbs.show import weights_text
 
@@ -155,7 +155,7 @@ def comparison_screen(
         if far and far["share"]:
             said.append(f"{name}: {100 * far['share']:.0f} % of held-out rows stand at joint angles no pose was near.")
         if wrong := (table.get("heldout") or {}).get("outliers"):
-            said.append(f"{name}: {len(wrong)} held-out rows were left out as wrong.")
+            said.append(f"{name}: {counted(len(wrong), 'held-out row', 'was')} rejected as outliers.")
     if (data.get("compensation") or {}).get("summary"):
         said.append(f"poses: {data['compensation']['summary']}")
     verdict, tone = _judged(judged)
@@ -257,8 +257,7 @@ def addition_screen(data: Json, done: str, steps: Sequence[Next]) -> Screen:
         elif rise > 0:
             worse.append(name)
         if std is not None:
-            size, error = error_text(abs(rise), part["unit"]), error_text(std, part["unit"])
-            facts.append((f"{name}:", f"held-out error {'+' if rise > 0 else '−'}{size} ± {error} (standard error)"))
+            facts.append((f"{name}:", f"paired change of the held-out error {change_text(rise, std, part['unit'])}"))
     first = next(iter(data["stages"].values()))
     ends = [error_text(first[key], first["unit"]) for key in KEYS]
     if worse:
@@ -310,11 +309,11 @@ def history_screen(rounds: Sequence[Json], model: Path) -> Screen:
         what = f"+ {listed(_once(r['added']), 2)}" if r["added"] else listed(_once(r["effects"]), 2)
         rows.append((f"{k} {r['stage']}", errors, what.replace("_", " ")))
     left = len(rounds) - most
-    said = (f"{left} earlier rounds: --verbose.",) if left > 0 else ()
+    said = (f"{counted(left, 'earlier round')}: --verbose.",) if left > 0 else ()
     last = {r["stage"]: r for r in rounds}
     verdict, tone = _judged([(name, r["heldout_rms"], r["noise_floor"]) for name, r in last.items()])
     return Screen(
-        f"{model}: {len(rounds)} rounds.",
+        f"{model}: {counted(len(rounds), 'round')}.",
         Errors(_title([r["stage"] for r in rounds], "Error (rms)"), ("fitted", "held out", "noise floor"),
                tuple(rows[-most:])),
         (),

@@ -51,7 +51,7 @@ def virtual_robot(
     ] = None,
     truth: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.json", help="Where to tell what is hidden and what moved.", show_default=False),
+        typer.Option(metavar="FILE.json", help="Where to write what is hidden and what moved.", show_default=False),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -39,13 +40,14 @@ def worked_example(
     _show_springs(result, output)
     show_drives(result.drives, output)
     _show_example(result, output)
-    output.show(_screen(result))
+    output.show(_screen(result, out))
     output.result(result.to_json())
 
 
-def _screen(result: WorkedExample) -> Screen:
+def _screen(result: WorkedExample, kept: Path | None) -> Screen:
     """The springs and the displacement, printed and found."""
-    from clampid.screen import Screen
+    from clampid.screen import Next, Screen
+    from clampid.verbs.next_step import free_name
 
     facts = []
     for j, printed in enumerate(result.printed_spring):
@@ -56,10 +58,13 @@ def _screen(result: WorkedExample) -> Screen:
         ("whole matrix", result.printed_full, result.full),
     ):
         facts.append((what, f"printed {1e6 * printed:.2f}, found {1e6 * value:.2f} ± {1e6 * std:.2f} µm"))
+    again = shlex.join(["clampid", "worked-example", "--out", str(free_name(Path("thesis")))])
+    look = shlex.join(["clampid", "check", str(kept)])
     return Screen(
         "Simulated a clamped campaign with the thesis' springs, and worked its example out from what was identified.",
         facts=tuple(facts),
         more="Clearances, friction and the compliance matrix: --verbose, --json FILE.",
+        next=(Next("Next, keep the campaign:", again) if kept is None else Next("Next, see what it holds:", look),),
     )
 
 

@@ -97,15 +97,15 @@ def check_torque_unit(
     gear = np.asarray(gravity_regressor(robot.screws, q @ robot.linkage.T, gravity) @ phi) @ robot.linkage
     motor = gear @ robot.transmission.T
     motor_slope, gear_slope = _slopes(motor, y), _slopes(gear, y)
-    told = np.isfinite(motor_slope) & np.isfinite(gear_slope)
-    if not told.any():
-        raise ValueError("weight: expected postures in which gravity loads an axis differently, found none that tell")
+    loaded = np.isfinite(motor_slope) & np.isfinite(gear_slope)
+    if not loaded.any():
+        raise ValueError("weight: expected postures in which gravity loads an axis differently, found none that do")
     for side, slope in (("motor", motor_slope), ("gear", gear_slope)):
-        if np.all((slope[told] > 1 / FACTOR) & (slope[told] < FACTOR)):
-            found = ", ".join(f"{k:.2f}" for k in slope[told])
+        if np.all((slope[loaded] > 1 / FACTOR) & (slope[loaded] < FACTOR)):
+            found = ", ".join(f"{k:.2f}" for k in slope[loaded])
             return WeightCheck("Nm", side, motor_slope, gear_slope, f"Nm at the {side}: {found} of the robot's weight")
-    axes = " and ".join(str(k + 1) for k in np.flatnonzero(told))
-    values = ", ".join(f"{1 / k:.3g}" for k in motor_slope[told])
+    axes = " and ".join(str(k + 1) for k in np.flatnonzero(loaded))
+    values = ", ".join(f"{1 / k:.3g}" for k in motor_slope[loaded])
     words = f"not Nm: by the robot's weight one unit is {values} Nm of the motor at axis {axes}"
     return WeightCheck(None, None, motor_slope, gear_slope, words)
 

@@ -33,7 +33,7 @@ def compared_places(plan: Plan, entries: Sequence[Mapping[str, Any]]) -> Iterato
     if frame is None:
         return
     if len({sweep.clamping for sweep in plan.sweeps}) < 2:
-        yield "The flange was clamped in one place only: whether the block yields cannot be told from stiff springs."
+        yield "The flange was clamped in one place only: a yielding block cannot be separated from soft springs."
         return
     found: dict[int, dict[int, list[tuple[float, float]]]] = {}
     for number, sweep in enumerate(plan.sweeps, 1):

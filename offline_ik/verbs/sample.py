@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet
+from clampid.screen import Next, Screen
+from clampid.verbs.options import EffectsFrom, Json, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 from clampid.verbs.units import Degrees, Millimetres, Units
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
@@ -46,10 +48,11 @@ def sample(
     mm: Millimetres = False,
     effects_from: EffectsFrom = None,
     json: Json = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:  # fmt: skip
     """Find the scattering point from Bragg reflections found on the detector, with its standard errors."""
-    out = Output(quiet, json)
+    out = Output(quiet, json, verbose)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # a few postures come sooner than a compiled kernel
     from offline_ik.errors import TargetError
     from offline_ik.peak_table import read_peaks, wavelength_of
@@ -68,26 +71,14 @@ def sample(
     say_assumed(detector, out)
     for note in result.notes:
         out.warn(f"note: {note}")
-    _show(result, units, out)
+    _show(result, units, model, cell, out)
     out.result(result.to_json())
 
 
-def _show(result: SampleFound, units: Units, out: Output) -> None:
+def _show(result: SampleFound, units: Units, model: Path, cell: Path | None, out: Output) -> None:
     from offline_ik.peak_wording import LAB
 
     position, convention = result.position, result.convention
-    out.say(f"scattering point, found from {len(result.points)} reflections; the cell's is {convention['sample_m']} m")
-    shift = [value - given for value, given in zip(position.sample.tolist(), convention["sample_m"], strict=True)]
-    found = [*zip("xyz", position.sample.tolist(), shift, position.std.tolist(), strict=True)]
-    rows = [
-        (axis, f"{1e3 * at:.4f}" if units.millimetres else f"{at:.7f}", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}")
-        for axis, at, moved, std in found
-    ]
-    rows += [
-        (axis, "", f"{1e3 * moved:+.4f}", f"{1e3 * std:.4f}")
-        for axis, moved, std in zip(LAB, result.shift.tolist(), result.std.tolist(), strict=True)
-    ]
-    out.table("", (f"frame {convention['frame']}", units.distance_unit, "from the cell's / mm", "std / mm"), rows)
     shown = zip(
         result.names, position.residuals.tolist(), position.stated.tolist(), position.checks.tolist(), strict=True
     )
@@ -96,7 +87,28 @@ def _show(result: SampleFound, units: Units, out: Output) -> None:
         [(name, f"{1e6 * left:.1f}", f"{1e6 * std:.1f}", "–" if math.isnan(off) else f"{off:.1f}")
          for name, left, std, off in shown],
     )  # fmt: skip
-    (out.say if position.fits and position.freedom else out.warn)("; ".join(result.agreement))
-    out.say("for the cell file:")
-    for line in result.cell_lines:
-        out.say(line)
+    shift = [value - given for value, given in zip(position.sample.tolist(), convention["sample_m"], strict=True)]
+    facts = []
+    for axis, at, moved, std in zip("xyz", position.sample.tolist(), shift, position.std.tolist(), strict=True):
+        place = f"{1e3 * at:.4f} mm" if units.millimetres else f"{at:.7f} m"
+        facts.append((axis, f"{place}; {1e3 * moved:+.4f} ± {1e3 * std:.4f} mm from the cell's"))
+    facts += [
+        (axis, f"{1e3 * moved:+.4f} ± {1e3 * std:.4f} mm from the cell's")
+        for axis, moved, std in zip(LAB, result.shift.tolist(), result.std.tolist(), strict=True)
+    ]
+    facts += [("cell file" if k == 0 else "", line) for k, line in enumerate(result.cell_lines)]
+    agree = bool(position.fits and position.freedom)
+    first, *further = result.agreement  # the further ones may begin with the name of a reflection
+    words = ["clampid", "ik", str(model), "--gamma", "0.3", "--delta", "0.2", "--r", "0.8"]
+    point = shlex.join([*words, *([] if cell is None else ["--cell", str(cell)])])
+    out.show(
+        Screen(
+            f"Found the scattering point from {len(result.points)} reflections, in the frame {convention['frame']}.",
+            facts=tuple(facts),
+            verdict=f"{first[0].upper()}{first[1:]}.",
+            tone="good" if agree else "open",
+            notes=tuple(f"{text}." for text in further),
+            more="Each reflection: --verbose, --json FILE.",
+            next=(Next("Next, put the lines above into the cell file, then point the detector:", point),),
+        )
+    )

@@ -75,7 +75,7 @@ def test_base_from_touches(clampid: Clampid, tmp_path: Path) -> None:
     assert ran.json["degrees_of_freedom"] == 12
     shown = clampid("base", path, "--rigid", "-q").out
     assert "6 touches" in shown
-    assert "base in the frame of the cell" in shown
+    assert "the base in the frame of the cell" in shown
     path.write_text(text.partition("[features.p1]")[0])
     refused = clampid("base", path, "--rigid", "-q")
     assert refused.code == 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from clampid.progress import in_parts, left_in_words, listen, substep
+from clampid.progress import Remaining, in_parts, left_in_words, listen, substep
 from clampid.verbs.output import Output
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
@@ -59,6 +59,14 @@ def test_the_time_left_is_what_the_share_done_says() -> None:
     assert left_in_words(0.5, 20.0) == ", about 20 s left"
     assert left_in_words(0.1, 100.0) == ", about 15 min left"
     assert left_in_words(0.999, 100.0) == ", a few seconds left"
+
+
+def test_of_rounds_that_nobody_counts_no_less_is_left_than_the_last_one_took() -> None:
+    remaining = Remaining()
+    assert remaining.words(0.9, 20.0) == ", about 20 s left"
+    assert remaining.words(0.95, 60.0) == ", about 40 s left"
+    assert remaining.words(0.95, 60.1) == ", about 40 s left"  # a part within the part that has just begun
+    assert remaining.words(0.99, 61.0) == ", a few seconds left"
 
 
 @pytest.fixture

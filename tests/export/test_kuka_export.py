@@ -131,11 +131,12 @@ def test_what_the_data_leave_of_measured_points_is_said(make_model: Make) -> Non
         Instrument("none", 1e-5, None), {"poses": table.assign(target="T1")}, model.sessions[0].fingerprint,
     )  # fmt: skip
     found = kuka_machine_data(model, campaign=campaign)
-    mean = float(found.measured.partition("mean ")[2].split()[0])
+    assert found.on_points is not None
+    mean = 1e3 * found.on_points.mean
     assert mean == pytest.approx(2.0, abs=3e3 * found.left.position_rms)
     assert mean != pytest.approx(2.0, abs=1e-4)
-    assert found.measured.startswith("These data alone leave of 40 measured points (poses)")
-    assert found.measured in found.text
+    assert (found.on_points.rows, found.on_points.table) == (40, "poses")
+    assert f"These data alone leave {found.on_points}" in found.text
     with pytest.raises(ModelError, match="expected the campaign that session 1 of the model was fitted on"):
         kuka_machine_data(model, campaign=replace(campaign, fingerprint="other"))
 

@@ -52,7 +52,7 @@ def test_what_does_not_tell_is_said() -> None:
     q, torque = at_rest()
     with pytest.raises(ValueError, match="expected joints and torques"):
         check_torque_unit(ROBOT, q[:3], torque[:3])
-    with pytest.raises(ValueError, match="none that tell"):
+    with pytest.raises(ValueError, match="none that do"):
         check_torque_unit(ROBOT, q, np.random.default_rng(1).normal(size=q.shape))
-    with pytest.raises(ValueError, match="none that tell"):
+    with pytest.raises(ValueError, match="none that do"):
         check_torque_unit(ROBOT, np.tile(q[0], (6, 1)), torque[:6])

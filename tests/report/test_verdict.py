@@ -20,7 +20,7 @@ def test_the_headline_gives_the_error_before_and_now():
         model(2e-4, 1.1e-4), None, None, {"stages": {"poses": {"verdict": "missing", "summary": "A gap"}}}
     )
     assert "A gap." in text
-    assert "fell from 200 µm to 110 µm; noise alone leaves 100 µm" in text
+    assert "fell from 200 µm to 110 µm; the noise floor is 100 µm" in text
 
 
 def test_the_headline_does_not_say_it_twice():
@@ -44,7 +44,7 @@ def test_rounds_of_the_first_model_come_first():
 def test_comparison_alone():
     tables = {"poses": {"unit": "m", "rms": 1e-4, "noise_floor": 9e-5, "heldout": {"rms": 1.5e-4, "rows": 3}}}
     (text,) = headline(replace(model(), ledger=()), None, {"tables": tables}, None)
-    assert "is 150 µm; noise alone leaves 90.0 µm" in text
+    assert "is 150 µm; the noise floor is 90.0 µm" in text
 
 
 def test_considered_once_and_empty_columns_left_out():

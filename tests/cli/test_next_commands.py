@@ -1,0 +1,87 @@
+"""Verbs that write a file end in one screen, too, and its next command runs as it is printed."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+from cli_runner import Clampid, Ran
+
+from clampid.screen import HEIGHT, WIDTH
+from experiments.simulate import simulate
+
+
+@pytest.fixture(scope="module")
+def fitted(clampid: Clampid, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small campaign and a model that has errors of joint angles and torques."""
+    folder = tmp_path_factory.mktemp("fitted")
+    simulate(folder / "arm", seed=1, poses=60, tables=("free_air", "poses"))
+    terms = ("--effects", "poses=geometry,joint_compliance,backlash,gear_eccentricity@joint2")
+    assert clampid("identify", folder / "arm", "-o", folder / "model.json", *terms, "-q").code == 0
+    return folder
+
+
+def next_command(ran: Ran) -> list[str]:
+    """The words of the first command that a screen offers, after checking the screen's size."""
+    assert ran.code == 0, ran.err
+    lines = ran.out.splitlines()
+    assert len(lines) <= HEIGHT
+    assert all(len(line) <= WIDTH or "/" in line.split()[-1] for line in lines)  # a long path is kept whole
+    offered = [line for line in ran.out.replace("\\\n", "").splitlines() if line.startswith("  clampid ")]
+    assert offered, ran.out
+    return shlex.split(offered[0])[1:]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("export", "kuka", "model.json", "-o", "robot.dat"),
+        ("export", "kuka", "model.json", "--campaign", "arm", "-o", "robot2.dat"),
+        ("export", "urdf", "model.json", "-o", "robot.urdf"),
+        ("export", "dh", "model.json", "--campaign", "arm", "-o", "dh.csv"),
+        ("export", "angles", "model.json", "-o", "angles.csv"),
+        ("export", "dynamics", "model.json", "-o", "dynamics.json"),
+        ("plan", "fixed-point", "-o", "fixed.toml", "--readings", "5"),
+        ("plan", "poses", "-o", "poses.toml", "--poses", "8", "--replicates", "1", "--verification", "2"),
+    ],
+    ids=lambda words: " ".join(words[:2] + (("--campaign",) if "--campaign" in words else ())),
+)
+def test_what_a_verb_says_to_type_next_runs(
+    words: tuple[str, ...], clampid: Clampid, fitted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.chdir(fitted)
+    ran = clampid(*words)
+    again = clampid(*next_command(ran))
+    assert again.code == 0, again.err
+
+
+def test_a_new_effect_is_trusted_on_a_screen(clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.chdir(tmp_path)
+    file = "bump.py"
+    next_command(clampid("effect", "new", "bump", "--depends-on", "q3", "--at", "joint3", "-o", file))
+    assert clampid(*next_command(clampid("effect", "trust", file))).code == 0
+
+
+def test_a_missing_option_names_the_help_of_its_verb(clampid: Clampid) -> None:
+    assert clampid("effect", "new", "bump").complaint.endswith("(see clampid effect new --help)")
+
+
+def test_an_effect_file_that_is_not_there_is_said_to_be_missing(clampid: Clampid, tmp_path: Path) -> None:
+    assert "found no such file" in clampid("effect", "trust", tmp_path / "none.py").complaint
+
+
+def test_a_dry_run_is_one_screen_and_lists_every_motion_on_demand(
+    clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.chdir(tmp_path)
+    look = next_command(clampid("plan", "fixed-point", "-o", "fixed.toml", "--readings", "20"))
+    short, whole = clampid(*look), clampid(*look, "--verbose")
+    assert next_command(short)[:2] == ["run", "fixed.toml"]
+    assert "reading" not in short.err
+    assert len(whole.out.splitlines()) > len(short.out.splitlines()) + 20
