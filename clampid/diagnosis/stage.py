@@ -57,14 +57,14 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     propose
         Looks for measurements that separate candidates, given the fit, the candidates and the residual's scale.
     """
-    result = _looked_through(fitted, bench, propose)
-    if result.stage != "poses" or result.fitted is None:
-        return result
-    drift = drift_of(result.fitted.estimate)
+    judged_by, outcome = _searched(fitted, bench)
+    drift = drift_of(outcome.fitted.estimate) if fitted.estimate.experiment.stage == "poses" else None
+    if drift is not None and drift.block > 1:  # once more, now that it is known how long what is left goes on
+        del outcome  # as large as its rows
+        judged_by, outcome = _searched(fitted, replace(bench, block=drift.block))
+    result = _verdict(fitted, judged_by, outcome, propose)
     if drift is None:
         return result
-    if drift.block > 1:  # once more, now that it is known how long what is left goes on
-        result = _looked_through(fitted, replace(bench, block=drift.block), propose)
     if result.verdict == "unknown" and not result.depends_on and drift.clocked:
         result.depends_on = ["time"]
         result.summary = " ".join([summary_of(result), *result.warnings])
@@ -73,15 +73,18 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
     return result
 
 
-def _looked_through(fitted: FittedStage, bench: Bench, propose: Propose | None) -> StageDiagnosis:
-    """One diagnosis.
+def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
+    """What a search finds, and the bench with the parts of the rows by which it was judged.
 
     Where a candidate comes to trial that whole runs would not test, everything is judged by parts of runs instead, from
     the start.
     """
     outcome = search(bench, fitted)
-    if isinstance(outcome, Folds):
-        return _looked_through(fitted, replace(bench, folds=outcome), propose)
+    return _searched(fitted, replace(bench, folds=outcome)) if isinstance(outcome, Folds) else (bench, outcome)
+
+
+def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Propose | None) -> StageDiagnosis:
+    """The verdict on what was searched, with its evidence."""
     stage, effects, floor = fitted.estimate.experiment.stage, bench.effects, bench.floor
     verification, seed = bench.verification, bench.seed
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
