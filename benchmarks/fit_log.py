@@ -31,12 +31,12 @@ from clampid.catalogue import catalogue
 from clampid.fitting.fit_log import LogNoise, LogPrior, fit_log, summed
 from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import limits_of, prior_of, start_of
-from clampid.identification.identify_folder import STANDARD
 from clampid.identification.identify_log import LogStage
 from clampid.slots import Term
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import facts_of, log_parts
 from clampid.stages.prewhitening import Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.standard_sets import STANDARD
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, Tool
 from experiments.signals import segments
@@ -222,7 +222,7 @@ def main() -> None:
     robot = load_robot("kuka_kr20_r1810")
     header, tables = virtual_log(robot)
     data, unseen = (declared_campaign(header, {"free_air": rows_of(tables, k)}, robot) for k in (asked.rows, 10_000))
-    layout, effects, terms = layout_of([data]), catalogue(), [Term(name) for name in STANDARD]
+    layout, effects, terms = layout_of([data]), catalogue(), [Term(name) for name in STANDARD["free_air"]]
 
     def stage_of(campaign: Campaign) -> LogStage:
         return LogStage(log_parts([campaign]), layout, effects, terms, False)

@@ -23,30 +23,32 @@ class Signal:
     """One recorded or derived variable, a value of it per row.
 
     The shape may name ``n`` (joints), ``m`` (targets), ``a`` (anchors) and ``s`` (sessions).
+    ``sided``: it says from which side a joint or motor came, or on which side it presses.
     """
 
     shape: tuple[str | int, ...]
     unit: str
     meaning: str
+    sided: bool = False
 
 
 SIGNALS: Mapping[str, Signal] = {
     "q": Signal(("n",), "rad", "joint angles as the controller reports them"),
     "motor": Signal(("n",), "rad", "motor-shaft angles, T^-T q"),
-    "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown"),
+    "direction": Signal(("n",), "", "direction of the last motion of each joint: +1, -1, 0 unknown", sided=True),
     "torque": Signal(("n",), "Nm", "joint torque that the drive exerts, static: +dV/dq"),
-    "flank": Signal(("n",), "", "side on which the transmitted torque presses, -1 to +1"),
+    "flank": Signal(("n",), "", "side on which the transmitted torque presses, -1 to +1", sided=True),
     "joint_speed": Signal(("n",), "rad/s", "speed of the joints"),
     "motor_speed": Signal(("n",), "rad/s", "speed of the motors, T^-T w_joint"),
-    "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion"),
-    "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion"),
+    "joint_motion": Signal(("n",), "", "sign of the joint's present or, at standstill, last motion", sided=True),
+    "motor_motion": Signal(("n",), "", "sign of the motor's present or, at standstill, last motion", sided=True),
     "dry_state": Signal(
         ("n", len(PRESLIDING_LENGTHS) * len(RELAXATION_TIMES)),
         "",
         "state of each motor's dry friction, -1 to +1, for every presliding length and relaxation time",
     ),
     "own_speed": Signal(("n",), "rad/s", "speed that each motor would have if its own joint alone turned it"),
-    "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion"),
+    "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion", sided=True),
     "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
     "torque_rate": Signal(("n",), "Nm/s", "rate of the torque that the weight described takes at the motors"),
     "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),

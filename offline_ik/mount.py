@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from clampid.role_slots import slot_of
+from clampid.role_slots import has_role, slot_of
 from clampid.stages.pose_rows import align
 from kinematics.screws import log_so3
 from offline_ik.arm import IdentifiedArm
@@ -55,7 +55,7 @@ def mount_jacobian(cell: Cell, arm: IdentifiedArm) -> Array:
         return out
     here = identified_mount(cell, arm)
     for k, slot in enumerate(arm.slots):
-        if slot.parameter.startswith("target_"):
+        if has_role(slot, "target_point"):
             theta = arm.theta.copy()
             theta[k] += STEP
             moved = identified_mount(cell, arm, theta)

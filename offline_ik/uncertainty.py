@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from clampid.role_slots import has_role
 from offline_ik.arm import Conditions
 from offline_ik.beyond import outside_of
 from offline_ik.cell import Cell
@@ -119,7 +120,7 @@ class Propagation:
         self.outside = outside_of(arm)
         self.unmounted = solver.mount[:3, :3].T
         # In the robot's own base frame, its place in the room does not matter.
-        self.fixed = np.array([not (self.in_base and s.parameter.startswith("base_")) for s in arm.slots], dtype=float)
+        self.fixed = np.array([not (self.in_base and has_role(s, "base_frame")) for s in arm.slots], dtype=float)
         self.covariance = arm.covariance * np.outer(self.fixed, self.fixed)
 
     def jacobian(self, q: Array, conditions: Conditions) -> tuple[Array, Array]:

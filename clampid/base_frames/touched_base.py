@@ -23,6 +23,7 @@ from clampid.base_frames.yielding import Yielding, gives_way, what_yields
 from clampid.fitting.noise import NORMAL
 from clampid.models.model import Model, ModelError
 from clampid.models.own_effects import effects_of
+from clampid.role_slots import has_role
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Integers
@@ -171,7 +172,7 @@ def base_from_touches(
 
 
 def _said(yielding: Yielding) -> str:
-    known = dict.fromkeys(s.place for s in yielding.slots if s.parameter.startswith("target_"))
+    known = dict.fromkeys(s.place for s in yielding.slots if has_role(s, "target_point"))
     where = f"where the model has {', '.join(known)}" if known else "where it was declared"
     return f"{yielding.said}; the tip is {where}"
 

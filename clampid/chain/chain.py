@@ -420,11 +420,14 @@ def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> Non
     elif any({"torque", "flank"} & set(effect.needs) for effect in active):
         load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
         if stage == "free_air":  # friction acts on the load, not on itself
-            load = [e for e in load if not any(k.endswith("motion") for k in e.needs)]
+            load = [e for e in load if not any(known.sided for known in map(signal, e.needs) if known)]
         weight = row.recorded("gravity_torque")
         if stage == "poses":  # of the arm where it stands, not where it was commanded
             weight = weight + row.recorded("sag_torque")
         row.offered["torque"] = weight + row.total("joint_torque", load)
+        on_load = [e for e in active if "joint_torque" in e.acts and "torque" in e.needs]
+        if stage == "poses" and on_load:  # friction on a load holds against it, and winds up springs as any other does
+            row.offered["torque"] = row.offered["torque"] + row.total("joint_torque", on_load)
 
 
 def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:

@@ -15,13 +15,14 @@ from clampid.diagnosis.look import ABLE
 from clampid.display import counted
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
+from clampid.signals import SIGNALS
 from clampid.stages.rows import Rows
 
 __all__ = ["ABOVE", "OneSided", "above_floor", "one_sided", "one_sided_words", "unseen_by_probes"]
 
 ABOVE = 1.3  # noise floors: of an error that is farther above, two fifths of the square are no noise
 FEW = 3  # visits or blocks from a side: fewer do not show an error that has a side
-SIDES = frozenset({"direction", "flank", "joint_motion", "motor_motion", "own_motion"})
+SIDES = frozenset(name for name, known in SIGNALS.items() if known.sided)
 WHY_FLOOR = {
     "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
     "instrument": "the floor is the instrument's stated noise alone, and may be too low: measure some poses again "

@@ -19,7 +19,15 @@ EFFECT = Effect(
     family="gear_eccentricity",
     acts={"joint_angle": error},
     parameters=tuple(
-        Parameter(f"{a}{k}", "rad", 1e-4, "joint", (-0.05, 0.05), f"{f} part, {k} per revolution of the joint")
+        Parameter(
+            f"{a}{k}",
+            "rad",
+            1e-4,
+            "joint",
+            (-0.05, 0.05),
+            f"{f} part, {k} per revolution of the joint",
+            role="angle_error",
+        )
         for k in (1, 2)
         for a, f in (("a", "sine"), ("b", "cosine"))
     ),

@@ -50,6 +50,7 @@ EFFECT = Effect(
                 (-50.0, 50.0),
                 f"{f} part in units of rms, {k} per revolution of the joint",
                 spread=1.0,
+                role="angle_error",
             )
             for k in range(1, HARMONICS + 1)
             for a, f in (("a", "sine"), ("b", "cosine"))

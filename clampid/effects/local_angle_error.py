@@ -26,7 +26,7 @@ EFFECT = Effect(
     family="gear_eccentricity",
     acts={"joint_angle": error},
     parameters=(
-        Parameter("height", "rad", 2e-4, "joint", (-0.05, 0.05), "angle error in the middle"),
+        Parameter("height", "rad", 2e-4, "joint", (-0.05, 0.05), "angle error in the middle", role="angle_error"),
         Parameter("middle", "rad", pi, "joint", meaning="joint angle where it is largest", shape=True, grid=(0.0,)),
         Parameter(
             "width",

@@ -54,7 +54,9 @@ def _sines(prefix: str, k: int, unit: str, size: float, per: Literal["robot", "j
     whose = "of the joint alone, " if per == "joint" else ""
     bounds = (-50.0 * size, 50.0 * size)
     return tuple(
-        Parameter(f"{prefix}{a}{k}", unit, size, per, bounds, f"{f} part, {whose}{k} per turn", spread=1.0)
+        Parameter(
+            f"{prefix}{a}{k}", unit, size, per, bounds, f"{f} part, {whose}{k} per turn", spread=1.0, role="angle_error"
+        )
         for a, f in (("a", "sine"), ("b", "cosine"))
     )
 

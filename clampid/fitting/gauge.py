@@ -17,6 +17,7 @@ import numpy as np
 
 from clampid.effect import Effect
 from clampid.role_slots import effect_with, has_role
+from clampid.roles import Role
 from clampid.slots import Slot, slots_of
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Rows
@@ -80,10 +81,10 @@ def _stated(rows: Rows, slots: tuple[Slot, ...], size: Array, jacobian: Array) -
 
 def _ordered(slots: tuple[Slot, ...]) -> tuple[Slot, ...]:
     """Anchors, base, flange, targets, then link by link, shifts before turns."""
-    before = ("anchor_", "base_", "flange_", "target_")
+    before: tuple[Role, ...] = ("anchor_point", "base_frame", "flange_frame", "target_point")
 
     def key(slot: Slot) -> tuple[int, str, int]:
-        kind = next((i for i, p in enumerate(before) if slot.parameter.startswith(p)), len(before))
+        kind = next((i for i, role in enumerate(before) if has_role(slot, role)), len(before))
         return kind, slot.place if kind == len(before) else "", len(slot.parameter)
 
     return tuple(sorted(slots, key=key))

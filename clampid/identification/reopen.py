@@ -168,7 +168,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
     prefix = f"session{session + 1}:"
     for k, slot in enumerate(stage.slots):
         place = slot.place
-        if sessions > 1 and slot.parameter.startswith(("target_", "anchor_")):
+        if sessions > 1 and has_role(slot, "target_point", "anchor_point"):
             if not place.startswith(prefix):
                 continue
             place = place.removeprefix(prefix)

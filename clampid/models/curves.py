@@ -18,9 +18,8 @@ from clampid.stages import poses
 from clampid.stages.rows import Array, Bools
 from kinematics.description import RobotDescription
 
-__all__ = ["FAMILY", "AngleErrors", "SharedCurve", "angle_errors", "shared_curve"]
+__all__ = ["AngleErrors", "SharedCurve", "angle_errors", "shared_curve"]
 
-FAMILY = "gear_eccentricity"
 KNOWN = 0.5  # of the variance that poses take away where they tell most: where they take less, none came near
 TURN = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 
@@ -58,7 +57,7 @@ class AngleErrors:
 def angle_errors(
     stage: StageModel, effects: Mapping[str, Effect], layout: Layout, robot: RobotDescription, q: Array
 ) -> AngleErrors:
-    """Errors of the joints at angles ``q`` ``(N, n)``, rad, by a pose model's effects of the family of :data:`FAMILY`.
+    """Errors of the joints at angles ``q`` ``(N, n)``, rad, by a pose model's effects with the role angle_error.
 
     Parameters
     ----------
@@ -70,7 +69,7 @@ def angle_errors(
     clampid.effect.EffectError
         The model has an effect that is not known here.
     """
-    wanted = {name for name, e in effects.items() if e.family == FAMILY and set(e.needs) == {"q"}}
+    wanted = {name for name, e in effects.items() if "angle_error" in e.roles and set(e.needs) == {"q"}}
     chosen = [k for k, slot in enumerate(stage.slots) if slot.effect in wanted]
     slots = tuple(stage.slots[k] for k in chosen)
     count, q = len(q), np.vstack([q, np.tile(TURN[:, None], (1, q.shape[1]))])

@@ -11,6 +11,8 @@ from clampid.charts import Axis, Band, Chart, Line, Mark, Panel, Points, thin
 from clampid.report.stage_data import StageData
 from clampid.report.style import Figure
 from clampid.report.variables import groups_of
+from clampid.role_slots import has_role
+from clampid.roles import FRICTIONS
 from clampid.slots import find_parameter
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
@@ -23,17 +25,6 @@ TWO_SIDED_95 = 1.96
 TOLD = 2.0  # standard errors from zero, beyond which a friction is told
 FEWEST = 4  # blocks of a log that a mean's interval is taken from
 OUTER = 0.995  # of the points are inside the axes
-MOTOR_SIDE = (
-    "coulomb_friction",
-    "viscous_friction",
-    "stribeck_friction",
-    "asymmetric_friction",
-    "load_dependent_friction",
-    "temperature_dependent_friction",
-)
-"""Friction that acts at the motor; what reaches it through the wrist's coupling depends on other speeds too."""
-ARM_SIDE = ("wrist_coupling_friction",)
-"""Friction that acts at the joint and can be told from the motor's, because the transmission couples the joint."""
 
 
 @dataclass(frozen=True)
@@ -60,19 +51,23 @@ class _Curve:
 def friction_figures(data: StageData) -> list[Figure]:
     """Friction at the motors, and where the transmission tells it from theirs, at the joints."""
     names = [f"motor {k + 1}" for k in range(data.channels)]
+    effects = data.first.experiment.effects
+    # What reaches a motor through the wrist's coupling depends on other speeds than its own, too.
+    at_arm = [name for name, effect in effects.items() if "arm_friction" in effect.roles]
+    at_motor = [name for name, effect in effects.items() if effect.roles & set(FRICTIONS)]
     reach = " Points are the model's friction plus the residual; their means have 95 % intervals."
     arm = {
         int(slot.place.removeprefix("joint")) - 1: bool(known) and abs(value) > TOLD * std
         for slot, known, value, std in zip(
             data.model.slots, data.model.identified, data.model.theta, data.model.std, strict=True
         )
-        if slot.effect in ARM_SIDE
+        if has_role(slot, "arm_friction", effects=effects)
     }
     caption = f"Friction that a motor feels when it turns alone, against its speed.{reach} A mean off the line is "
     caption += "friction that the model lacks."
     if arm:
         caption += " In the wrist this is the sum of the motor's side and the arm's."
-    plot = _drawn(data, (*MOTOR_SIDE, *ARM_SIDE), range(data.channels), names, "motor")
+    plot = _drawn(data, (*at_motor, *at_arm), range(data.channels), names, "motor")
     told, untold = sorted(j for j, known in arm.items() if known), sorted(j for j, known in arm.items() if not known)
     if untold:
         places = ", ".join(f"joint {j + 1}" for j in untold)
@@ -82,7 +77,7 @@ def friction_figures(data: StageData) -> list[Figure]:
         caption = (
             f"Of it, the friction on the arm's side of coupled joints, at the joint, where it differs from zero.{reach}"
         )
-        plot = _drawn(data, ARM_SIDE, told, [f"joint {j + 1}" for j in told], "joint")
+        plot = _drawn(data, at_arm, told, [f"joint {j + 1}" for j in told], "joint")
         found.append(Figure("friction-arm", plot, caption))
     return found
 

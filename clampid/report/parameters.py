@@ -11,6 +11,8 @@ from clampid.models.correlations import SHOWN, STRONG, correlations
 from clampid.models.model import Model, StageModel
 from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
+from clampid.role_slots import has_role, role_of
+from clampid.roles import FRAMES, Role
 from clampid.slots import find_parameter, fixed_slots, on_bound, unit_of
 from kinematics.robot import RobotDescription
 
@@ -19,7 +21,7 @@ __all__ = ["OPEN", "parameters_section"]
 OPEN = "not identifiable"
 _ON_BOUND, _BEYOND = "limit", "below zero"
 TOLD = 2.0  # standard errors from zero
-_PREFIXES = {"base_": "base", "target_": "targets", "flange_": "flange"}
+_PARTS: Mapping[Role, str] = {"base_frame": "base", "target_point": "targets", "flange_frame": "flange"}
 _MANY = 40  # parameters of an effect at a place, which nobody reads one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
 
@@ -117,8 +119,8 @@ def _groups(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescri
         if len(effect.parameters) > _MANY:
             continue
         kind = slot.place.rstrip("0123456789")
-        alone = slot.effect == "geometry" or len(effect.parameters) > _WIDE
-        part = next((p for p in _PREFIXES if slot.effect == "geometry" and slot.parameter.startswith(p)), "")
+        alone = has_role(slot, *FRAMES, effects=effects) or len(effect.parameters) > _WIDE
+        part = _PARTS.get(role_of(slot, effects), "")
         slides = "" if unit_of(slot, effects, robot) == find_parameter(slot, effects).unit else "slides"
         key = (slot.effect, part, slides) if alone else ("", kind, slides)
         groups.setdefault(key, []).append(k)
@@ -142,9 +144,8 @@ def _pivot(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescrip
     }
     heads = []
     for effect, name in columns:
-        short = (
-            name if effect != "geometry" else name.removeprefix("base_").removeprefix("target_").removeprefix("flange_")
-        )
+        known = effects[effect].by_name[name]
+        short = known.axis if known.role in _PARTS else name
         unit = scales[effect, name].unit
         heads.append(f"{short if single else f'{effect} {short}'}{f', {unit}' if unit else ''}#")
     rows = [
@@ -197,9 +198,9 @@ def _caption(effects: Mapping[str, Effect], columns: Sequence[tuple[str, str]]) 
     for name in dict.fromkeys(effect for effect, _ in columns):
         effect = effects[name]
         own = [p for e, p in columns if e == name]
-        if name == "geometry":
+        if "link_frame" in effect.roles:
             what = next(
-                (w for p, w in _PREFIXES.items() if own[0].startswith(p)),
+                (w for role, w in _PARTS.items() if effect.by_name[own[0]].role == role),
                 "links: the motion of each link's far end, base axes at the zero pose",
             )
             parts.append(f"geometry, {what}. {effect.equation}.")

@@ -57,6 +57,7 @@ def diagnose(
     from clampid.diagnosis.look import refuse_few_flips
     from clampid.loop.kept_diagnosis import keep_diagnosis, kept_file
     from clampid.models.model import load_model
+    from clampid.role_slots import any_of_role
     from clampid.verbs.findings import show_diagnosis
     from clampid.verbs.next_step import after_diagnosis
     from clampid.verbs.screens import diagnosis_screen
@@ -71,7 +72,7 @@ def diagnose(
     with out.working("reading"):
         # Every fold is fitted again: poses too few for a geometry would leave "structure" that is the lack of rows.
         stage = loaded.stages.get("poses")
-        fits = stage is not None and any(term.effect == "geometry" for term in stage.terms)
+        fits = stage is not None and any_of_role(stage.slots, "link_frame")
         read = read_checked(campaigns, out, fits=fits)
     with out.working("diagnosing"):
         found = look_for_missing(loaded, read, seed=seed, flips=flips, user_effects=effects_from, plan_for=wanted)

@@ -77,8 +77,11 @@ def fits_geometry(chosen: Mapping[Stage, Sequence[str]] | Sequence[str] | None) 
     """Whether what :func:`split_effects` gave fits a geometry: the standard set does."""
     if chosen is None:
         return True
-    names = chosen.get("poses", ["geometry"]) if isinstance(chosen, Mapping) else chosen
-    return "geometry" in names
+    from clampid.catalogue import catalogue
+    from clampid.standard_sets import STANDARD
+
+    names = chosen.get("poses", STANDARD["poses"]) if isinstance(chosen, Mapping) else chosen
+    return any("link_frame" in effect.roles for name, effect in catalogue().items() if name in names)
 
 
 def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[str] | None:

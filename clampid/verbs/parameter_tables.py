@@ -22,8 +22,6 @@ __all__ = ["show_parameters"]
 
 MANY = 12
 """Parameters of one effect at each place, beyond which nobody reads them one by one: a curve's harmonics."""
-DEVIATIONS = "geometry", "gravity"
-"""Effects whose parameters are deviations from the description."""
 OPEN = "·"
 
 
@@ -40,6 +38,13 @@ class _Cell:
     bound: bool
 
 
+def _is_deviation(effect: Effect) -> bool:
+    """Whether an effect's parameters are deviations from the description of links and frames."""
+    from clampid.roles import FRAMES, WEIGHTS
+
+    return any(p.role in FRAMES or (p.role in WEIGHTS and p.per == "link") for p in effect.parameters)
+
+
 def show_parameters(
     name: str, stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, out: Output
 ) -> None:
@@ -48,7 +53,7 @@ def show_parameters(
         return
     for effect in dict.fromkeys(slot.effect for slot in stage.slots):
         cells = _cells(effect, stage, effects, robot)
-        what = ", deviations from the description" if effect in DEVIATIONS else ""
+        what = ", deviations from the description" if _is_deviation(effects[effect]) else ""
         side = _side(effect, effects, robot)
         for kind in dict.fromkeys(cell.place.rstrip("0123456789") for cell in cells):
             own = [cell for cell in cells if cell.place.rstrip("0123456789") == kind]
