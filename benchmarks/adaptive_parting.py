@@ -2,16 +2,17 @@
 
     python benchmarks/adaptive_parting.py [--seeds 20] [--first 0] [--pair wrist|arm]
 
-Two pairs. `wrist`: the forearm up to the wrist grows with its temperature, or with the time since switch-on. `arm`: joint 2 yields,
-or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 40 poses first, and
-ten more at a time until either effect explains twice `SAME`: before, there is nothing to part. Then
+Two pairs. `wrist`: the forearm up to the wrist grows with its temperature, or with the time since switch-on. `arm`:
+joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 40 poses
+first, and ten more at a time until either effect explains twice `SAME`: before, there is nothing to part. Then
 `clampid.diagnosis.next_plan.parting_plan`, which diagnose calls for look-alikes, proposes poses. They are measured in
-the order of the plan, after a rest where it asks for a cold robot. The same robot measures random poses of the same pool
-instead, in batches of five, each batch warm or after a rest by the toss of a coin.
+the order of the plan, after a rest where it asks for a cold robot. From the same state the same robot measures random
+poses of the same pool instead, in batches of five; for the pair `wrist` each batch is measured warm, or after a rest,
+by the toss of a coin.
 
 Parted: the true effect explains more than the other one by `SAME` (odds of e^10) in all rows so far. Counted are the
-further poses until then; a proposal that is used up is followed by another, made from all rows. Poses beyond `MOST`
-are not measured: the count is then `MOST`.
+further poses until then; a proposal that is used up is followed by another, made from all rows. Of one that is not
+expected to part them, the first five poses are measured. At `MOST` poses it ends, and the count is `MOST`.
 """
 
 from __future__ import annotations
@@ -205,9 +206,10 @@ def start(name: str, seed: int) -> Robot:
         robot.visit(q, rng.choice([-1.0, 1.0], len(q)))
         if pair.pause:
             robot.swing(pair.pause)
-        if number >= pair.start and number % 10 == 0:
-            if max(s.explained for s in Judge(pair, robot.campaign()).scored) >= SHOWN:
-                break
+        if number < pair.start or number % 10:
+            continue
+        if max(s.explained for s in Judge(pair, robot.campaign()).scored) >= SHOWN:
+            break
     return robot
 
 

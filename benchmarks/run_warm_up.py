@@ -1,10 +1,10 @@
-"""Hours of warm-up through ``clampid run`` on the virtual controller: memory and open files of both processes over time.
+"""Hours of warm-up through ``clampid run`` on the virtual controller: memory and open files of both processes.
 
     python benchmarks/run_warm_up.py [--hours 6] [--speed 500]
 
-Swings of all joints at 30 % speed, a reference point every five minutes. Resident memory (MB) and open files of runner and
-controller are read once a second; printed are those at a few times, and the growth per simulated hour after the first
-tenth, by least squares.
+Swings of all joints at 30 % speed, a reference point every five minutes. Resident memory (MB) and open files of runner
+and controller are read once a second. Printed are those at a few times, and the growth per simulated hour after the
+first tenth, by least squares.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def warm_up(hours: float, speed: float, folder: Path) -> dict[str, Any]:
     """Run it; figures."""
     plan = str(folder / "warm.toml")
     made = [sys.executable, "-m", "clampid", "plan", "warm-up", "--hours", str(hours), "--posture"]
-    subprocess.run([*made, "0,-1.3,1.5,0.3,0.8,0", "--swing", "0.8", "--speed", "0.3", "-o", plan, "-q"], check=True)
+    subprocess.run([*made, "0,-1.57,1.2,0,0,0", "--swing", "0.6", "--speed", "0.3", "-o", plan, "-q"], check=True)
     with virtual_robot(folder, "gear_eccentricity@joint2", 3) as ports:
         controller = ports.pop("process")
         faster(ports["operator"], speed)
