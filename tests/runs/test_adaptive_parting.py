@@ -1,4 +1,4 @@
-"""Proposed poses part two look-alikes with fewer measurements than random ones; twenty robots each are in the benchmark."""
+"""Proposed poses part two look-alikes with fewer measurements than random ones; the benchmark has more robots."""
 
 from __future__ import annotations
 
