@@ -19,7 +19,7 @@ from experiments.plans.errors import PlanError
 from experiments.plans.model import Kind, Plan
 from experiments.runs.extension import extended
 
-__all__ = ["Adaptive"]
+__all__ = ["Adaptive", "rested"]
 
 STAGE: Mapping[Kind, Stage] = {"free_air": "free_air", "wrist": "free_air", "clamping": "clamped", "poses": "poses"}
 
@@ -68,7 +68,7 @@ class Adaptive:
                 f"{names} explain the same, and {'nothing is proposed' if proposed is None else proposed.nothing}"
             )
         try:
-            grown = extended(plan, _rested(proposed), left)
+            grown = extended(plan, rested(proposed), left)
         except PlanError as error:
             return self._enough(f"{names} explain the same, but what separates them cannot be run here: {error}")
         count = _length(grown) - _length(plan)
@@ -82,7 +82,7 @@ class Adaptive:
         return None
 
 
-def _rested(proposed: NextPlan) -> Plan:
+def rested(proposed: NextPlan) -> Plan:
     """The proposed plan; where the robot is to be cold, it rests before the first visit is measured."""
     made = proposed.plan
     if made is None:
