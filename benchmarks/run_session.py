@@ -37,7 +37,7 @@ def clampid(*words: str, code: int = 0) -> None:
 
 @contextmanager
 def virtual_robot(folder: Path, hidden: str, seed: int) -> Iterator[dict[str, int]]:
-    """The controller with an instrument and an operator; ports by name."""
+    """The controller with an instrument and an operator; ports by name, and its process's number as ``process``."""
     words = ["virtual-robot", "--hide", hidden, "--seed", str(seed), "--truth", str(folder / "truth.json")]
     words += ["--listen", "127.0.0.1:0", "--tracker", "127.0.0.1:0", "--operator", "127.0.0.1:0"]
     print(f"$ clampid {shlex.join(words)} &")
@@ -50,7 +50,7 @@ def virtual_robot(folder: Path, hidden: str, seed: int) -> Iterator[dict[str, in
                 raise RuntimeError(f"the virtual robot ended: {line}")
             ports[found[1]] = int(found[2])
         try:
-            yield ports
+            yield {**ports, "process": process.pid}
         finally:
             process.send_signal(signal.SIGINT)
             process.wait(20)

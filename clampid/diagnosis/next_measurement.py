@@ -11,7 +11,7 @@ from scipy import stats
 from clampid.stages.rows import Array
 from experiments.plans.model import Plan
 
-__all__ = ["ENOUGH", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
+__all__ = ["COOLING", "ENOUGH", "SAME", "STATES", "TEMPERATURES", "Gain", "NextPlan", "NextPoses"]
 
 SAME = 20.0
 """Explained beyond another candidate, less than this does not tell the two apart: odds of e^10, 22 000 to one."""
@@ -20,6 +20,8 @@ ENOUGH = float((SAME**0.5 + stats.norm.isf(1 - POWER)) ** 2)
 """The noncentrality of which 90 % of measurements show more than :data:`SAME`."""
 TEMPERATURES = {"cold": "as cold as at the start of these", "warm": "as warm as at the end of these"}
 STATES = ("warm", "cold")
+COOLING = 4 * 3600.0
+"""s that a warm robot rests until it counts as cold: what depends on the time since switch-on goes on meanwhile."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-from clampid.diagnosis.next_measurement import SAME, STATES, TEMPERATURES, NextPlan, NextPoses
+from clampid.diagnosis.next_measurement import COOLING, SAME, STATES, TEMPERATURES, NextPlan, NextPoses
 from clampid.diagnosis.pools import Pool, cell_of
 from clampid.diagnosis.propose import propose_parting
 from clampid.evidence.candidates import Candidate
@@ -110,6 +110,8 @@ def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: 
     targets = list(dict.fromkeys(str(t) for t in frame["target"]))
     like = frame.iloc[[-1 if state == "warm" else 0]]
     table = pd.concat([like] * (len(q) * len(targets)), ignore_index=True)
+    if state == "cold":  # after these, and a rest: temperatures are those of the start, the time is not
+        table["time_s"] = float(frame["time_s"].iloc[-1]) + COOLING
     pose = np.repeat(np.arange(len(q)), len(targets))
     table["pose"], table["visit"], table["target"] = pose + 1, 1, np.tile(targets, len(q))
     for i in range(campaign.robot.n):

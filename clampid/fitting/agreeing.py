@@ -136,7 +136,9 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
         null = _null(V, K)
         p = float((1 + np.sum(null >= ratio[0])) / (len(null) + 1))
         low, high = float(x[order[place[i[0]]]]), float(x[order[place[j[0]]]])
-        inside = bad & (values >= low) & (values <= high)
+        # Of a visit its first row's value counts: targets of one visit lie in different places.
+        inside = bad.copy()
+        inside[known] &= (x[visit] >= low) & (x[visit] <= high)
         found.append(Agreement(inside, name, low, high, "", p, int(j[0] - i[0] + 1)))
     for name, label, member in _categories(rows):
         tests += 1

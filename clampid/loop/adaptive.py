@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.next_measurement import COOLING, NextPlan
 from clampid.effect import EffectError, Stage
 from clampid.fitting.solve import FitError
 from clampid.identification.identify import identify
@@ -17,7 +19,7 @@ from experiments.plans.errors import PlanError
 from experiments.plans.model import Kind, Plan
 from experiments.runs.extension import extended
 
-__all__ = ["Adaptive"]
+__all__ = ["Adaptive", "rested"]
 
 STAGE: Mapping[Kind, Stage] = {"free_air": "free_air", "wrist": "free_air", "clamping": "clamped", "poses": "poses"}
 
@@ -66,7 +68,7 @@ class Adaptive:
                 f"{names} explain the same, and {'nothing is proposed' if proposed is None else proposed.nothing}"
             )
         try:
-            grown = extended(plan, proposed.plan, left)
+            grown = extended(plan, rested(proposed), left)
         except PlanError as error:
             return self._enough(f"{names} explain the same, but what separates them cannot be run here: {error}")
         count = _length(grown) - _length(plan)
@@ -78,6 +80,17 @@ class Adaptive:
     def _enough(self, why: str) -> tuple[Plan, str] | None:
         self._say(f"Adaptive: nothing more is measured: {why}.")
         return None
+
+
+def rested(proposed: NextPlan) -> Plan:
+    """The proposed plan; where the robot is to be cold, it rests before the first visit is measured."""
+    made = proposed.plan
+    if made is None:
+        raise PlanError("expected a plan, found none")
+    if proposed.state != "cold" or not made.visits:
+        return made
+    first, *others = made.visits
+    return replace(made, visits=(replace(first, wait=COOLING), *others), duration=made.duration + COOLING)
 
 
 def _length(plan: Plan) -> int:

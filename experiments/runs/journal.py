@@ -25,6 +25,7 @@ from kinematics.reading import json_of
 __all__ = ["Journal", "line_of", "whole_lines"]
 
 Entry = Mapping[str, Any]
+MOTION = ("move", "sent", "moved")
 
 
 def line_of(entry: Entry) -> bytes:
@@ -74,7 +75,7 @@ class Journal:
     Attributes
     ----------
     entries
-        What stands in it.
+        What stands in it; of motions that follow each other only the last one.
     dropped
         Bytes of a line that was not whole, which were cut off.
     """
@@ -87,14 +88,17 @@ class Journal:
             if not stat.S_ISREG(os.fstat(self._file).st_mode):
                 raise PlanError(f"{path}: expected a regular file, found another kind")
             data = path.read_bytes()
-            self.entries, end = whole_lines(data)
+            found, end = whole_lines(data)
             rest = data[end:]
             if any(_entry(line) is not None for line in rest.splitlines(keepends=True)[1:]):
                 raise PlanError(
-                    f"{path}: expected whole lines, found line {len(self.entries) + 1} damaged with whole ones after it"
+                    f"{path}: expected whole lines, found line {len(found) + 1} damaged with whole ones after it"
                 )
             if b"\n" in rest[:-1]:
                 raise PlanError(f"{path}: expected whole lines, found more than the last one damaged")
+            self.entries: list[dict[str, Any]] = []
+            for entry in found:
+                self._remember(entry)
             self.dropped = len(rest)
             if rest:
                 os.ftruncate(self._file, end)
@@ -124,8 +128,15 @@ class Journal:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file, size)
             raise
-        self.entries.append(entry)
+        self._remember(entry)
         return entry
+
+    def _remember(self, entry: dict[str, Any]) -> None:
+        """Keep an entry in memory; of motions one after the other only the last, for hours of swings are all alike."""
+        if entry["what"] == "move":
+            while self.entries and self.entries[-1]["what"] in MOTION:
+                self.entries.pop()
+        self.entries.append(entry)
 
     def of(self, what: str) -> Iterator[dict[str, Any]]:
         """Entries of one kind, in order."""

@@ -63,6 +63,23 @@ def test_rows_of_one_target_agree(rows: Rows):
     assert (found[0].variable, found[0].label) == ("target", rows.layout.targets[1])
 
 
+def test_rows_that_agree_are_those_of_the_visits_that_agree(rows: Rows):
+    """Targets of one visit lie decimetres apart: the place of its first one counts, whichever is off."""
+    x = rows.measured[:, 0]
+    _, first, visit = np.unique(rows.unit, return_index=True, return_inverse=True)
+    near = np.argsort(x[first])[40:52]
+    others = np.array([np.flatnonzero(visit == number)[1 + k % 2] for k, number in enumerate(near)])
+    shifted = x.copy()
+    shifted[others] += 10.0
+    bad = np.zeros(len(rows), dtype=bool)
+    bad[others] = True
+    moved = replace(rows, measured=np.column_stack([shifted, rows.measured[:, 1:]]))
+    found = agreement(moved, bad, np.ones(len(rows)))
+    assert found
+    assert found[0].variable == "x"
+    assert found[0].rows.sum() >= FEWEST
+
+
 def truth(campaign: Campaign) -> dict[str, float]:
     assert campaign.path is not None
     return json.loads(hidden_file(campaign.path).read_text())[0]["parameters"]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from run_controller import CLAMPED, Controller, clamping_plan
 
-from clampid.loop.adaptive import Adaptive
+from clampid.diagnosis.next_measurement import COOLING, NextPlan
+from clampid.loop.adaptive import Adaptive, rested
 from experiments.campaign import read_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError
 from experiments.runs.errors import RunStopped
@@ -61,3 +62,13 @@ def test_nothing_is_added_where_nothing_is_ambiguous_or_the_budget_is_used_up(po
             rows.append({"what": "row", "table": "poses", "row": row})
     assert adaptive.more(poses, rows) is None
     assert said[-1].startswith("Adaptive: nothing more is measured")
+
+
+def test_a_cold_robot_is_one_that_has_rested(poses: Plan) -> None:
+    def proposed(state: str) -> NextPlan:
+        return NextPlan("parting", (0,), 9, state, ("pose", "poses"), "", poses)
+
+    cold, warm = rested(proposed("cold")), rested(proposed("warm"))
+    assert [v.wait for v in cold.visits] == [COOLING] + [0.0] * (len(poses.visits) - 1)
+    assert cold.duration == poses.duration + COOLING
+    assert warm is poses

@@ -101,3 +101,18 @@ def test_a_device_is_no_journal(tmp_path: Path) -> None:
     (tmp_path / "j").symlink_to("/dev/null")
     with pytest.raises(PlanError, match="expected a regular file"):
         Journal(tmp_path / "j")
+
+
+def test_hours_of_swings_do_not_fill_the_memory(tmp_path: Path) -> None:
+    """Of motions that follow each other the last one is remembered; on the disk are all, and rows stay."""
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        for number in range(300):
+            for what in ("move", "sent", "moved"):
+                journal.add(what, step=f"swing {number}")
+            if number == 99:
+                journal.add("row", table="poses", key=["poses", 1, 1, "T1"], row={})
+        assert [e["what"] for e in journal.entries] == ["move", "sent", "moved", "row", "move", "sent", "moved"]
+        assert journal.entries[-1]["step"] == "swing 299"
+    assert len(whole_lines((tmp_path / "journal.jsonl").read_bytes())[0]) == 901
+    with Journal(tmp_path / "journal.jsonl") as again:
+        assert len(again.entries) == 7
