@@ -79,13 +79,18 @@ def list_of_trusted() -> dict[str, str]:
     path = trust_file()
     try:
         _check_owner(path.parent)
+        _check_owner(Path(os.path.realpath(path)).parent)  # where it is a link
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise EffectError(f"{path}: the list of trusted effects cannot be read: {error.strerror}") from error
+    found = os.fstat(handle)
+    if not stat.S_ISREG(found.st_mode):
+        os.close(handle)
+        raise EffectError(f"{path}: expected the list of trusted effects, found no regular file")
     with open(handle, "rb") as file:
-        _check_owner(path, os.fstat(file.fileno()))
+        _check_owner(path, found)
         raw = file.read(10 * MAX_BYTES)
     try:
         data: Any = json.loads(raw)

@@ -10,11 +10,14 @@ import re
 
 __all__ = ["for_csv", "for_krl", "for_markdown", "for_terminal", "has_controls"]
 
-# C0 and C1 controls, line and paragraph separators, and what turns the direction of text.
-_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]")
-_CONTROLS_BUT_LINES = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]"
+# C1 controls, line and paragraph separators, what turns the direction of text, and what nobody sees: two names that
+# look alike would be two. (Joiners, U+200C and U+200D, are part of words in some scripts.)
+_UNSEEN = (
+    "\x7f-\x9f\xad\u061c\u180e\u2028\u2029\u200b\u200e\u200f\u202a-\u202e\u2060-\u2064\u2066-\u206f\ufeff\ufff9-\ufffb"
+    "\U000e0000-\U000e007f"
 )
+_CONTROLS = re.compile(f"[\x00-\x1f{_UNSEEN}]")
+_CONTROLS_BUT_LINES = re.compile(f"[\x00-\x08\x0b-\x1f{_UNSEEN}]")
 
 
 def has_controls(text: str) -> bool:

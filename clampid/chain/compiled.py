@@ -99,7 +99,7 @@ def compile_rows(function: Any) -> Blocks | Lanes:
     if library is not None:
         try:
             return Lanes(function, library)
-        except OSError as error:
+        except (OSError, AttributeError) as error:  # it is no library, or another function's
             _log.info("%s runs row by row: %s", function.name(), error)
     return Blocks(compile_function(function))
 

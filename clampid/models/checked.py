@@ -124,6 +124,7 @@ def _session(at: Section) -> None:
     at.done()
 
 
+ROUNDING = 1e-6  # of what a file says twice
 READ_ELSEWHERE = ("outliers", "base_parameters", "observability", "bootstrap", "told", "ranges")
 
 
@@ -149,6 +150,7 @@ def _stage(at: Section, layout: Layout) -> None:
     for k, row in enumerate(_matrix(at, "covariance", len(slots), len(slots))):
         if row[k] < 0:
             raise at.fault(f"covariance[{k + 1}]", "variances that are not negative", shown(row[k]))
+    _covariance(at, len(slots))
     _numbers(at, "held_out")
     for key, count, width in (("lean_rad", layout.joints, 3), ("by_springs", len(slots), layout.joints)):
         if at.content.get(key) is not None:
@@ -163,6 +165,22 @@ def _stage(at: Section, layout: Layout) -> None:
         at.has(key)  # what reads them says what is wrong
         _no_flags(at, key, at.content.get(key))
     at.done()
+
+
+def _covariance(at: Section, count: int) -> None:
+    """Covariances are the same either way, and no larger than their variances allow."""
+    found = np.array(at.content["covariance"], dtype=float).reshape(count, count)
+    std = np.sqrt(np.diag(found))
+    allowed = np.outer(std, std)
+    wrong = np.abs(found) > allowed * (1 + ROUNDING)
+    wrong |= np.abs(found - found.T) > allowed * ROUNDING
+    if wrong.any():
+        k, j = map(int, np.argwhere(wrong)[0])
+        raise at.fault(
+            f"covariance[{k + 1}]",
+            "a covariance: the same either way, and at most the product of both standard errors",
+            f"{found[k, j]:.6g} and {found[j, k]:.6g} of parameters {k + 1} and {j + 1}, {allowed[k, j]:.6g} at most",
+        )
 
 
 def _rigid(at: Section, key: str) -> None:

@@ -30,7 +30,21 @@ def work_folder(folder: str | Path) -> Path:
 
 
 def tables_of(entries: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
-    """The tables that a journal holds; what was declared void is not in them."""
+    """The tables that a journal holds; what was declared void is not in them.
+
+    Raises
+    ------
+    PlanError
+        An entry is none that a run writes.
+    """
+    try:
+        return _tables_of(entries)
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        why = f"{type(error).__name__}: {error}"
+        raise PlanError(f"journal: expected entries that a run wrote, found another: {why[:200]}") from error
+
+
+def _tables_of(entries: Iterable[Mapping[str, Any]]) -> dict[str, pd.DataFrame]:
     rows: dict[str, list[dict[str, Any]]] = {}
     logs: dict[str, list[pd.DataFrame]] = {}
     for entry in entries:

@@ -55,7 +55,7 @@ def _entry(line: bytes) -> dict[str, Any] | None:
         entry = json_of(text.decode("ascii"))
     except ValueError:  # right by its checksum, and yet nothing that a run wrote
         return None
-    return entry if isinstance(entry, dict) else None
+    return entry if isinstance(entry, dict) and isinstance(entry.get("what"), str) else None
 
 
 class Journal:

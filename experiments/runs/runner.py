@@ -182,7 +182,12 @@ def _finish(plan: Plan, asked: Asked, journal: Journal) -> str | None:
 def _grown(plan: Plan, journal: Journal) -> Plan:
     """The plan with what was decided on while it ran."""
     last = next((entry for entry in reversed(journal.entries) if entry["what"] == "extended"), None)
-    return plan if last is None else read_plan(journal.path.with_name(last["file"]))
+    if last is None:
+        return plan
+    name = str(last.get("file"))
+    if Path(name).name != name:
+        raise PlanError(f"{journal.path}: expected the name of a plan beside it, found {name[:80]!r}")
+    return read_plan(journal.path.with_name(name))
 
 
 def _keep_grown(found: tuple[Plan, str], journal: Journal) -> Plan:

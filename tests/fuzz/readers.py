@@ -192,8 +192,25 @@ def _urdf(robot: Any) -> bytes:
 
 def misspelt(name: str, at: str, good: bytes, seed: int) -> bytes:
     """The file with other values, where its syntax is one that can be written."""
+    if name == "journal":
+        return miswritten(good, seed)
     said = Path(at).suffix in (".toml", ".json", ".csv") and name not in ("points", "dh", "answer")
     return misstated(good, seed, at) if said else spoilt(good, seed)
+
+
+def miswritten(good: bytes, seed: int) -> bytes:
+    """A journal with right checksums and entries that no run wrote."""
+    from experiments.runs.journal import line_of, whole_lines
+
+    entries = json.dumps(whole_lines(good)[0]).encode()
+    found = json.loads(misstated(entries, seed, "journal.json"))
+    lines = []
+    for entry in found:
+        try:
+            lines.append(line_of(entry))
+        except ValueError:  # no number of a journal
+            lines.append(b"0" * 8 + b" {}\n")
+    return b"".join(lines)
 
 
 def is_refusal(error: Exception) -> bool:
