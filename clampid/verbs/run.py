@@ -185,11 +185,11 @@ def _done(plan_file: Path, output: Path, outcome: Outcome, out: Output) -> None:
     from clampid.display import counted
     from clampid.screen import Next, Screen
 
-    counted = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in outcome.rows.items())
+    rows = ", ".join(f"{counted(count, 'row')} of {name}" for name, count in outcome.rows.items())
     early = [outcome.enough] if outcome.enough else []
     out.show(
         Screen(
-            f"Ran {plan_file} and wrote {output}: {counted}.",
+            f"Ran {plan_file} and wrote {output}: {rows}.",
             notes=(*early, *outcome.notes, *(f"skipped: {text}" for text in outcome.skipped)),
             next=(
                 Next("Next, fit a model:", shlex.join(["clampid", "identify", str(output), "-o", f"{output}.json"])),
