@@ -51,7 +51,7 @@ def test_a_single_alternative_is_not_one_of_several() -> None:
     assert step.purpose == "Next, add it:"
 
 
-def test_of_what_cannot_be_told_apart_any_one() -> None:
+def test_of_what_cannot_be_separated_any_one() -> None:
     found = told(
         *(candidate(name, "joint2", alternative=True) for name in ("gear_eccentricity", "gravity_compensator"))
     )
