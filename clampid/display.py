@@ -115,8 +115,8 @@ def _pair(value: float, std: float) -> tuple[str, str]:
 
 def with_std(value: float, std: float, scale: Scale, *, unit: bool = True) -> str:
     """``12.34 ± 0.42 µm``: a value and its standard error, SI, in a unit chosen before."""
-    told, error = _pair(value * scale.factor, std * scale.factor)
-    both = f"{told} ± {error}" if error else told
+    worded, error = _pair(value * scale.factor, std * scale.factor)
+    both = f"{worded} ± {error}" if error else worded
     return f"{both} {scale.unit}".rstrip() if unit else both
 
 
@@ -156,21 +156,21 @@ def readable(value: float, unit: str, digits: int = 3) -> str:
 def quantity(value: float, std: float, unit: str) -> tuple[str, str, str]:
     """Value, standard error and unit as three columns of a table; both in the unit that suits the larger of them."""
     scale = scale_for(unit, (value, std))
-    told, error = _pair(value * scale.factor, std * scale.factor)
-    return told, error or "–", scale.unit
+    worded, error = _pair(value * scale.factor, std * scale.factor)
+    return worded, error or "–", scale.unit
 
 
 def with_error(value: float, std: float, unit: str) -> str:
     """``12.34 ± 0.42 µm``, in the unit that suits the larger; without an error ``±`` is followed by a dash."""
-    told, error, symbol = quantity(value, std, unit)
-    return f"{told} ± {error} {symbol}".rstrip()
+    worded, error, symbol = quantity(value, std, unit)
+    return f"{worded} ± {error} {symbol}".rstrip()
 
 
 def change_text(change: float, std: float, unit: str) -> str:
     """``−52.9 ± 6.9 µm``: a change with its sign and its standard error; ``sigma`` is printed as σ."""
-    told, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
+    worded, error, symbol = quantity(abs(change), std, "" if unit == "sigma" else unit)
     known = f" ± {error}" if error != "–" else ""
-    return f"{'+' if change > 0 else '−'}{told}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
+    return f"{'+' if change > 0 else '−'}{worded}{known} {'σ' if unit == 'sigma' else symbol}".rstrip()
 
 
 def span(low: float, high: float, unit: str) -> str:

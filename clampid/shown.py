@@ -48,8 +48,8 @@ class Shown:
         """The result in a few lines of text."""
         lines = [self.title()]
         for name, (unit, errors) in self.errors().items():
-            told = ", ".join(f"{which} {error_text(value, unit)}" for which, value in errors.items())
-            lines.append(f"{name}: {told}")
+            figures = ", ".join(f"{which} {error_text(value, unit)}" for which, value in errors.items())
+            lines.append(f"{name}: {figures}")
         return "\n".join([*lines, *self.findings()])
 
     def to_frame(self) -> pd.DataFrame:

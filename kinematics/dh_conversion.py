@@ -20,7 +20,7 @@ from kinematics.typing_ import Array
 __all__ = ["HAYATI_BELOW", "DHError", "hayati_from_poe", "poe_from_dh", "reconstruction_error", "standard_from_poe"]
 
 HAYATI_BELOW = 0.5  # sine of the angle between two axes under which a Hayati row is taken: both are well behaved there
-_PARALLEL = 1e-14  # sine under which axes cannot be told from parallel ones in double precision
+_PARALLEL = 1e-14  # sine under which axes cannot be separated from parallel ones in double precision
 _ACCEPTED_LOSS = 1e-6  # m (and rad): the most that a standard table may lose by cancellation
 _ROUNDING = 1e-12  # how far a screw may be from that of a revolute or prismatic joint
 

@@ -37,7 +37,7 @@ Array = npt.NDArray[np.float64]
 
 STEPS, HALVINGS = 50, 20
 SETTLED = 1e-9  # m
-UNTOLD = 1e-2  # m, standard error from which on a direction is not told by the reflections
+UNDETERMINED = 1e-2  # m, standard error from which on a direction is not identified by the reflections
 FALSE_ALARM = 0.01
 """How often reflections whose errors are as stated are said not to agree."""
 _UNCHECKED = 1e-9  # share of a reflection's error that others check, below which there is no check
@@ -72,7 +72,7 @@ class SamplePosition:
     Attributes
     ----------
     sample
-        ``(3,)``, convention's frame, m; as given along directions that are not told.
+        ``(3,)``, convention's frame, m; as given along directions that are not identified.
     covariance
         ``(3, 3)``, m², from the stated errors; where the reflections do not agree, times ``misfit`` squared.
     chi_square, freedom
@@ -85,7 +85,7 @@ class SamplePosition:
         ``(N,)``: by how many standard errors each reflection misses what the others say; not a number where they say
         nothing of it.
     not_told
-        ``(k, 3)``: directions that the reflections do not tell, or not to within a centimetre.
+        ``(k, 3)``: directions that the reflections do not determine, or not to within a centimetre.
     """
 
     sample: Array
@@ -187,8 +187,8 @@ def sample_position(
     for _ in range(STEPS):
         _, A, b, L = problem.whitened(sample)
         U, size, Vt = np.linalg.svd(A, full_matrices=False)
-        told = _told(size)
-        sample, moved = problem.stepped(sample, Vt[told].T @ ((U[:, told].T @ b) / size[told]), b, L)
+        known = _determined(size)
+        sample, moved = problem.stepped(sample, Vt[known].T @ ((U[:, known].T @ b) / size[known]), b, L)
         if moved < SETTLED:
             break
     else:
@@ -249,36 +249,36 @@ def _problem(convention: Convention, reflections: Sequence[Reflection], common: 
     return _Problem(np.asarray(convention.beam), points, wanted, sigma, spread)
 
 
-def _told(size: Array) -> npt.NDArray[np.bool_]:
+def _determined(size: Array) -> npt.NDArray[np.bool_]:
     """Which directions are, by singular values ``(3,)``, 1/m; never fewer than two."""
-    told = size > 1.0 / UNTOLD
-    if told.sum() < 2:
+    known = size > 1.0 / UNDETERMINED
+    if known.sum() < 2:
         raise TargetError(
-            f"the reflections do not determine the sample's place to within {1e3 * UNTOLD:g} mm in more than "
-            f"{'one direction' if told.any() else 'no direction at all'}: they are too much alike; add rings of "
+            f"the reflections do not determine the sample's place to within {1e3 * UNDETERMINED:g} mm in more than "
+            f"{'one direction' if known.any() else 'no direction at all'}: they are too much alike; add rings of "
             "another angle, or detector positions on another side"
         )
-    return np.asarray(told)
+    return np.asarray(known)
 
 
 def _found(problem: _Problem, sample: Array) -> SamplePosition:
     residual, A, b, L = problem.whitened(sample)
     U, size, Vt = np.linalg.svd(A, full_matrices=False)
-    told = _told(size)
-    U = U[:, told]
+    known = _determined(size)
+    U = U[:, known]
     left = b - U @ (U.T @ b)
-    freedom, chi_square = len(b) - int(told.sum()), float(left @ left)
+    freedom, chi_square = len(b) - int(known.sum()), float(left @ left)
     inverse = solve_triangular(L, np.eye(len(L)), lower=True)
     Q = inverse.T @ inverse - (inverse.T @ U) @ (inverse.T @ U).T
     share = np.diag(Q) * np.einsum("ij,ij->i", L, L)
     checks = np.where(share > _UNCHECKED, (inverse.T @ left) / np.sqrt(np.maximum(np.diag(Q), 1e-300)), np.nan)
     covariance = (Vt.T / np.maximum(size, 1e-9) ** 2) @ Vt
     stated = np.sqrt(np.einsum("ij,ij->i", L, L))
-    found = SamplePosition(sample, covariance, chi_square, freedom, residual, stated, checks, Vt[~told])
+    found = SamplePosition(sample, covariance, chi_square, freedom, residual, stated, checks, Vt[~known])
     if found.fits:
         return found
     scaled = covariance * found.misfit**2
-    return SamplePosition(sample, scaled, chi_square, freedom, residual, stated, checks, Vt[~told])
+    return SamplePosition(sample, scaled, chi_square, freedom, residual, stated, checks, Vt[~known])
 
 
 def _angles(v: Array, beam: Array, wanted: Array) -> tuple[Array, Array]:

@@ -29,7 +29,7 @@ __all__ = ["Circle", "CircleFit", "circles_of", "fit_circles"]
 
 FEWEST = 5  # angles on a circle: three define it, and two more say how well
 SAME = 1e-4  # rad: other joints that are closer than this stand still
-SMALLEST = 0.01  # m: a point nearer to the axis tells nothing of where it is
+SMALLEST = 0.01  # m: a point nearer to the axis says nothing about where it is
 PARALLEL = 1e-6  # sine of the angle between axes that have no common normal
 FAR = 6.0  # robust standard deviations beyond which a point is wrong
 ROUNDS, SETTLED = 10, 1e-7  # rad and m: a base that moves less has been found

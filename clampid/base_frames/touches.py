@@ -29,7 +29,7 @@ from kinematics.screws import exp_se3, hat3, inverse, log_se3
 __all__ = ["Touches", "descend", "starts_of", "touches_of", "undetermined"]
 
 STEPS, SETTLED = 200, 1e-11  # rad and m: a base that moves less has been found
-BLIND = 1e-4  # of the best told motion: a motion that touches tell less of, they do not tell
+BLIND = 1e-4  # of the best determined motion: below that share of it a motion is not determined by the touches
 ALIKE = 2.0  # of the best rms: a base that fits no worse than this is another that might be meant
 APART = 1e-3  # rad and m between bases that are not one
 NEVER = 1e12  # a damping at which no step is a step
@@ -170,7 +170,7 @@ def starts_of(touches: Touches, given: Array | None, least: float) -> Array:
 
 
 def undetermined(touches: Touches, base: Array) -> list[str]:
-    """Motions of the base that the touches do not tell, in words: shifts and turns in the cell frame."""
+    """Motions of the base that the touches do not determine, in words: shifts and turns in the cell frame."""
     J = touches.jacobian(base, touches.misfit(base)[1])
     middle = touches.points.mean(axis=0)
     size = max(float(np.sqrt(np.mean(np.sum((touches.points - middle) ** 2, axis=1)))), 1e-3)

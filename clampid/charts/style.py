@@ -1,4 +1,4 @@
-"""The style sheet of the figures: colours that the colour-blind tell apart, for light and for dark pages."""
+"""The style sheet of the figures: colours that the colour-blind can distinguish, for light and for dark pages."""
 
 from __future__ import annotations
 

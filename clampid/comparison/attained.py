@@ -24,7 +24,7 @@ from kinematics.screws import log_so3, nearest_rotation
 __all__ = ["Attained", "as_sent", "iso9283"]
 
 STILL = 1e-4  # rad: a joint that moves less than this in a whole table stands still, and comes from no side
-FLAT = 1e-3  # m: targets that are on a line to this tell nothing of a turn about it
+FLAT = 1e-3  # m: targets that are on a line to this do not determine a turn about it
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ WEIGHT = ("gravity_torque", "sag_torque", "regressor", "tool_regressor")
 _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 LEVEL = 1e-3  # chance that a true explanation is not accepted
 ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
-KNOWN = 0.25  # standard error of a factor beyond which these poses cannot tell it
+KNOWN = 0.25  # standard error of a factor beyond which these poses cannot determine it
 FAR = 6.0  # robust standard deviations: wrong rows
 DEGREES = 180.0 / np.pi
 AMPLIFIED = 5.0  # times the deflections: what is then left of the model's own small errors shows among the noise

@@ -181,8 +181,14 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
     good = equally_good(part["candidates"])
     worse = [c for c in part["candidates"] if c["alternative"] and c not in good]
     for c in worse:
-        error = error_text(c.get("heldout_rms_after"), part["unit"])
-        out.append(f"{named(c.get('name', c['effect']), c['where'])} explains it less well: held-out error {error}.")
+        name, error = (
+            named(c.get("name", c["effect"]), c["where"]),
+            error_text(c.get("heldout_rms_after"), part["unit"]),
+        )
+        if _determined(c):
+            out.append(f"{name} explains it less well: held-out error {error}.")
+        else:
+            out.append(f"{name} is no alternative: the data do not determine its values (held-out error {error}).")
     plan = part.get("next_plan") or {}
     if plan.get("for") == "parting" and part["verdict"] == "ambiguous":
         kind = {"free_air": "runs", "clamped": "sweeps"}.get(stage, "poses")
@@ -210,6 +216,8 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         p = max(shifts, key=lambda p: (abs(p["shift"]) > MATTERS, abs(p["shift"]) / (p["std"] or 1.0)))
         row = p["row"] if str(p["row"]).isalpha() else f"row {p['row']}"
         much = with_error(p["shift"], p["std"], p["unit"])
-        biased = "Without what was added the DH table was biased" if mended else "Without it the DH table is biased"
+        named_here = [c for c in part["candidates"] if not c["alternative"]]
+        without = "Without these effects" if len(named_here) > 1 else "Without it"
+        biased = "Without what was added the DH table was biased" if mended else f"{without} the DH table is biased"
         out.append(f"{biased} in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}.")
     return [f"{stage}: {text}" for text in out]

@@ -45,7 +45,7 @@ class Candidate:
     places
         Where it acts: ``joint3``, ``base`` …
     prior
-        Standard deviations ``(k,)`` of the amplitudes, of which it has too many to be told without; else None.
+        Standard deviations ``(k,)`` of the amplitudes, of which it has too many to be identified without; else None.
     sizes
         What of that prior there may be, where it says no more than the largest size: a score chooses.
     sized_by
@@ -127,7 +127,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
 
 
 def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:
-    """Whether an effect is looked for at a joint or link: of its kind, and where no signal tells the same better."""
+    """Whether an effect is looked for at a joint or link: of its kind, and without a signal that shows it better."""
     joint = estimate.experiment.rows.robot.joints[int(place.removeprefix(effect.per)) - 1]
     return effect.search.joint_kind in (None, joint.kind) and not _recorded(estimate, effect, place)
 

@@ -66,7 +66,7 @@ def of_any_size(information: Array, component: Array) -> float:
     """Logarithm of the evidence with a prior whose size may be anything in :data:`ANY_SIZE`, each decade as likely.
 
     What an amplitude's freedom costs is then what the rows narrow it, however many there are: six compliances that the
-    rows tell little of are charged little, where a fixed charge for each would prefer one wrong number to six right
+    rows say little about are charged little, where a fixed charge for each would prefer one wrong number to six right
     ones. Arguments as in :func:`of_size`.
     """
     found = of_size(ANY_SIZE, information, component)

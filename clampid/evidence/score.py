@@ -302,7 +302,7 @@ def _span(A: Array) -> Array:
 def _opened(estimate: Estimate) -> Array:
     """The prior's precision ``(P, P)``, of what a fit has held that of its error instead.
 
-    A friction is held where flanks tell it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
+    A friction is held where flanks determine it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
     error: what it would explain then is no evidence of anything else.
     """
     precision = estimate.prior_precision.copy()

@@ -71,6 +71,7 @@ COLUMNS = (
 
 COLUMN_OF = {f"{name}_{unit}": name for name, unit in (column.rsplit("_", 1) for column in ROW_COLUMNS)}
 MOUNT_TURN_RAD = 0.05  # no zero offset of a working arm is larger; a probe is mounted at any angle
+ROUNDING = 1e-10  # of a number, or of 1 m or rad: a standard error below that is arithmetic
 NOUGHT = 1e-12  # m and rad: rounding of derivatives
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
 
@@ -276,6 +277,7 @@ def static_table(
     J, covariance = sensitivity(model, moved, session=session, robot=nominal, temperature=temperature, difference=apart)
     std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, covariance, J), 0.0))
     # Of a number that goes with what is held the rest of its error says little.
+    std[std < ROUNDING * np.maximum(np.abs(numbers), 1.0)] = 0.0  # a constant: what arithmetic leaves is no error
     free = J[:, : len(spread)] @ spread if spread.size else np.zeros((len(std), 1))
     std[np.sqrt(np.sum(free**2, axis=1)) > std + NOUGHT] = np.nan
     frame = _frame(numbers, std, signs)

@@ -1,6 +1,6 @@
 """What a form of the robot for others (a table, URDF, machine data) leaves of the model that it was made from.
 
-A form holds the static geometry at one temperature. What it leaves is told of the whole model: springs under the
+A form holds the static geometry at one temperature. The rest is measured against the whole model: springs under the
 declared tool, play, errors of angles, expansion at other temperatures, a base that settles in the course of a shift.
 Workspace: postures drawn over the joints' ranges, each joint approached from a side drawn for it.
 """
@@ -108,8 +108,8 @@ class LeftOut:
     @property
     def worth(self) -> str:
         """The effects with what each is worth, largest first, in words."""
-        told = sorted(self.effects.items(), key=lambda item: -item[1])
-        return ", ".join(f"{name} (rms {1e3 * rms:.4f} mm)" for name, rms in told) or "nothing of this model"
+        ordered = sorted(self.effects.items(), key=lambda item: -item[1])
+        return ", ".join(f"{name} (rms {1e3 * rms:.4f} mm)" for name, rms in ordered) or "nothing of this model"
 
     def to_json(self) -> dict[str, Any]:
         """For programs; SI but for the temperatures."""

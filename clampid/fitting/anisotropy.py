@@ -25,7 +25,7 @@ TINY = 1e-30
 
 
 def relative_axes(rows: Rows, residual: Array) -> Array:
-    """Noise along the rows' axes ``(3,)`` over its rms of all three: ones where rows do not tell them apart.
+    """Noise along the rows' axes ``(3,)`` over its rms of all three: ones where rows do not separate them.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ _DIGITS = 4  # of a coefficient in a name: a tenth of a millimetre in a metre
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """A combination of inertial parameters that the data tell, where they do not tell its terms apart.
+    """A combination of inertial parameters that the data determine, where they do not separate its terms.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class BaseParameter:
     described
         What the robot's description gives; 0 where it has no masses.
     known
-        Whether the fit tells it to within the reasonable size of its first term.
+        Whether the fit determines it to within the reasonable size of its first term.
     """
 
     name: str

@@ -1,12 +1,12 @@
-"""The base (minimal) parameters of gravity and inertia: the combinations that the data tell, and nothing beyond.
+"""The base (minimal) parameters of gravity and inertia: the combinations that the data determine, and nothing beyond.
 
 A torque depends on the links' masses, first moments and inertias through fewer numbers than they are: a mass at joint
 k+1's axis is the same as more mass at the far end of link k. Columns of the Jacobian are taken in a fixed order (from
 the base outwards; first moments, then inertias, then masses), and one that adds nothing to those before it is a
 combination of them: its parameter joins theirs with these coefficients, which come out as lengths of the arm. What adds
 nothing and resembles nothing is not in the data at all. Columns are those of the data's own postures, so that a joint
-that never moved welds its links together. How well the data tell each combination is a second question, which noise
-decides.
+that never moved welds its links together. How well the data determine each combination is a second question, which
+noise decides.
 
 Source: Gautier 1991, Numerical calculation of the base inertial parameters of robots, J. Robotic Systems 8(4), eqs.
 14-23 (QR of the observation matrix, X_B = X_1 + R_1^-1 R_2 X_2), with the order of columns fixed instead of pivoted, so
@@ -38,7 +38,7 @@ __all__ = ["base_parameters", "described_parameters", "grouped", "regroup", "to_
 EXACT = 1e-7  # a column whose new part is a smaller share of it is a combination of others, but for rounding
 ROUNDING = 1e-11  # of the largest column: nothing
 NOUGHT = 1e-6  # a share this small, in reasonable sizes, is rounding
-TOLD = 0.7  # of what was known before: where the data leave more of it, they do not tell
+OPEN_SHARE = 0.7  # of what was known before: where the data leave more of it, they do not determine
 TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
 OF_BODY: tuple[Role, ...] = (*WEIGHTS, "inertia_tensor")
 
@@ -105,7 +105,7 @@ def grouped(
         std, prior = (float(np.sqrt(max(float(weights @ C @ weights), 0.0))) for C in (covariance, before))
         unit = find_parameter(slots[k], effects).unit
         value, nominal = float(weights @ theta), float(weights @ described) if robot.has_masses else 0.0
-        known = bool(std < min(size[k], TOLD * prior))
+        known = bool(std < min(size[k], OPEN_SHARE * prior))
         out.append(BaseParameter(base_name(terms, effects), unit, terms, value, std, nominal, known))
     return tuple(out)
 
@@ -198,7 +198,7 @@ def _columns(estimate: Estimate) -> tuple[Array, Array]:
     chosen = sampled_rows(rows)
     part = rows.take(chosen)
     if not estimate.experiment.numbers_of(*INERTIAS):
-        # Rows are steady then: the little acceleration they have must not blur what gravity cannot tell apart.
+        # Rows are steady then: the little acceleration they have must not blur what gravity cannot separate.
         part = replace(part, signals={**part.signals, **_at_rest(part)})
     trial = estimate.experiment.with_rows(part)
     count = len(estimate.slots)

@@ -5,7 +5,7 @@ takes that for noise that lasts; such weights then attend to the quick changes o
 which the model is to predict, go wrong. Cross-validation decides, all motors together: if a fit with equal weights
 leaves smaller squares on the rows it has not seen, by more than the standard error of the difference, it is taken. Its
 standard errors know the correlation all the same: with N the normal matrix of equal weights and M the covariance of
-its gradient under that noise, the rows tell N M^-1 N of the parameters.
+its gradient under that noise, the rows determine N M^-1 N of the parameters.
 Sources: White, Maximum likelihood estimation of misspecified models, Econometrica 50, 1982, and Godambe, Ann. Math.
 Stat. 31, 1960, for the information; Diebold & Mariano, Comparing predictive accuracy, J. Bus. Econ. Stat. 13, 1995,
 for the paired difference.

@@ -5,8 +5,8 @@ the flanks while it searches. Rows whose flank is wrong at the start pull F to w
 point is a local minimum. So a few frictions between none and the joint's heaviest load are tried at each joint that
 nothing is known of, each with the flanks that it gives, and the best is where the fit begins.
 
-This is for poses without torque logs, whose loads are only what the description says. Where logs tell the loads beside
-which flanks tell friction, :mod:`clampid.fitting.rest_friction` seeks it apart from all else, and holds it.
+This is for poses without torque logs, whose loads are only what the description says. Where logs determine the loads
+beside which flanks determine friction, :mod:`clampid.fitting.rest_friction` seeks it apart from all else, and holds it.
 """
 
 from __future__ import annotations

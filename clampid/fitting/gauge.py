@@ -1,4 +1,4 @@
-"""Gauge: which geometric parameters of a robot can be told apart at all, whatever is measured.
+"""Gauge: which geometric parameters of a robot can be separated at all, whatever is measured.
 
 Turning a link's far end about the joint before it is the same as an offset of that joint, and so on: a chain of n
 revolute joints has 4 n + 6 independent numbers, far fewer than 6 per link. The choice is made by rank: parameters are

@@ -5,7 +5,7 @@ held joints, it is this friction that decides whether a joint's clearance is cro
 has moved since the arm was clamped keeps what its last motion left. Of another it may be anything between the limits,
 and a search ends at one of several answers: the next is beyond rows that would have to enter or leave a clearance all
 at once, and costs more on the way. So a few frictions are tried at every such motor, which let the clearance be crossed
-in other rows, or in none, each with the angles at which the arm would then have been clamped. They are told apart by
+in other rows, or in none, each with the angles at which the arm would then have been clamped. They are separated by
 their evidence, not by their cost: an answer in which a clearance is crossed leaves the friction hardly any room, and
 among many such one would fit better by chance. Source: Laplace's approximation, as in MacKay, Bayesian interpolation,
 Neural Computation 4, 1992.
@@ -29,7 +29,7 @@ __all__ = ["other_crossings"]
 SHARES = (0.1, 0.35, 0.65, 0.9)  # of the rows: where a joint's torque is tried to change its sign
 BEYOND = 1.0  # of the noise: as far outside all rows that none changes it
 LARGEST = 2.0  # times the friction that a motor shows: more is not kept
-TOLD = 4.0  # of chi-square: changes of torque worth less tell nothing of crossings
+LEAST_CHI_SQUARE = 4.0  # of chi-square: changes of torque worth less say nothing about crossings
 NEAR = 2.0  # of the noise: a torque so small may be of either sign
 BETTER = 1.0  # of -2 log of the evidence
 STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1  # of the descent of what is tried; the whole search follows
@@ -165,7 +165,7 @@ def _live(experiment: Experiment, theta: Array) -> Bools:
     out = np.zeros((int(run.max()) + 1, n), dtype=bool)
     for s, k in keys[keys[:, 1] >= n]:
         mine, j = run == s, k - n
-        out[s, j] = mine.sum() * np.var(torque[mine, j] / limit[mine, j]) > TOLD
+        out[s, j] = mine.sum() * np.var(torque[mine, j] / limit[mine, j]) > LEAST_CHI_SQUARE
     return out
 
 

@@ -31,7 +31,7 @@ def sampled_columns(
         Standard deviation of the motors' noise ``(n,)``, Nm.
     at_rest
         Masses and first moments as in rest: the little acceleration of steady rows must not blur what gravity cannot
-        tell apart.
+        separate.
 
     Returns
     -------

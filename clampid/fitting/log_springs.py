@@ -1,9 +1,10 @@
-"""What a torque log's masses owe to springs that the log does not tell.
+"""What a torque log's masses owe to springs that the log does not determine.
 
 The weight's torques are those of the arm where it stands: under its load each drive's spring yields by c T tau, and the
 arm with it, so that the torques change by K times that, K their derivative by the posture. A fit of torques takes the
 arm to be where its motors are; its masses are then off by some tenths of a percent, in proportion to compliances that
-only clamped sweeps or poses tell. To first order, of least squares with the design X, weights W and prior precision P::
+only clamped sweeps or poses determine. To first order, of least squares with the design X, weights W and prior
+precision P::
 
     theta - theta_fitted = B c,    B = -(X' W X + P)^-1 X' W S,    S = d torque / d c
 
@@ -65,7 +66,7 @@ def by_springs(columns: Array, torques: Array, normal: Array, precision: Array) 
     columns, torques
         ``(M, P)`` and ``(M, n)``: X and S of those rows, over the noise.
     normal, precision
-        ``(P, P)``: what all rows tell, and the prior.
+        ``(P, P)``: what all rows determine, and the prior.
     """
     own = columns.T @ columns
     told = np.diag(own) > 0.0

@@ -1,4 +1,4 @@
-"""What these data cannot tell: directions in parameter space without information, named in physical words."""
+"""What these data cannot determine: directions in parameter space without information, named in physical words."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def assumed_of(experiment: Experiment) -> Bools:
 def named_directions(
     information: Array, sizes: Array, slots: Sequence[Slot], precision: Array, assumed: Bools, limit: int = 12
 ) -> tuple[str, ...]:
-    """The same from what the data tell.
+    """The same from what the data determine.
 
     Parameters
     ----------

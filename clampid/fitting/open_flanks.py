@@ -3,7 +3,7 @@
 A joint whose axis is upright bears no weight, so that its dry friction holds it on the flank that it came from. If the
 axis leans by a milliradian, the arm's own weight presses on it with a thousandth of its moment, here on one side and
 there on the other, and where that is more than the friction it decides instead. Neither the lean nor the little
-friction of an unloaded bearing is known: poses tell them by clearances alone, and a fit that takes the direction's
+friction of an unloaded bearing is known: poses determine them by clearances alone, and a fit that takes the direction's
 flanks for right spreads what is wrong over its other parameters.
 
 So leans and frictions are drawn from what installers and bearings leave open, each with the flanks that it gives and

@@ -128,7 +128,7 @@ def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
         off = profile.theta - estimate.theta
         covariance += (profile.weight * off.T) @ off
         # Flanks tell friction and seals beside the load: what these are off, friction is off. What it winds up would
-        # tell it apart, but not where one visit in a hundred is taken to stand on the other flank.
+        # separate it, but not where one visit in a hundred is taken to stand on the other flank.
         load = _load_variance(estimate, profile.joint) + _seals(estimate, profile.joint) ** 2
         covariance += load * np.outer(profile.slope, profile.slope)
     return replace(estimate, covariance=covariance)

@@ -88,7 +88,7 @@ class Estimate:
 
     @property
     def identified(self) -> Bools:
-        """Which parameters ``(P + K,)`` the rows tell to within their reasonable size."""
+        """Which parameters ``(P + K,)`` the rows determine to within their reasonable size."""
         return self.std < self.experiment.clear()
 
     @property

@@ -26,7 +26,7 @@ WORSE = 1.0  # of chi-square: what a number that is not there would gain by chan
 
 
 def unknown_frictions(estimate: Estimate) -> list[int]:
-    """Numbers of the arm-side frictions that a fit's rows do not tell.
+    """Numbers of the arm-side frictions that a fit's rows do not determine.
 
     Where only the product with the spring's compliance shows, a friction that nothing else says anything of is as
     unknown as the spring.
@@ -38,7 +38,7 @@ def unknown_frictions(estimate: Estimate) -> list[int]:
 
 
 def without_unknown_friction(estimate: Estimate) -> Estimate:
-    """The same pose fit with frictions of zero where the rows do not tell them, and its covariance there."""
+    """The same pose fit with frictions of zero where the rows do not determine them, and its covariance there."""
     found, gone, shown = estimate, list[int](), list[int]()
     unknown = unknown_frictions(estimate)
     none = None
@@ -76,7 +76,7 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
 
 
 def _untold_springs(estimate: Estimate) -> list[int]:
-    """Numbers of the compliances that a fit's rows do not tell, nor set apart from what springs are taken for."""
+    """Numbers of the compliances that a fit's rows do not determine, nor set apart from what springs are taken for."""
     clear = np.abs(estimate.theta - estimate.prior_mean) > SHOWN * estimate.std
     told = estimate.identified | clear
     return [k for k in estimate.experiment.numbers_of("compliance") if not told[k]]

@@ -106,7 +106,8 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
     contradicted = tuple(a for a in found if a.verdict == "differs")
     if contradicted:
         return Drives(None, contradicted)
-    # What no pose tells stays out: a clearance that does not show would only stand, on a guessed flank, in predictions.
+    # What no pose determines stays out: a clearance that does not show would only stand, on a guessed flank, in
+    # predictions.
     told = tuple(
         s
         for s in shared_drives(clamped.slots, poses.slots, poses.experiment.effects)

@@ -173,7 +173,7 @@ def add_steps(
     Returns
     -------
     model, left_out
-        The steps left out are those of which no row tells anything any more, once others have been added.
+        The steps left out are those of which no row says anything any more, once others have been added.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def mend(
     """Add what diagnosis confirms to a model of these campaigns, each step as a round of its own in the ledger.
 
     Diagnosis itself adds, refits and looks again until nothing more is confirmed, so that one pass is the whole loop.
-    What these data cannot tell apart is not added, but where it makes no difference which of them it is: an offset of a
+    What these data cannot separate is not added, but where it makes no difference which of them it is: an offset of a
     motor's torque and a friction that differs by direction are one model under two names. Where joints have one and the
     same curve, that takes the place of one for each, in a round after those of the curves.
 

@@ -54,7 +54,7 @@ class DemoResult:
     before, after, diagnosis
         As ``compare`` and ``diagnose`` give them to programs.
     named
-        Whether the hidden effect is among the candidates: confirmed, or one of those that cannot be told apart.
+        Whether the hidden effect is among the candidates: confirmed, or one of those that cannot be separated.
     """
 
     folder: Path
@@ -192,7 +192,7 @@ def terms_to_add(
 def _mend(
     model: Model, campaign: Campaign, diagnosis: Mapping[str, Any], seed: int
 ) -> tuple[Model, dict[str, list[str]], list[Any]]:
-    """Add what is confirmed, and of alternatives that the data cannot tell apart the one that predicts best.
+    """Add what is confirmed, and of alternatives that the data cannot separate the one that predicts best.
 
     Either mends the prediction; what it is called stays open.
     """

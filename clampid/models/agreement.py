@@ -39,7 +39,7 @@ class Agreement:
     p_value
         Two-sided, of this one alone.
     verdict
-        ``agrees``, ``differs`` (5 % over all joints, Holm), or ``not testable`` where the poses do not tell it to
+        ``agrees``, ``differs`` (5 % over all joints, Holm), or ``not testable`` where the poses do not determine it to
         within its reasonable size.
     """
 

@@ -6,9 +6,10 @@ positive definite, every rotor's inertia positive) the one is found that
     minimises  (K x − β)ᵀ C⁻¹ (K x − β) + 2 w Σ_links [tr(P₀⁻¹ P) − log det(P₀⁻¹ P) − 4]
 
 with β and C the base parameters and their covariance, and P₀ the described link. The second part, the divergence of two
-bodies' mass distributions, decides what torques do not tell, and keeps bodies possible: it is infinite at the edge.
-Both parts are convex in x, so that the minimum is the only one. The weight w is the largest at which the description
-moves the base parameters by no more than half a standard error (root mean square) beyond what consistency itself costs.
+bodies' mass distributions, decides what torques do not determine, and keeps bodies possible: it is infinite at the
+edge. Both parts are convex in x, so that the minimum is the only one. The weight w is the largest at which the
+description moves the base parameters by no more than half a standard error (root mean square) beyond what consistency
+itself costs.
 
 Source: Lee, Wensing and Park 2020, Geometric robot dynamic identification: a convex programming approach, IEEE Trans.
 Robotics 36(2) (entropic divergence, convexity); Traversaro et al. 2016 (pseudo-inertia); the log-Cholesky parameters of

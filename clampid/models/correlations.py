@@ -1,4 +1,4 @@
-"""Which identified parameters the data tell only together: the correlations of their errors, strongest first.
+"""Which identified parameters the data determine only together: the correlations of their errors, strongest first.
 
 r_kl = C_kl / sqrt(C_kk C_ll), C the model's covariance, priors included. At r = ±0.9 each of the two is told 2.3 times
 better once the other is known.

@@ -37,7 +37,7 @@ class AngleErrors:
     assumed
         ``(N, n)``, rad: what was assumed of its size before any row was seen.
     least
-        ``(n,)``, rad: its standard error at the angle of which poses tell most.
+        ``(n,)``, rad: its standard error at the best determined angle.
     active
         ``(n,)``: which joints have such an effect.
     """
@@ -115,7 +115,7 @@ class SharedCurve:
     angle, error, std, assumed
         ``(M,)``, rad: where on the curve, g there, its standard error, and what was assumed of its size.
     least
-        rad: the standard error where poses tell most.
+        rad: the standard error at the best determined angle.
     deviation
         rad, rms over a turn: by how much the joints differ from the curve, beside once and twice per turn.
     """

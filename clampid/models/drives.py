@@ -41,7 +41,7 @@ class Drives:
     compliance, compliance_std
         ``(n, n)`` rad/Nm at the joints, all springs: deflection per torque.
     gap, gap_std, gap_limit
-        ``(n,)`` rad at the joints: clearance, and the smallest that can be told from none.
+        ``(n,)`` rad at the joints: clearance, and the smallest that can be detected.
     friction, friction_std
         ``(n,)`` Nm at the motors, half the height of the loop.
     """
@@ -60,7 +60,7 @@ class Drives:
 
     @property
     def told(self) -> Bools:
-        """Which clearances ``(n,)`` are told from zero: those above their detection limit."""
+        """Which clearances ``(n,)`` differ from zero: those above their detection limit."""
         return np.asarray(self.gap > self.gap_limit)
 
     def to_json(self) -> dict[str, Any]:

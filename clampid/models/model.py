@@ -71,15 +71,15 @@ class StageModel:
     theta, covariance
         ``(P,)`` and ``(P, P)``, SI, in the order of ``slots``.
     identified
-        Whether the data tell each parameter to within its reasonable size.
+        Whether the data determine each parameter to within its reasonable size.
     held_out
         Folds (poses, runs or sweeps, by their numbers in the campaign, one tuple per session) kept out of the fit.
     outliers
         (session, table, row from 1) of the rows rejected.
     null_directions
-        What these data cannot tell, in words.
+        What these data cannot determine, in words.
     base
-        The combinations of masses, first moments and inertias that torques can tell; of ``free_air`` only.
+        The combinations of masses, first moments and inertias that torques can determine; of ``free_air`` only.
     observability
         Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.fitting.observability`.
     bootstrap
@@ -88,7 +88,7 @@ class StageModel:
         Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
         counting any row twice; else None.
     lean
-        ``(n, 3)``, rad, of poses: how the robot leans as far as flanks tell, see `fitting.open_flanks`; else None.
+        ``(n, 3)``, rad, of poses: how the robot leans as far as flanks determine, see `fitting.open_flanks`; else None.
     by_springs
         ``(P, n)``, of ``free_air``: how the parameters follow the springs, see :mod:`clampid.fitting.log_springs`; None
         where not known.

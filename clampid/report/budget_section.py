@@ -46,9 +46,9 @@ def _pose_blocks(data: StageData) -> list[Table | Figure]:
     marks: list[Mark] = [Bars(np.array(totals), ["blue"] * len(names), "effect as a whole", tips)]
     dots = [(k, 1e6 * v, p) for k, s in enumerate(shares) for p, v in s.places.items() if 1e6 * v > low]
     if dots:
-        told = [f"{names[k]} at {place}: {number(v, 3)} µm" for k, v, place in dots]
+        tips = [f"{names[k]} at {place}: {number(v, 3)} µm" for k, v, place in dots]
         at, heights = np.array([v for _, v, _ in dots]), np.array([float(k) for k, _, _ in dots])
-        marks.append(Points(at, heights, "single joints and links, by number", "orange", 16, symbol="ring", tips=told))
+        marks.append(Points(at, heights, "single joints and links, by number", "orange", 16, symbol="ring", tips=tips))
         marks += [Label((_short(place),), v, float(k)) for k, v, place in dots]
     marks.append(Level(1e6 * floor, "x", "noise floor"))
     high = max([*totals, 1e6 * floor]) * 10**0.15

@@ -1,4 +1,4 @@
-"""The drives as the clamped sweeps tell them: a table, the compliance matrix, and how the clamp moved."""
+"""The drives as the clamped sweeps determine them: a table, the compliance matrix, and how the clamp moved."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _table(d: Drives) -> Table:
     """Springs, clearances and friction, drive by drive."""
     rows = []
     for j in range(len(d.stiffness)):
-        told = "" if not np.isfinite(d.gap[j]) else "yes" if d.told[j] else "no"
+        clear = "" if not np.isfinite(d.gap[j]) else "yes" if d.told[j] else "no"
         rows.append(
             (
                 str(j + 1),
@@ -46,7 +46,7 @@ def _table(d: Drives) -> Table:
                 _pair(d.joint_stiffness[j] / 1e3, d.joint_stiffness_std[j] / 1e3),
                 _pair(np.degrees(d.gap[j]), np.degrees(d.gap_std[j])),
                 number(float(np.degrees(d.gap_limit[j])), 2),
-                told,
+                clear,
                 _pair(d.friction[j], d.friction_std[j]),
             )
         )

@@ -22,7 +22,7 @@ __all__ = ["friction_figures"]
 MOST_POINTS = 900
 GRID = 40  # points of a curve on each side of standstill
 TWO_SIDED_95 = 1.96
-TOLD = 2.0  # standard errors from zero, beyond which a friction is told
+SIGNIFICANT = 2.0  # standard errors from zero, beyond which a friction is significant
 FEWEST = 4  # blocks of a log that a mean's interval is taken from
 OUTER = 0.995  # of the points are inside the axes
 
@@ -49,7 +49,7 @@ class _Curve:
 
 
 def friction_figures(data: StageData) -> list[Figure]:
-    """Friction at the motors, and where the transmission tells it from theirs, at the joints."""
+    """Friction at the motors, and where the transmission separates it from theirs, at the joints."""
     names = [f"motor {k + 1}" for k in range(data.channels)]
     effects = data.first.experiment.effects
     # What reaches a motor through the wrist's coupling depends on other speeds than its own, too.
@@ -57,7 +57,7 @@ def friction_figures(data: StageData) -> list[Figure]:
     at_motor = [name for name, effect in effects.items() if effect.roles & set(FRICTIONS)]
     reach = " Points are the model's friction plus the residual; their means have 95 % intervals."
     arm = {
-        int(slot.place.removeprefix("joint")) - 1: bool(known) and abs(value) > TOLD * std
+        int(slot.place.removeprefix("joint")) - 1: bool(known) and abs(value) > SIGNIFICANT * std
         for slot, known, value, std in zip(
             data.model.slots, data.model.identified, data.model.theta, data.model.std, strict=True
         )
@@ -68,16 +68,19 @@ def friction_figures(data: StageData) -> list[Figure]:
     if arm:
         caption += " In the wrist this is the sum of the motor's side and the arm's."
     plot = _drawn(data, (*at_motor, *at_arm), range(data.channels), names, "motor")
-    told, untold = sorted(j for j, known in arm.items() if known), sorted(j for j, known in arm.items() if not known)
-    if untold:
-        places = ", ".join(f"joint {j + 1}" for j in untold)
+    proven, unproven = (
+        sorted(j for j, known in arm.items() if known),
+        sorted(j for j, known in arm.items() if not known),
+    )
+    if unproven:
+        places = ", ".join(f"joint {j + 1}" for j in unproven)
         caption += f" These data do not separate the two at {places}."
     found = [Figure("friction", plot, caption)]
-    if told:
+    if proven:
         caption = (
             f"Of it, the friction on the arm's side of coupled joints, at the joint, where it differs from zero.{reach}"
         )
-        plot = _drawn(data, at_arm, told, [f"joint {j + 1}" for j in told], "joint")
+        plot = _drawn(data, at_arm, proven, [f"joint {j + 1}" for j in proven], "joint")
         found.append(Figure("friction-arm", plot, caption))
     return found
 

@@ -1,4 +1,4 @@
-"""The model with standard errors, effect by effect, in units for people; and what these data cannot tell."""
+"""The model with standard errors, effect by effect, in units for people; and what these data cannot determine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["OPEN", "parameters_section"]
 
 OPEN = "not identifiable"
 _ON_BOUND, _BEYOND = "limit", "below zero"
-TOLD = 2.0  # standard errors from zero
+SIGNIFICANT = 2.0  # standard errors from zero
 _PARTS: Mapping[Role, str] = {"base_frame": "base", "target_point": "targets", "flange_frame": "flange"}
 _MANY = 40  # parameters of an effect at a place, which nobody reads one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
@@ -98,8 +98,8 @@ def _base(stage: StageModel) -> Table:
     rows = []
     for p in stage.base:
         scale = scale_for(p.unit, [p.value])
-        told = with_std(p.value, p.std, scale, unit=False) if p.known else OPEN
-        rows.append((p.name, told, number(p.described, 4), scale.unit))
+        worded = with_std(p.value, p.std, scale, unit=False) if p.known else OPEN
+        rows.append((p.name, worded, number(p.described, 4), scale.unit))
     caption = (
         "Base parameters of the arm, without the declared tool: the combinations of masses, first moments and inertias "
         "that these torques determine; the terms of one combination are not separable. First moments and "
@@ -172,12 +172,12 @@ def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale
     if not stage.identified[k]:
         return OPEN
     value, std = float(stage.theta[k]), 0.0 if fixed_slots(stage.slots, effects)[k] else float(stage.std[k])
-    told = with_std(value, std, scale, unit=False)
+    worded = with_std(value, std, scale, unit=False)
     if _rests(stage, effects, k):
-        return f"{told} ({_ON_BOUND})"
+        return f"{worded} ({_ON_BOUND})"
     if _outside(stage, effects, k):
-        told = f"{told} ({_BEYOND})"
-    return Weak(told) if abs(value) < TOLD * std else told
+        worded = f"{worded} ({_BEYOND})"
+    return Weak(worded) if abs(value) < SIGNIFICANT * std else worded
 
 
 def _outside(stage: StageModel, effects: Mapping[str, Effect], k: int) -> bool:

@@ -124,15 +124,15 @@ def spread_table(found: Mapping[Stage, Spread]) -> Table | None:
 
 
 def spread_sentences(found: Mapping[Stage, Spread]) -> list[str]:
-    """For each stage with an error before: by how much it fell, and whether that is told from nothing."""
+    """For each stage with an error before: by how much it fell, and whether that differs from zero."""
     out = []
     for stage, s in found.items():
         if s.fall is None or s.fall == (0.0, 0.0, 0.0):
             continue
-        told = "" if s.fall[1] > 0.0 or s.fall[2] < 0.0 else "; this is not significant"
+        significance = "" if s.fall[1] > 0.0 or s.fall[2] < 0.0 else "; this is not significant"
         out.append(
             f"{stage_title(stage)}: on the {s.folds} held-out {_WHOLE[stage]} the error fell by "
-            f"{error_text(s.fall[0], _UNITS[stage])} (95 % interval {_ends(s.fall, stage)}){told}."
+            f"{error_text(s.fall[0], _UNITS[stage])} (95 % interval {_ends(s.fall, stage)}){significance}."
         )
     return out
 

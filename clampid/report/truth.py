@@ -47,8 +47,7 @@ def _rows(hidden: Json, model: Model, effects: Mapping[str, Effect], robot: Robo
     right = _found(effect, place, model, effects, robot) or [("not in the model", "")]
     pairs = zip_longest(left, right, fillvalue=("", ""))
     return [
-        (effect if k == 0 else "", place if k == 0 else "", told[1], told[0], *own)
-        for k, (told, own) in enumerate(pairs)
+        (effect if k == 0 else "", place if k == 0 else "", one[1], one[0], *own) for k, (one, own) in enumerate(pairs)
     ]
 
 

@@ -140,7 +140,7 @@ class Experiment:
         """A start, and what is assumed before any row is seen: amplitudes zero, shapes and shares as they say.
 
         In ``poses`` springs are stiff, but no stiffer than springs are: dry friction in an infinitely stiff one does
-        nothing, so that where a joint bears no load its clearance would seem told from friction that winds it up.
+        nothing, so that where a joint bears no load its clearance would seem separated from friction that winds it up.
         """
         own = [STIFF * p.size if self.stage == "poses" and p.role == "compliance" else p.start for p in self.parameters]
         return np.array([*own, *([0.0] * self.offsets)])

@@ -15,7 +15,7 @@ __all__ = ["coupled_joints", "layout_of"]
 
 
 def coupled_joints(robot: RobotDescription) -> tuple[int, ...]:
-    """Joints (from 0) whose transmission is coupled with another's: there arm side and motor side can be told apart."""
+    """Joints (from 0) whose transmission is coupled with another's: there arm side and motor side can be separated."""
     off = np.asarray(robot.transmission) - np.diag(np.diag(robot.transmission))
     coupled = (off != 0).any(axis=0) | (off != 0).any(axis=1)
     return tuple(int(i) for i in np.flatnonzero(coupled))

@@ -279,8 +279,10 @@ def _after(form: str, model: Path, output: Path, campaign: Path | None, name: st
     if campaign is not None:
         return use_next(model)
 
-    beside = model.parent / name
-    folder = beside if (beside / "campaign.toml").is_file() else Path(name)
+    near = [folder for folder in (model.parent / name, Path(name)) if (folder / "campaign.toml").is_file()]
+    if not near:  # the model does not say where its campaign lies
+        return use_next(model)
+    folder = near[0]
     target = str(free_name(output))
     command = shlex.join(["clampid", "export", form, str(model), "--campaign", str(folder), "-o", target])
     return (Next("Next, see what the file alone leaves of the measured points:", command),)

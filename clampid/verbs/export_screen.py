@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["angles_screen", "dynamics_screen", "export_screen", "kuka_screen", "use_next"]
 
+EXACT = 1e-9  # m: below it an export leaves nothing but rounding
 SEEN = 5e-6  # m: effects that are worth less are not named; the file and --json have them
 
 
@@ -102,6 +103,8 @@ def _left(left: LeftOut, measured: Measured | None) -> list[tuple[str, str]]:
         f"{error_text(error.position_rms, 'm')} rms, {error_text(error.position_max, 'm')} at most; "
         f"{error_text(error.orientation_rms, 'rad')} rms"
     )
+    if error.position_max < EXACT:
+        over = "nothing beyond rounding"
     facts = [("workspace", over)]
     if measured is not None:
         m = measured
@@ -114,6 +117,8 @@ def _left(left: LeftOut, measured: Measured | None) -> list[tuple[str, str]]:
 
 def _alone(kind: str, error: FormError, measured: Measured | None) -> str:
     """One sentence: what a controller errs that knows this file and nothing else."""
+    if measured is None and error.position_max < EXACT:
+        return f"The {kind} holds the whole model: nothing in it depends on posture, load or time."
     if measured is None:
         return (
             f"On its own the {kind} leaves {error_text(error.position_rms, 'm')} of the whole model over the workspace."

@@ -52,7 +52,8 @@ def next_steps(
 
     if confirmed:
         again = shlex.join(["clampid", "diagnose", mended, *map(str, campaigns), *own])
-        return [Next("Next, add it:", adding(",".join(confirmed))), Next("Then diagnose again:", again)]
+        what = "it" if len(confirmed) == 1 else "them"
+        return [Next(f"Next, add {what}:", adding(",".join(confirmed))), Next("Then diagnose again:", again)]
     # Of each group any one; what is left open of a second group is said after the next diagnosis.
     first = next(iter(either.values()), [])
     head = "Next, add one of these:" if len(first) > 1 else "Next, add it:"

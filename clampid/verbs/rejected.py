@@ -57,11 +57,11 @@ def _visits(model: Model, campaigns: Sequence[Campaign], effects_from: Path | No
         (at,) = np.flatnonzero((rows.session == session) & (rows.table == table) & (rows.row == row))
         off = float(lengths(residual)[at])
         visits.setdefault((session, table, int(cells["pose"]), int(cells["visit"])), []).append((cells["target"], off))
-    told = []
+    lines = []
     for (session, table, pose, visit), points in visits.items():
         where = f"{campaigns[session].name}, " if len(campaigns) > 1 else ""
         where += "" if table == "poses" else f"{table} "
         most = max(off for _, off in points)
         off_by = error_text(most, "m") + (" at most" if len(points) > 1 else "")
-        told.append((most, f"{where}pose {pose} visit {visit} ({', '.join(t for t, _ in points)}) off by {off_by}"))
-    return [text for _, text in sorted(told, key=lambda entry: -entry[0])]
+        lines.append((most, f"{where}pose {pose} visit {visit} ({', '.join(t for t, _ in points)}) off by {off_by}"))
+    return [text for _, text in sorted(lines, key=lambda entry: -entry[0])]

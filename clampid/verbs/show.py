@@ -171,7 +171,7 @@ def _show_correlations(name: str, stage: StageModel, out: Output) -> None:
 
 def bootstrap_words(stage: StageModel) -> str:
     """How standard errors by drawing poses anew compare with those of the formula."""
-    known = [k for k, told in enumerate(stage.identified) if told]
+    known = [k for k, identified in enumerate(stage.identified) if identified]
     if stage.bootstrap is None or not known:
         return "no parameter is identifiable, so that the bootstrap gives no standard errors"
     ratio = stage.bootstrap.std[known] / stage.std[known]
@@ -187,8 +187,8 @@ def universal_words(model: Model) -> list[str]:
     out = []
     for entry in model.ledger:
         for name, figures in (entry.evidence.get("universal") or {}).items():
-            told = ", ".join(f"{key} {error_text(value, 'm')}" for key, value in figures.items())
-            out.append(f"{entry.stage} by {name}, fitted points: {told}")
+            figures_text = ", ".join(f"{key} {error_text(value, 'm')}" for key, value in figures.items())
+            out.append(f"{entry.stage} by {name}, fitted points: {figures_text}")
     return out
 
 
@@ -248,16 +248,16 @@ def _pair(value: float, std: float) -> str:
 def show_rounds(rounds: Iterable[Round], out: Output) -> None:
     """The ledger as a table; where a diagnosis chose a step, by which p, and what else that might have been."""
     rounds = list(rounds)
-    told = any("p_familywise" in entry.evidence for entry in rounds)
+    with_p = any("p_familywise" in entry.evidence for entry in rounds)
     rows, notes = [], []
     for k, entry in enumerate(rounds, 1):
         unit = stage_unit(entry.stage)
         errors = (error_text(v, unit) for v in (entry.rms, entry.heldout_rms, entry.noise_floor))
         what = "+ " + terms_text(entry.added) if entry.added else terms_text(entry.effects)
         p = entry.evidence.get("p_familywise")
-        rows.append((str(k), entry.stage, what, *errors, *(["–" if p is None else f"{p:.2g}"] if told else [])))
+        rows.append((str(k), entry.stage, what, *errors, *(["–" if p is None else f"{p:.2g}"] if with_p else [])))
         notes += [f"round {k}: {said}" for said in evidence_words(entry)]
-    columns = ("", "stage", "effects", "rms", "rms held out", "noise floor", *(["p family"] if told else []))
+    columns = ("", "stage", "effects", "rms", "rms held out", "noise floor", *(["p family"] if with_p else []))
     out.table("rounds", columns, rows, left=3)
     for said in notes:
         out.say(said)

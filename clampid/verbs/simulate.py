@@ -79,5 +79,5 @@ def simulate(
             next=(Next("Next, look at what it holds:", ask),),
         )
     )
-    told = {"robot": robot, "seed": seed, "session": session}
-    out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), **told})
+    given = {"robot": robot, "seed": seed, "session": session}
+    out.result({"campaign": str(output), "hidden_file": str(hidden_file(output)), **given})

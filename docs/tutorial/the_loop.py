@@ -52,7 +52,7 @@ diagnosis.to_frame()
 # ## Act on the verdict
 #
 # `missing`: the candidates are added. `ambiguous`: several effects explain the data equally well. Whatever is confirmed
-# is added first. Of the rest none is added, because these poses cannot tell which one it is. The diagnosis says what to
+# is added first. Of the rest none is added, because these poses do not separate them. The diagnosis says what to
 # measure instead. `unknown` and `adequate`: there is nothing to add.
 
 # %%

@@ -42,7 +42,7 @@ class WeightCheck:
     side
         ``motor`` or ``gear``, where the unit is Nm.
     motor_slope, gear_slope
-        k by axis, against torques of motors and of gears; nan where the axis does not tell.
+        k by axis, against torques of motors and of gears; nan where the axis carries no weight.
     words
         One sentence for a person.
     """

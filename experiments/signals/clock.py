@@ -109,7 +109,7 @@ def gaps(q: Array, time: Array, run: Integers) -> tuple[Gap, ...]:
     A step counts when it is more than half a usual step away from the usual one *and* farther than six times the
     clock's own jitter (1.4826 times the median absolute deviation: of normal jitter, 1 step in 5e8 is so far out).
     While the robot moves, positions tell missing samples from a jump: time passed is distance over speed, with the
-    speed read before and after. What they cannot tell apart by four standard errors counts as missing.
+    speed read before and after. What they cannot separate by four standard errors counts as missing.
 
     Parameters
     ----------

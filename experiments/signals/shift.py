@@ -74,7 +74,7 @@ def time_shift(
         Columns ``(N, p)`` on the motion's clock that the log is a sum of, with unknown factors; differentiable.
     corrections
         Columns ``(N, c)`` on that clock that make up for what the carriers' shape lacks, such as gravity of each
-        link; they tell nothing of the shift themselves. None where the carriers are free enough: ``(N, 0)``.
+        link; they say nothing about the shift themselves. None where the carriers are free enough: ``(N, 0)``.
     nuisances
         Columns ``(N, k)`` on that clock that the log may contain as well, such as speeds, signs of motion and 1.
     time

@@ -102,7 +102,7 @@ def test_what_is_read(engine: Peer) -> None:
     assert 0 < event["detector-radius_std"] < 5
 
 
-def test_who_else_moves_it_is_told(engine: Peer, serving: Serving, link: MemoryLink) -> None:
+def test_who_else_moves_it_is_reported(engine: Peer, serving: Serving, link: MemoryLink) -> None:
     link.seconds = 1.0
     with serving.client("alignment") as other:
         assert other.ask("move gamma=0.36 delta=0.2 r=0.8")["moving"]

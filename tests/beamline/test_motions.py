@@ -45,7 +45,7 @@ def test_a_move_that_waits_tells_where_it_ended(serving: Serving, link: MemoryLi
         assert seen["holder"] is None
 
 
-def test_a_second_client_is_told_who_moves_the_robot(serving: Serving, link: MemoryLink) -> None:
+def test_a_second_client_learns_who_moves_the_robot(serving: Serving, link: MemoryLink) -> None:
     link.seconds = 1.0
     with serving.client("alignment") as one, serving.client("scan") as other, serving.client(hello=False) as person:
         assert one.ask(MOVE)["moving"] is True
@@ -178,7 +178,7 @@ def test_after_a_stop_the_setpoint_is_where_the_robot_stands(serving: Serving, l
         assert abs(one.ask("robot")["setpoint"]["gamma_rad"] - seen["setpoint"]["gamma_rad"]) > 1e-3
 
 
-def test_a_motion_that_fails_or_falls_silent_is_told(serving: Serving, link: MemoryLink) -> None:
+def test_a_motion_that_fails_or_falls_silent_is_reported(serving: Serving, link: MemoryLink) -> None:
     with serving.client() as one:
         link.failed = "axis 3: following error"
         assert one.ask(MOVE + " wait=yes")["ended"] == {
@@ -227,7 +227,7 @@ def test_a_client_that_has_closed_its_side_moves_nothing(serving: Serving, link:
     assert not link.sent
 
 
-def test_a_link_that_only_reads_is_told_at_hello(serving: Serving, link: MemoryLink) -> None:
+def test_hello_says_that_a_link_only_reads(serving: Serving, link: MemoryLink) -> None:
     link.executes = False
     with serving.client(hello=False) as client:
         told = client.ask("hello")

@@ -114,7 +114,7 @@ def test_init_and_connect_move_nothing(contrast: Peer, link: MemoryLink) -> None
     assert (len(link.sent), len(link.stopped)) == (sent, stopped)
 
 
-def test_what_else_is_told(contrast: Peer, serving: Serving, link: MemoryLink) -> None:
+def test_what_else_is_reported(contrast: Peer, serving: Serving, link: MemoryLink) -> None:
     link.seconds = 2.0
     with serving.client("alignment") as other:
         assert other.ask(f"move gamma={math.radians(25)!r} delta=0.2 r=0.8")["moving"]

@@ -85,7 +85,7 @@ def test_torques_in_another_unit_are_named_and_refused(
     assert not (tmp_path / "model.json").exists()
 
 
-def test_a_joint_that_never_reverses_is_told(clampid: Clampid, edited: Callable[[Edit], Path], tmp_path: Path):
+def test_a_joint_that_never_reverses_is_reported(clampid: Clampid, edited: Callable[[Edit], Path], tmp_path: Path):
     done = clampid("identify", edited(forwards_only), "-q", "-o", tmp_path / "model.json")
     assert done.code == 0
     said = " ".join((done.err + done.out).split())
@@ -93,7 +93,7 @@ def test_a_joint_that_never_reverses_is_told(clampid: Clampid, edited: Callable[
     assert "its dry friction and its torque's offset are not separable" in said
 
 
-def test_one_speed_is_told_and_its_frictions_are_not_identified(
+def test_one_speed_is_reported_and_its_frictions_are_not_identified(
     clampid: Clampid, edited: Callable[[Edit], Path], tmp_path: Path
 ):
     model = tmp_path / "model.json"

@@ -58,6 +58,17 @@ def test_what_a_verb_says_to_type_next_runs(
     assert again.code == 0, again.err
 
 
+@pytest.mark.slow
+def test_no_campaign_is_named_that_lies_elsewhere(
+    clampid: Clampid, fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model.json").write_bytes((fitted / "model.json").read_bytes())
+    offered = next_command(clampid("export", "urdf", "model.json", "-o", "robot.urdf"))
+    assert "--campaign" not in offered
+
+
 def test_a_new_effect_is_trusted_on_a_screen(clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))

@@ -43,6 +43,7 @@ def test_a_variant_is_added_by_its_own_name_and_not_its_familys() -> None:
 def test_an_effect_without_a_place_is_added_by_its_name_alone() -> None:
     add, _ = next_steps(told(candidate("backlash", "joint1"), candidate("gravity")), Path("m.json"), [Path("arm")])
     assert add.command == "clampid add poses=backlash@joint1,poses=gravity m.json arm -o mended.json"
+    assert add.purpose == "Next, add them:"
 
 
 def test_a_single_alternative_is_not_one_of_several() -> None:
@@ -50,7 +51,7 @@ def test_a_single_alternative_is_not_one_of_several() -> None:
     assert step.purpose == "Next, add it:"
 
 
-def test_of_what_cannot_be_told_apart_any_one() -> None:
+def test_of_what_cannot_be_separated_any_one() -> None:
     found = told(
         *(candidate(name, "joint2", alternative=True) for name in ("gear_eccentricity", "gravity_compensator"))
     )

@@ -54,7 +54,7 @@ def test_joints_are_columns_and_what_is_not_identifiable_has_no_value(capsys: Ca
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_a_curve_is_told_by_its_size_and_not_by_its_harmonics(capsys: Capture) -> None:
+def test_a_curve_is_reported_by_its_size_and_not_by_its_harmonics(capsys: Capture) -> None:
     effect = catalogue()["joint_angle_curve"]
     names = [p.name for p in effect.parameters if p.per == "joint"]
     slots = tuple(Slot(effect.name, name, "joint1") for name in names)

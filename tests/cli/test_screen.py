@@ -185,6 +185,9 @@ def test_an_alternative_whose_values_the_data_do_not_determine_is_not_offered() 
     assert equally_good(found["poses"]["candidates"]) == [tame]
     assert headline(found) == "Backlash at joint 2 explains the rest best."
     assert any("base tilt explains it less well: held-out error 1.33 mm" in n for n in notes("poses", found["poses"]))
+    assert any(
+        "gravity at link 2 is no alternative: the data do not determine" in n for n in notes("poses", found["poses"])
+    )
     from pathlib import Path
 
     (step,) = next_steps({"stages": found}, Path("m.json"), [Path("arm")])

@@ -56,7 +56,7 @@ def test_a_spring_that_differs_is_named():
         assert [a.slot.place for a in each[:6]] == [f"joint{j + 1}" for j in range(6)]
 
 
-def test_what_the_poses_do_not_tell_is_not_tested():
+def test_what_the_poses_do_not_determine_is_not_tested():
     clamped, poses = pair_of(0, np.full(12, 10.0))
     each, together = agreement_of(clamped, replace(poses, identified=(False,) * 12))
     assert {a.verdict for a in each} == {"not testable"}

@@ -49,7 +49,7 @@ def test_a_contradiction_is_found_and_both_values_are_kept():
         assert told["z"] > 0
 
 
-def test_what_no_stage_shares_or_no_row_tells_is_not_tested():
+def test_what_no_stage_shares_or_no_row_determines_is_not_tested():
     alone, together = both(0, shift=2.0)
     assert moved_by_joint_fit(alone, together, ()) == ()
     unknown = replace(alone, identified=(False,) * 6)

@@ -78,7 +78,7 @@ def test_undo_takes_back_one_step(arm: Campaign, mended: tuple[Model, Diagnosis]
     assert tuple(t.label for t in back.stages["poses"].terms) == model.ledger[-2].effects
 
 
-def test_a_step_of_which_no_row_tells_anything_is_left_out_and_said(arm: Campaign, first: Model):
+def test_a_step_of_which_no_row_is_informative_is_left_out_and_said(arm: Campaign, first: Model):
     again, gear = Step((Term("thermal_expansion", "link2"),)), Step((Term("gear_eccentricity", "joint2"),))
     model, left_out = add_steps(first, arm, {"poses": [again, gear, again]})
     assert left_out == [("poses", again)]

@@ -93,7 +93,7 @@ def test_coefficients_of_gravity_are_lengths_of_the_arm(still):
 
 
 @pytest.mark.parametrize("which", ["still", "moving"])
-def test_pinocchio_cannot_tell_what_the_base_parameters_do_not(which, request, rng):
+def test_pinocchio_does_not_determine_what_the_base_parameters_do_not(which, request, rng):
     """Bodies that share all base parameters have the same torques, whatever else of them is different."""
     model = request.getfixturevalue(which).model
     robot = load_robot("kuka_kr20_r1810")
@@ -148,7 +148,7 @@ def test_a_joint_that_never_moved_welds_its_links(still):
     assert not any(p.terms[0][0].place == "link3" and p.terms[0][0].parameter != "my" for p in base)
 
 
-def test_parameters_that_the_data_hardly_tell_are_said_so(moving):
+def test_parameters_that_the_data_hardly_determine_are_said_so(moving):
     known = {p.terms[0][0].label: p.known for p in moving.model.base}
     assert known["gravity.mx@link2"]
     assert not known["link_inertia.Izz@link1"]  # a slow program: the first joint hardly accelerates
@@ -181,7 +181,7 @@ def test_names(terms, name):
     assert base_name(terms, with_user_effects(None)) == name
 
 
-def test_a_balancer_and_a_tool_share_the_names_of_what_they_cannot_be_told_from(tiny):
+def test_a_balancer_and_a_tool_share_the_names_of_what_they_cannot_be_separated_from(tiny):
     base = fitted(tiny, (*GRAVITY, "payload", "gravity_compensator")).model.base
     names = [p.name for p in base]
     assert any("gravity_compensator" in name and name.startswith("m·c_x of link 2") for name in names)

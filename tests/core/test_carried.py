@@ -99,7 +99,7 @@ def test_poses_and_sweeps_are_weighted_by_their_covariances(
     assert np.all((std <= 1.05 * np.sqrt(np.minimum(np.diag(spread_alone), scale**2)))[loaded])
 
 
-def test_what_no_pose_tells_is_not_taken_over(alone: FittedStage, together: FittedStage):
+def test_what_no_pose_determines_is_not_taken_over(alone: FittedStage, together: FittedStage):
     """Gravity never loads joint 1: its clearance would only stand in predictions, on a flank that is guessed."""
     k = together.model.slots.index(Slot("joint_compliance", "c", "joint1"))
     assert not alone.model.identified[k]

@@ -205,7 +205,7 @@ def test_errors_before_and_after_are_in_the_same_unit(torques: Campaign):
     assert after.errors(None, 0).heldout_rms > 1.005 * stage.after.heldout_rms
 
 
-def test_add_without_a_place_goes_wherever_it_can_be_told(eccentric: Campaign, eccentric_model: Model):
+def test_add_without_a_place_goes_wherever_it_can_be_identified(eccentric: Campaign, eccentric_model: Model):
     mended, _ = add(eccentric_model, eccentric, ["gear_eccentricity"])
     places = {s.place for s in mended.stages["poses"].slots if s.effect == "gear_eccentricity"}
     assert "joint3" in places

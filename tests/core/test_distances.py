@@ -151,7 +151,7 @@ def test_stated_errors_of_the_geometry_hold():
     assert np.mean(np.abs(z) < 1.96) > 0.88
 
 
-def test_distances_and_points_agree_and_together_tell_more():
+def test_distances_and_points_agree_and_together_determine_more():
     base = exp_se3(np.array([0.4, -0.7, 1.1, 3.0, -1.0, 0.5]))
     both = measured(7, individual=True, points=True, base=base)
     models = {
@@ -212,7 +212,7 @@ def test_derivatives_are_differences(simulated: Simulated):
     assert of == {"geometry", "joint_compliance", "backlash", "thermal_expansion"}  # their scale is another's
 
 
-def test_what_one_anchor_on_the_first_axis_cannot_tell_is_named():
+def test_what_one_anchor_on_the_first_axis_cannot_determine_is_named():
     """From a point on joint 1's axis nothing shows how far joint 1 has turned."""
     axis = {"A1": [0.0, 0.0, -0.2]}
     campaign = measured(4, 150, ("A1",))
@@ -323,7 +323,7 @@ def test_the_zero_of_a_draw_wire_is_found_and_does_not_move_the_arm(points: bool
     assert np.all(np.abs(stage.theta[at] - list(zeros.values())) < 3.5 * stage.std[at])
 
 
-def test_points_do_not_tell_the_zero_of_distances():
+def test_points_do_not_determine_the_zero_of_distances():
     campaign = measured(1, 40, points=True, distances=False)
     found = diagnose(identify(campaign, ["geometry"]), campaign).stages["poses"]
     assert "additive_constant" not in {str(t["name"]) for t in found.testability if t["state"] != "absent"}

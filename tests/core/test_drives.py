@@ -68,7 +68,7 @@ def test_cross_springs_are_part_of_the_compliance(stage: StageModel, robot):
     np.testing.assert_allclose(gained, T.T @ X @ T, rtol=1e-9, atol=1e-18)
 
 
-def test_a_clearance_is_told_from_zero_beyond_its_limit(stage: StageModel, robot):
+def test_a_clearance_differs_from_zero_beyond_its_limit(stage: StageModel, robot):
     drives = drives_of(stage, robot)
     np.testing.assert_allclose(drives.gap_limit, DETECTION * drives.gap_std)
     theta = stage.theta.copy()

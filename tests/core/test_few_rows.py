@@ -71,7 +71,7 @@ def test_a_verdict_from_too_few_poses_is_none(
 
 
 @pytest.mark.parametrize("count", [6, 8, 9])
-def test_no_verdict_is_given_on_a_robot_without_fault_from_fewer_rows_than_tell(
+def test_no_verdict_is_given_on_a_robot_without_fault_from_too_few_rows(
     arm: Campaign, model: Model, count: int, tmp_path: Path
 ) -> None:
     """They said *unknown*: the error of too few poses on left-out poses was taken for a missing effect."""

@@ -150,7 +150,7 @@ def test_a_joint_that_never_moves_is_named(arm: Campaign):
     assert not any("joint3" in line for line in null_directions(estimate))
 
 
-def test_a_target_on_the_last_axis_leaves_the_last_joint_untold(arm: Campaign):
+def test_a_target_on_the_last_axis_leaves_the_last_joint_undetermined(arm: Campaign):
     table = arm.tables["poses"]
     one = replace(
         arm,

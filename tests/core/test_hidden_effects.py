@@ -188,7 +188,7 @@ def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[st
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "times"), [(2, 5.0), (2, 10.5), (4, 1.7)])
-def test_clearances_are_told_from_a_stiffness_that_softens_by_their_fits(tmp_path: Path, seed: int, times: float):
+def test_clearances_are_separated_from_a_stiffness_that_softens_by_their_fits(tmp_path: Path, seed: int, times: float):
     """Looked at from where there is none, a clearance is not linear, and its score is less than the other's.
 
     Large ones share less of their columns with it; of small ones rows not fitted say as much for either, which the
@@ -220,7 +220,7 @@ def test_hysteresis_of_a_coupled_wrist_is_all_that_is_named(simulated: Simulated
 
 
 @pytest.mark.slow
-def test_a_clamped_model_without_springs_is_told_to_have_them(simulated: Simulated):
+def test_a_clamped_model_without_springs_asks_for_them(simulated: Simulated):
     campaign = simulated(seed=1, poses=60, tables=("clamped",))
     found = diagnose(identify(campaign, {"clamped": ("coulomb_friction",)}), campaign).stages["clamped"]
     assert found.verdict == "missing"

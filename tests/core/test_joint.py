@@ -162,7 +162,7 @@ def test_on_the_command_line(campaign: Campaign, tmp_path: Path):
     assert json.loads(data.read_text())["joint"] is True
 
 
-def test_what_was_told_replaces_what_is_carried_over(campaign: Campaign, joint: Model):
+def test_what_was_identified_replaces_what_is_carried_over(campaign: Campaign, joint: Model):
     opened = reopen(joint, campaign)
     stage = joint.stages["poses"]
     plain = fit_stage(opened.rows("poses"), opened.effects, stage.terms, {}, stage.values(), opened.held("poses"))

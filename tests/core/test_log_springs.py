@@ -101,7 +101,7 @@ def test_a_log_of_an_arm_that_does_not_yield_has_other_masses(name: str):
     assert np.all(np.mean(after**2, axis=0) < 0.3**2 * np.mean(variance, axis=0))
 
 
-def test_rows_and_windows_tell_the_same():
+def test_rows_and_windows_give_the_same():
     """As loads, each from a sample of its own."""
     campaign = campaign_of(HEAVY)
     layout, effects = layout_of([campaign]), catalogue()

@@ -41,7 +41,7 @@ def design() -> Design:
     return Design(0)
 
 
-def test_noise_and_every_joints_scatter_are_told_apart(design: Design) -> None:
+def test_noise_and_every_joints_scatter_are_separated(design: Design) -> None:
     rng = np.random.default_rng(1)
     found = [
         visit_scatter(design.white(design.errors(rng)), design.by_joint, design.visit, design.inverse)
@@ -78,7 +78,7 @@ def test_independent_numbers_have_the_usual_covariance(design: Design) -> None:
     assert usual == pytest.approx(design.inverse, rel=1e-9, abs=1e-12)
 
 
-def test_one_point_a_visit_or_few_visits_tell_nothing_of_it(design: Design) -> None:
+def test_one_point_a_visit_or_few_visits_do_not_determine_it(design: Design) -> None:
     white = design.white(np.random.default_rng(4).normal(size=len(design.visit)))
     alone = np.arange(len(design.visit)) // 3
     assert visit_scatter(white, design.by_joint, alone, design.inverse) is None

@@ -13,7 +13,7 @@ from experiments.stated import CertifiedDistance, Stated
 SCALE, BAR_STD = 2e-4, 2e-6
 
 
-def test_a_certified_distance_tells_the_scale_of_the_instrument() -> None:
+def test_a_certified_distance_determines_the_scale_of_the_instrument() -> None:
     campaign = measured(2, points=True, distances=False, individual=True, poses=100)
     table = campaign.tables["poses"].copy()
     table[["x_m", "y_m", "z_m"]] *= 1.0 + SCALE

@@ -90,7 +90,7 @@ def test_the_starting_turn_is_one_that_fits() -> None:
         assert identify(made(seed).campaign, EFFECTS).ledger[-1].rms < 7e-5
 
 
-def test_where_points_or_statements_tell_the_turn_none_is_open() -> None:
+def test_where_points_or_statements_determine_the_turn_none_is_open() -> None:
     line = made(0)
     layout = layout_of([line.campaign])
     (turn,) = open_turns(pose_rows([line.campaign], layout, "poses"))

@@ -47,7 +47,7 @@ def model(sessions: tuple[Campaign, Campaign]) -> Model:
     return identify(sessions, EFFECTS)
 
 
-def test_what_is_missing_is_told_from_both_sessions(sessions: tuple[Campaign, Campaign], model: Model):
+def test_what_is_missing_is_reported_from_both_sessions(sessions: tuple[Campaign, Campaign], model: Model):
     found = diagnose(model, sessions).stages["poses"]
     assert found.verdict == "missing"
     assert (found.candidates[0]["name"], found.candidates[0]["where"]) == ("gear_eccentricity", ["joint1"])

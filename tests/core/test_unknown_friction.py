@@ -29,7 +29,7 @@ def stage(campaign: Campaign) -> StageModel:
     return identify(campaign, {"poses": EFFECTS}).stages["poses"]
 
 
-def test_a_friction_that_no_row_tells_is_none(stage: StageModel) -> None:
+def test_a_friction_that_no_row_determines_is_none(stage: StageModel) -> None:
     """Joint 1 is upright: it bears no load, and its friction winds up its spring by what its gap could be as well."""
     values = {s.label: (v, ok) for s, v, ok in zip(stage.slots, stage.theta, stage.identified, strict=True)}
     value, identified = values["wrist_coupling_friction.F@joint1"]
@@ -37,7 +37,7 @@ def test_a_friction_that_no_row_tells_is_none(stage: StageModel) -> None:
     assert abs(value) < 1e-6
 
 
-def test_what_is_stated_of_a_measured_pose_is_what_the_poses_tell(campaign: Campaign, stage: StageModel) -> None:
+def test_what_is_stated_of_a_measured_pose_is_what_the_poses_determine(campaign: Campaign, stage: StageModel) -> None:
     """Of P parameters told by rows, predictions of these rows know P of their variances, not thousands."""
     rows = stage_rows([campaign], layout_of([campaign]), "poses")
     trial = experiment(rows, catalogue(), stage.slots).with_flanks(stage.theta)

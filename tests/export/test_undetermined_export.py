@@ -73,6 +73,15 @@ def series_d() -> tuple[Model, Model]:
     return identify(campaign, {"poses": ["geometry"]}), identify(campaign, {"poses": sprung})
 
 
+def test_a_constant_of_the_table_has_no_standard_error_of_rounding(series_d):
+    """Row ``tool``: z and the turn about z are given by convention; 2.5e-14 m and 2.9e-13 rad were printed."""
+    table = dh_table(series_d[0], "hayati")
+    std = table[[c for c in table.columns if c.startswith("std_")]].to_numpy(float)
+    assert not ((std > 0) & (std < 1e-10)).any()
+    tool = table[table["row"] == "tool"].iloc[0]
+    assert (tool["std_z_m"], tool["std_rz_rad"]) == (0.0, 0.0)
+
+
 def test_the_ur10_table_keeps_its_nominal_last_offset(series_d):
     """The probe's mount absorbs it: 174.5 mm were exported, nominal is 92.2 mm."""
     table = dh_table(series_d[0], "hayati")

@@ -55,7 +55,7 @@ def test_it_is_a_link_and_says_what_its_numbers_are(controller: FakeController, 
     assert (units["torque"], units["current"], units["joint"]) == ("Nm", "%", "rad")
 
 
-def test_a_program_moves_and_its_points_are_told(controller: FakeController, link: EkiLink) -> None:
+def test_a_program_moves_and_its_points_are_reported(controller: FakeController, link: EkiLink) -> None:
     controller.point_s = 0.05
     number = link.execute(to(5, 10, 15))
     until(lambda: link.fate(number).phase is Phase.RUNNING)
@@ -237,7 +237,7 @@ def test_a_controller_that_says_nothing_of_a_program_is_asked_over_a_new_connect
     assert controller.executed == {(7, 1): 1}
 
 
-def test_of_two_clients_one_has_the_robot_and_the_other_is_told(
+def test_of_two_clients_one_has_the_robot_and_the_other_learns_it(
     controller: FakeController, link: EkiLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(eki, "FIRST", 0.3)
@@ -313,7 +313,7 @@ def test_a_recording_survives_a_break_of_the_network(controller: FakeController,
     np.testing.assert_allclose(second.time, 0.012 * second.number)
 
 
-def test_a_gap_of_a_recording_is_told(controller: FakeController, link: EkiLink) -> None:
+def test_a_gap_of_a_recording_is_reported(controller: FakeController, link: EkiLink) -> None:
     controller.record(RING + 100)
     found = link.recording(1, most=8)
     assert found.lost == (1, 100)

@@ -116,7 +116,7 @@ def test_spoilt_datagrams_over_the_socket_keep_no_cycle_out(count: int, listener
     assert len(listener.counts.gaps) <= 1000
 
 
-def test_joints_that_turn_are_told(listener: RsiLink) -> None:
+def test_joints_that_turn_are_reported(listener: RsiLink) -> None:
     for k, a1 in enumerate((1.0, 1.1, 1.2, 1.3, 1.3, 1.3, 1.3)):
         listener.take(datagram(1000 + 4 * k, a1), "10.0.0.1")
         if k in (0, 3, 6):

@@ -142,7 +142,7 @@ def test_a_stop_brakes_and_a_release_lets_it_go(operator: Operator, link: EkiLin
     released(link)
 
 
-def test_an_emergency_stop_is_told(operator: Operator, link: EkiLink) -> None:
+def test_an_emergency_stop_is_reported(operator: Operator, link: EkiLink) -> None:
     operator("speed 1")
     number = link.execute(turned(link, 20.0))
     until(lambda: link.fate(number).phase is Phase.RUNNING)
@@ -187,7 +187,7 @@ def test_a_recording_has_no_hole_after_a_cut_of_both_channels(operator: Operator
     assert second.lost is None
 
 
-def test_the_unit_of_its_torques_is_told_by_the_robots_weight(operator: Operator, link: EkiLink) -> None:
+def test_the_unit_of_its_torques_follows_from_the_robots_weight(operator: Operator, link: EkiLink) -> None:
     joints, torques = [], []
     for a2, a3 in ((-90, 90), (-60, 60), (-30, 90), (-110, 60), (-45, 20), (-80, 120), (-20, 30), (-90, 40)):
         link.wait(link.execute(Program(np.radians([[0.0, a2, a3, 0.0, 30.0, 0.0]]), 0.5)), 20.0)

@@ -48,7 +48,7 @@ def test_a_wrong_sign_is_not_nm() -> None:
     assert check_torque_unit(ROBOT, q, -torque).unit is None
 
 
-def test_what_does_not_tell_is_said() -> None:
+def test_what_is_not_informative_is_said() -> None:
     q, torque = at_rest()
     with pytest.raises(ValueError, match="expected joints and torques"):
         check_torque_unit(ROBOT, q[:3], torque[:3])

@@ -178,7 +178,7 @@ def run_ik(model: Path, cell: Path) -> str:
     return " ".join(done.stdout.split())
 
 
-def test_a_server_and_a_person_are_told(detector: Detector, cell_file: Path, tmp_path: Path) -> None:
+def test_a_server_and_a_person_are_warned(detector: Detector, cell_file: Path, tmp_path: Path) -> None:
     q = detector.locate(*HERE).solutions[0].q
     ranges = within(0, 1, q[1] - 1.0, q[1] - 0.1)
     speaker = Speaker(opened(ranges, cell_file))

@@ -47,7 +47,7 @@ def test_its_covariance_is_that_of_many_repetitions() -> None:
     assert np.sqrt(np.mean([t.misfit**2 for t in tries])) == pytest.approx(1.0, rel=0.1)
 
 
-def test_reflections_that_are_alike_do_not_tell_it() -> None:
+def test_reflections_that_are_alike_do_not_determine_it() -> None:
     rng = np.random.default_rng(2)
     one = found(rng, np.array(CONVENTION.sample))[0]
     with pytest.raises(TargetError, match="too much alike"):
@@ -137,7 +137,7 @@ def test_with_one_reflection_to_spare_nobody_can_tell_which_is_wrong() -> None:
     ).fits
 
 
-def test_a_direction_that_is_not_told_is_said_and_kept() -> None:
+def test_a_direction_that_is_not_determined_is_said_and_kept() -> None:
     """Detectors in the plane of the beam and across it tell nothing of the height."""
     sample = np.add(CONVENTION.sample, (2e-3, -1e-3, 0.0))
     points, angles = rays([(g, 0.0, 0.8) for g in (0.3, 0.6, -0.4, 0.9)], sample)

@@ -342,7 +342,7 @@ def test_patience_is_with_a_line_and_not_with_a_connection(detector: Detector) -
     serving(detector, talk, Limits(patience=1.0))
 
 
-def test_one_client_too_many_is_told(detector: Detector) -> None:
+def test_one_client_too_many_is_refused(detector: Detector) -> None:
     async def talk(server: Server, host: str, port: int) -> None:
         async with connected(host, port) as first:
             assert (await ask(*first, GOOD))["ok"]

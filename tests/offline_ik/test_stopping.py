@@ -42,7 +42,7 @@ def served(*args: str | Path) -> Iterator[tuple[subprocess.Popen[str], tuple[str
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_stop_with_clients_is_told_and_ends_with_0_within_two_seconds(
+def test_a_stop_with_clients_is_reported_and_ends_with_0_within_two_seconds(
     number: signal.Signals, model_file: Path, cell_file: Path
 ) -> None:
     with served(model_file, "--cell", cell_file) as (server, at):

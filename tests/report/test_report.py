@@ -249,7 +249,7 @@ def test_every_axis_of_numbers_has_a_title_with_its_unit(page):
         assert [t for t in (*up, *along) if not UNIT.search(t)] == [], key
 
 
-def test_the_verdict_is_told(page, measured):
+def test_the_verdict_is_reported(page, measured):
     campaign, _, model, _ = measured
     _, text = parse(page)
     assert "Joint 3's gear runs out & in." in text

@@ -36,7 +36,7 @@ def test_intervals_hold_the_true_error_95_times_of_100(shared: float) -> None:
     assert 0.88 < np.mean(inside) < 0.99
 
 
-def test_a_change_is_told_better_than_the_errors_because_the_poses_are_the_same() -> None:
+def test_a_change_is_known_better_than_the_errors_because_the_poses_are_the_same() -> None:
     rng = np.random.default_rng(4)
     before = held(rng, 1.0, 1.0)
     now = HeldOut(before.squares * 0.9**2, before.counts, before.fold)
@@ -53,7 +53,7 @@ def test_a_change_is_told_better_than_the_errors_because_the_poses_are_the_same(
     )
 
 
-def test_a_change_within_the_scatter_is_said_not_to_be_told() -> None:
+def test_a_change_within_the_scatter_is_said_not_significant() -> None:
     rng = np.random.default_rng(5)
     before, now = held(rng, 1e-4, 1e-4), held(rng, 1e-4, 1e-4)
     found = spread_of(now, before, 0)

@@ -100,7 +100,7 @@ def test_the_sum_of_both_sides_is_known_where_neither_is(drawn):
     assert np.abs(np.abs(friction) - true).max() < 2.0 * both.max()
 
 
-def test_the_arms_side_is_drawn_where_it_is_told_from_zero(drawn):
+def test_the_arms_side_is_drawn_where_it_differs_from_zero(drawn):
     data, _, _ = drawn
     told = {
         s.place

@@ -103,7 +103,7 @@ def test_outliers_in_their_unit():
     assert table.rows == (("wrist", "7", "0.500 Nm"),)
 
 
-def test_nothing_to_tell():
+def test_nothing_to_report():
     assert verdict_section(None, None) is None
     assert truth_section(None) is None
     assert "Nothing." in truth_section([]).paragraphs

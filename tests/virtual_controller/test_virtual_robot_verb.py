@@ -113,7 +113,7 @@ def test_robot_of_another_maker_moves_too() -> None:
         assert robot.run(1, [q + 5, q]) == [1, 2, 2, 3]
 
 
-def test_a_disk_that_is_full_ends_it_and_nobody_is_told_of_what_is_not_kept(tmp_path: Path) -> None:
+def test_a_disk_that_is_full_ends_it_and_no_client_hears_of_what_is_not_kept(tmp_path: Path) -> None:
     """By the limit of a file's size: the journal takes some lines and a part of the next."""
     resource = pytest.importorskip("resource")
 

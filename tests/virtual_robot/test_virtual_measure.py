@@ -150,7 +150,7 @@ def test_held_motors_keep_their_friction_through_the_wrist_runs(clean, plant):
     assert np.ptp([truth[runs == r, 0].mean() for r in np.unique(runs)]) < 0.1 * plant.friction.coulomb[0]
 
 
-def test_outliers_are_told_and_nothing_else_changes(robot, clean):
+def test_outliers_are_reported_and_nothing_else_changes(robot, clean):
     spoilt = measure(robot, seed=3, poses=60, outliers=0.02)
     for name, table in spoilt.tables.items():
         rows = list(spoilt.truth.outliers[name])

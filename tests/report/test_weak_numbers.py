@@ -38,7 +38,7 @@ def test_a_dh_table_prints_by_the_error_and_says_what_is_open():
     assert dh_cell({"d_m": math.nan}, "d_m") == ""
 
 
-def test_what_is_not_told_from_zero_is_weak_and_a_friction_below_zero_is_named():
+def test_what_does_not_differ_from_zero_is_weak_and_a_friction_below_zero_is_named():
     effects = catalogue()
     F = [Slot("wrist_coupling_friction", "F", f"joint{j}") for j in (4, 5, 6)]
     c = Slot("joint_compliance", "c", "joint4")
