@@ -11,7 +11,11 @@ __all__ = ["targets_of"]
 
 
 def targets_of(plan: Plan) -> list[Array]:
-    """Postures ``(n,)``, rad: approaches and poses, knots, clamped postures and their steps."""
+    """Postures ``(n,)``, rad: approaches and poses, knots, clamped postures and their steps.
+
+    A search for the posture of least torque goes to others, which nobody knows before: within its bounds of the clamped
+    posture, and `experiments.runs.least_torque.PROBE` of its steps beyond.
+    """
     visits = [posture for visit in plan.visits for posture in (visit.via, visit.q)]
     knots = [knot for run in plan.runs for knot in run.course.knots]
     steps = []
