@@ -205,7 +205,7 @@ def _of_models(folder: Path) -> Known:
     out = Output(quiet=True, json=None, verbose=False)
 
     def code(path: Path) -> object:
-        if re.search(rb"\d{7}|\d[eE]\d", path.read_bytes()):  # a program that asks for much gets much
+        if re.search(rb"\d[\d_]{3,}|\d[eE]\d", path.read_bytes()):  # a program that asks for much gets much
             return None
         return with_user_effects(path)
 

@@ -88,6 +88,7 @@ def test_compiled_readers_survive_spoilt_files() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_each_reader_reads_or_refuses_its_share_of_spoilt_files() -> None:
     """10 000 of each reader that takes less than 1.5 ms a file, 1500 or 150 of the others."""
     fuzzed(None, 8)
