@@ -25,7 +25,7 @@ __all__ = ["Simulation", "simulate_move"]
 Array = npt.NDArray[np.float64]
 
 POINTS = 25  # along a way
-NEAREST = 5  # pairs of bodies whose clearance is told
+NEAREST = 5  # pairs of bodies whose clearance is reported
 
 
 @dataclass(frozen=True)
