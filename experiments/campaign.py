@@ -39,7 +39,7 @@ __all__ = ["Campaign", "CampaignError", "Instrument", "Tool", "read_campaign", "
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
     """One campaign, read and checked; treat its tables as read-only.
 
@@ -80,9 +80,13 @@ class Campaign:
     instrument: Instrument
     tables: Mapping[str, pd.DataFrame]
     fingerprint: str
-    header: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    long: Mapping[str, LongLog] = field(default_factory=dict, repr=False)
+    header: Mapping[str, Any] = field(default_factory=dict)
+    long: Mapping[str, LongLog] = field(default_factory=dict)
     stated: Stated = field(default_factory=Stated)
+
+    def __repr__(self) -> str:
+        tables = ", ".join(f"{name} ({len(table)} rows)" for name, table in self.tables.items())
+        return f"<Campaign: {self.name} of {self.robot.name}; {tables or 'no tables'}>"
 
     def placed(self, table: str) -> pd.DataFrame:
         """The table with its temperatures where ``[sensors]`` says that they were taken."""

@@ -93,7 +93,7 @@ class Link:
             object.__setattr__(self, "inertia", frozen_array(self.inertia))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RobotDescription:
     """
     The nominal robot.
@@ -146,6 +146,9 @@ class RobotDescription:
         object.__setattr__(self, "flange", frozen_array(self.flange))
         if self.motor_spring is not None:
             object.__setattr__(self, "motor_spring", frozen_array(self.motor_spring))
+
+    def __repr__(self) -> str:
+        return f"<RobotDescription: {self.title}; {self.n} joints>"
 
     @property
     def n(self) -> int:

@@ -197,7 +197,7 @@ class Speaker:
         return told
 
     def told_of(self, data: dict[str, Any], answer: Answer) -> Told:
-        """What is told of an answer's positions."""
+        """What is reported of an answer's positions."""
         members = members_of(self.detector, answer)
         return Told({**data, "convention": self.convention, **members, "nearest": answer.nearest})
 

@@ -26,7 +26,7 @@ __all__ = ["Simulation", "simulate_move", "simulate_straight"]
 Array = npt.NDArray[np.float64]
 
 POINTS = 25  # along a way
-NEAREST = 5  # pairs of bodies whose clearance is told
+NEAREST = 5  # pairs of bodies whose clearance is reported
 AT_ONCE = 64  # places on a way that may be looked at before others' requests are answered: a few ms
 
 

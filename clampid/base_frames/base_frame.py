@@ -3,7 +3,7 @@
 While joint 2 turns, the weight on joint 3 turns from one side to the other, and its drive gives way: the point leaves
 its circle, and the axis through the circle's centre is beside the true one. So each point is put back by what a model
 says that springs, clearances and links give way there, before the circles are fitted; the model's own errors are
-counted. How far the base would be off otherwise is told.
+counted. How far the base would be off otherwise is reported.
 """
 
 from __future__ import annotations

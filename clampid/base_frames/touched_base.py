@@ -4,7 +4,7 @@ Where the tip is for the robot follows from the joint angles and a model of the 
 loads. A model that was fitted to points knows where its targets are and not where the flange is, and its last link may
 be off by as much: a tip with the name of one of its targets is where the model has it, and another one where it was
 declared, to within the standard error that was stated with it. The touches then say where the base must be, see
-:mod:`clampid.base_frames.touches`. How much each source of error has in the result is told, and how far off the base
+:mod:`clampid.base_frames.touches`. The share of each source of error in the result is given, and how far off the base
 would be if nothing were put back.
 """
 

@@ -227,7 +227,7 @@ def _placed(
     chosen: Bools,
     sample: Sequence[float] | None,
 ) -> dict[str, Any]:
-    """What is told of points alone."""
+    """What is reported for points only."""
     kept = ~test.ranged
     found = test_residual[kept], chosen[kept]
     return placing(rows.points, residual[~rows.ranged], test.points, *found, opened.effects, sample)

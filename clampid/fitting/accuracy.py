@@ -30,7 +30,7 @@ __all__ = [
 
 FOLDS = 5
 QUIET_S = 3.0  # s: a log's noise is mostly forgotten after this long, and what varies with posture is still smooth
-FEWEST_TRIPLES = 20  # of rows, by which noise is told
+FEWEST_TRIPLES = 20  # of rows, from which noise is estimated
 QUIET_ROWS = 6  # the same for sweeps of single steps
 REPEATS = 4e-5
 """Repeatability, rms, over the length of the arm. Data sheets state RP by ISO 9283, the mean distance and three of its

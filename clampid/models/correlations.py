@@ -1,6 +1,6 @@
 """Which identified parameters the data determine only together: the correlations of their errors, strongest first.
 
-r_kl = C_kl / sqrt(C_kk C_ll), C the model's covariance, priors included. At r = ±0.9 each of the two is told 2.3 times
+r_kl = C_kl / sqrt(C_kk C_ll), C the model's covariance, priors included. At r = ±0.9 each of the two is known 2.3 times
 better once the other is known.
 """
 
@@ -16,7 +16,7 @@ from clampid.slots import Slot
 
 __all__ = ["SHOWN", "STRONG", "Correlation", "correlations"]
 
-STRONG = 0.9  # from which size on a correlation is told
+STRONG = 0.9  # from which size on a correlation is reported
 SHOWN = 20  # of a stage, to people
 
 

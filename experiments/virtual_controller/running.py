@@ -46,7 +46,7 @@ class Asked:
     faults
         What goes wrong.
     truth
-        Where what is hidden and what moved is told.
+        File for what is hidden and what moved.
     """
 
     robot: RobotDescription

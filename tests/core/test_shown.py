@@ -47,6 +47,14 @@ def test_results_show_themselves(results: dict[str, Shown], name: str):
     assert figure._repr_svg_().startswith("<svg xmlns=")
 
 
+def test_a_campaign_and_its_robot_print_short(simulated):
+    campaign = simulated(
+        seed=3, poses=80, tables=("poses", "verification"), robot="ur10", hidden=("gear_eccentricity@joint2:3",)
+    )
+    assert repr(campaign).startswith(f"<Campaign: {campaign.name} of ur10; poses (")
+    assert max(len(repr(campaign)), len(repr(campaign.robot))) < 200
+
+
 def test_stages_print_short_too(results):
     assert repr(results["Diagnosis"].stages["poses"]).startswith("<StageDiagnosis: poses: ")
     assert len(repr(results["Model"].stages["poses"])) < 200
