@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import stat
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,6 +73,7 @@ def serve(
     token = None if token_file is None else _token(token_file, out)
     taken = take(host, port)  # before the compiling: a port in use is said at once
     with contextlib.ExitStack() as until_ready:
+        _end_with_0(until_ready)
         for one in taken:
             until_ready.callback(one.close)
         linked = None if link is None else linked_robot(link, out)
@@ -96,6 +99,17 @@ def serve(
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _end_with_0(until_ready: contextlib.ExitStack) -> None:
+    """A stop while the server is made ready closes what is open, and is no failure; then its loop hears of signals."""
+    if threading.current_thread() is not threading.main_thread():  # signals are not this thread's
+        return
+
+    def end(*_: object) -> None:
+        raise SystemExit(0)
+
+    until_ready.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
 
 
 def _token(path: Path, out: Output) -> str:

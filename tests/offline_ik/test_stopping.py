@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,23 @@ def test_a_stop_with_clients_is_reported_and_ends_with_0_within_two_seconds(
         assert "Error" not in errors
         assert took < 2.0
         assert told[-1] == {"ok": False, "error": "the server stops"}
+
+
+def test_a_stop_while_the_server_is_made_ready_ends_with_0(model_file: Path, cell_file: Path) -> None:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        at = one.getsockname()
+    command = [str(CLAMPID), "serve", str(model_file), "--cell", str(cell_file), "--listen", f"{at[0]}:{at[1]}"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
+        end = time.monotonic() + 30.0
+        while time.monotonic() < end:  # its port is taken before anything is compiled
+            with suppress(OSError), socket.create_connection(at, timeout=1):
+                break
+        server.send_signal(signal.SIGTERM)
+        said, errors = server.communicate(timeout=30)
+    assert "listening" not in said
+    assert server.returncode == 0, errors
+    assert "Traceback" not in errors
 
 
 class Arm:
