@@ -62,15 +62,16 @@ def motion_signals(
     """
     to_motor = np.linalg.inv(transmission)  # rows: w_joint @ T^-1 = (T^-T w_joint)'
     joint_speed, motor_speed = motion.speed, motion.speed @ to_motor
-    joint_motion = held_sign(joint_speed, facts.rest, run)
+    motor = motion.position @ to_motor
+    joint_motion = held_sign(joint_speed, facts.rest, run, motion.position, time)
     gear = np.diag(transmission)
     return {
         "q": motion.position,
-        "motor": motion.position @ to_motor,
+        "motor": motor,
         "joint_speed": joint_speed,
         "motor_speed": motor_speed,
         "joint_motion": joint_motion,
-        "motor_motion": held_sign(motor_speed, facts.rest_motor, run),
+        "motor_motion": held_sign(motor_speed, facts.rest_motor, run, motor, time),
         "own_speed": joint_speed / gear,
         "own_motion": joint_motion * np.sign(gear),
         "joint_acceleration": motion.acceleration,

@@ -18,6 +18,7 @@ _FIRST_GUESS = (
 )
 _LIMIT_SHARE = 0.02
 _ROUNDS = 50
+GONE = 0.5  # of the way that a speed says; in motion it is all of it, in overshoot none
 
 
 def rest_threshold(speed: Array) -> Array:
@@ -98,15 +99,38 @@ def _order_statistic(below: Integers, edges: Array, rank: float) -> float:
     return float(edges[int(np.searchsorted(below, rank))]) if rank > 0 else 0.0
 
 
-def held_sign(speed: Array, threshold: Array, run: Integers) -> Array:
-    """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first."""
+def held_sign(speed: Array, threshold: Array, run: Integers, position: Array, time: Array) -> Array:
+    """Sign of the present or, at rest, of the last motion in the run ``(N, n)``; 0 before the first.
+
+    A smooth speed overshoots where a motion begins or ends, and has the wrong sign there for a few rows: of a log of
+    few rows a second by more than any threshold of rest. So a row counts as moving only if the positions beside it
+    have gone at least half as far, in that direction, as its speed says. Where noise or counts of the encoder hide
+    that in some rows, the sign of others is held.
+
+    Parameters
+    ----------
+    speed
+        ``(N, n)``, rad/s, smoothed.
+    threshold
+        ``(n,)``, rad/s: the speed of rest.
+    run, time
+        ``(N,)``: numbers of the runs, and stamps, s.
+    position
+        ``(N, n)``, rad, as measured.
+    """
     start = np.r_[True, run[1:] != run[:-1]][: len(run)]
+    last = np.r_[start[1:], True][: len(run)]
+    rows = np.arange(len(run))
+    after, before = np.where(last, rows, np.minimum(rows + 1, len(run) - 1)), np.where(start, rows, rows - 1)
+    span = time[after] - time[before]
     # What is known anew in a row, at a run's start or in motion, as four times the row and 0, 1 or 2 for its sign: the
     # largest so far is the last, and says which.
     rest = 4 * np.arange(1, len(run) + 1)
     at_start = np.where(start, rest + 1, 0)
     out = np.empty(speed.shape, order="F")
     for j, column in enumerate(speed.T):
-        known = np.where(np.abs(column) > threshold[j], rest + 1 + np.sign(column).astype(np.int64), at_start)
+        gone = (position[after, j] - position[before, j]) * np.sign(column)
+        moving = (np.abs(column) > threshold[j]) & (gone >= GONE * np.abs(column) * span)
+        known = np.where(moving, rest + 1 + np.sign(column).astype(np.int64), at_start)
         out[:, j] = (np.maximum.accumulate(known) & 3) - 1
     return out
