@@ -35,6 +35,7 @@ from clampid.catalogue import catalogue
 from clampid.diagnosis.next_measurement import COOLING, SAME
 from clampid.diagnosis.next_plan import parting_plan
 from clampid.diagnosis.next_poses import _choices
+from clampid.effect import Effect
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score, space_of
 from clampid.identification.identify import identify
@@ -168,6 +169,11 @@ class Robot:
         return declared_campaign(header, MappingProxyType({"poses": table}), self.cell.robot)
 
 
+def _always_searched(effect: Effect) -> Effect:
+    """An effect as diagnosis looks for it where no recorded temperature shows the same better."""
+    return replace(effect, search=replace(effect.search, superseded_by=None))
+
+
 class Judge:
     """Fits a campaign without either effect of a pair, and scores both."""
 
@@ -177,7 +183,7 @@ class Judge:
         self.estimate = reopen(model, campaign).refit("poses").estimate
         self.space = space_of(self.estimate)
         names = [name.split("@") for name in pair.names]
-        effects = {name: replace(catalogue()[name], without=None) for name, _ in names}
+        effects = {name: _always_searched(catalogue()[name]) for name, _ in names}
         found = score(self.space, named_candidates(self.estimate, effects))
         self.scored = []
         for name, place in names:

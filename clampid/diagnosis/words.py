@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.diagnosis.headline import listed, named
 from clampid.diagnosis.result import StageDiagnosis
-from clampid.display import count_text, counted, error_text
+from clampid.display import count_text, error_text
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, unit_of
 from clampid.stages.rows import Array, Bools, Rows, lengths
@@ -67,8 +67,8 @@ def _dropped(result: StageDiagnosis) -> list[str]:
     count = len(result.outliers)
     if count < FEW_OUTLIERS:
         return []
-    of = f", of {count_text(result.rows)}" if result.rows >= count else ""
-    return [f"{counted(count, 'row', 'was')} rejected as outliers{of}; they are not used."]
+    of = f" of {count_text(result.rows)}" if result.rows >= count else ""
+    return [f"{count_text(count)}{of} rows were rejected as outliers; they are not used."]
 
 
 def _verdict(result: StageDiagnosis) -> str:

@@ -55,7 +55,7 @@ def kuka_screen(found: KukaExport, temperature: float, output: Path, next_steps:
     held = f"{form} rms that this form cannot hold; nominal machine data leave {nominal}"
     return Screen(
         f"Wrote {output}: KUKA machine data at {temperature:g} °C, without what changes with load or time.",
-        facts=(("links and axes", held), *_left(found.whole, found.on_points)),
+        facts=(("axes", held), *_left(found.whole, found.on_points)),
         verdict=_alone("file", found.whole.error, found.on_points),
         more="Conditions and more digits are in the file. It was not tried on a controller.",
         next=next_steps,

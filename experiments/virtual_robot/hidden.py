@@ -46,8 +46,8 @@ class Hidden:
             raise ValueError(f"effect {self.effect!r} cannot be hidden{hint}; known are {', '.join(HIDEABLE)}")
         if not abs(self.magnitude) <= LARGEST_MAGNITUDE:  # NaN neither
             raise ValueError(
-                f"{self.effect}: expected a magnitude of at most {LARGEST_MAGNITUDE:g} times the default size, found "
-                f"{self.magnitude:g}"
+                f"{self.effect}: expected a finite magnitude of at most {LARGEST_MAGNITUDE:g} times the default size, "
+                f"found {self.magnitude:g}"
             )
         kind = KINDS[self.effect]
         if self.where is not None and not kind.accepts(self.where):

@@ -123,7 +123,7 @@ def test_wrong_rows_beside_a_damaged_tooth_are_still_rejected_and_counted(simula
     rejected = [o["row"] - 1 for o in found.outliers if o["table"] == "poses"]
     assert len(rejected) >= 8
     assert np.mean(off[rejected] < true["width_rad"] / 2) < 0.3
-    assert f"{len(found.outliers)} rows of {len(poses)} were rejected as outliers" in found.summary
+    assert f"{len(found.outliers)} of {len(poses)} rows were rejected as outliers" in found.summary
 
 
 def test_the_tooth_only_acts_where_it_is_in_mesh(simulated):
