@@ -20,6 +20,7 @@ from clampid.fitting.solve import Estimate, whitened_columns
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Array
+from clampid.stages.temperatures import reads_temperatures
 
 __all__ = ["Candidate", "columns_of", "label_of", "named_candidates", "terms_not_active"]
 
@@ -109,7 +110,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             continue
         if effect.event is not None or effect.scanned is not None:
             continue
-        if effect.search.opt_in:
+        if effect.search.opt_in or not _temperatures_vary(estimate, effect):
             continue
         if effect.search.refines is not None and not any(name == effect.search.refines for name, _ in active):
             continue
@@ -124,6 +125,12 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
             if (effect.name, p) not in active and (not refined or p in refined) and _sought(estimate, effect, p)
         ]
     return out
+
+
+def _temperatures_vary(estimate: Estimate, effect: Effect) -> bool:
+    """Whether every temperature that an effect needs varies: at one that never does it is another effect's constant."""
+    signals = estimate.experiment.rows.signals
+    return all(np.any(np.ptp(signals[name], axis=0) > 0.0) for name in effect.needs if reads_temperatures(name))
 
 
 def _sought(estimate: Estimate, effect: Effect, place: str) -> bool:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from types import MappingProxyType
 
 import pytest
 
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
 from clampid.diagnosis.look import look_at, simplest_of
 from clampid.diagnosis.tried import Undecided
+from clampid.evidence.candidates import terms_not_active
 from clampid.identification.identify import identify
 from clampid.identification.reopen import reopen
 from clampid.loop.auto import mend
@@ -113,3 +116,26 @@ def test_a_drift_is_named_only_if_it_is_seen(simulated: Callable[..., Campaign])
         if s.candidate.label == "ambient_torque_offset@joint4" and s.candidate.places == ("joint4",)
     )
     assert simplest_of(look.named, drifting).candidate.name == "torque_offset"
+
+
+@pytest.mark.parametrize("reading", [None, 24.0], ids=["not recorded", "constant"])
+def test_a_drift_with_a_temperature_that_never_varies_is_not_looked_for(
+    simulated: Callable[..., Campaign], reading: float | None
+):
+    """It would be the constant offset under another name."""
+    whole = simulated(seed=2, poses=60, tables=("free_air", "wrist"))
+    assert "ambient_torque_offset" in sought(whole)
+    tables = {
+        name: t.drop(columns="temp_ambient_C") if reading is None else t.assign(temp_ambient_C=reading)
+        for name, t in whole.tables.items()
+    }
+    names = sought(replace(whole, tables=MappingProxyType(tables), fingerprint=f"ambient {reading}"))
+    assert "ambient_torque_offset" not in names
+    assert {"torque_offset", "motor_torque_offset"} <= names  # the motors' temperatures do vary
+
+
+def sought(campaign: Campaign) -> set[str]:
+    """The effects that diagnosis of a log looks for."""
+    opened = reopen(identify(campaign), campaign)
+    estimate = opened.refit("free_air", opened.rows("free_air")).estimate
+    return {term.effect for term in terms_not_active(estimate, dict(opened.effects))}
