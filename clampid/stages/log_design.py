@@ -280,7 +280,7 @@ class LogDesign:
         every = motion_signals(motion, self.T, facts, run, time)
         held = self._held_on(every, w, run, held)
         measured = stacked(w, joint_columns("tau", "Nm", self.n))
-        counts = counting(every, self.T, facts, run, self.wrist, self.accelerating)
+        counts = counting(every, self.T, facts, run, self.wrist, self.accelerating) & motion.resolved[:, None]
         # Rows before the window's own are needed as far as the noise remembers.
         counts[: max(w.start - REACH * facts.together, 0)] = False
         counts[w.stop :] = False

@@ -6,14 +6,22 @@ Two passes over the log; what is kept is a few numbers, and a line per run.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from clampid.stages import prewhitening
-from clampid.stages.motion_choice import Excerpt, Way, chosen_rows, chosen_way, left_out_squares, ways
+from clampid.stages.motion_choice import (
+    Excerpt,
+    Regression,
+    Way,
+    chosen_rows,
+    chosen_way,
+    trusted_rows,
+    ways,
+)
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
 from experiments.columns import LOGS
@@ -21,6 +29,7 @@ from experiments.log_windows import LogTable, Window, windows
 from experiments.signals import (
     differentiate,
     medians,
+    misfit,
     smallest_half,
     speed_counts,
     speeds,
@@ -67,11 +76,16 @@ def log_parts(campaigns: Sequence[Campaign]) -> list[LogPart]:
 
 
 class Motion(NamedTuple):
-    """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²."""
+    """Positions, speeds and accelerations ``(w, n)`` of a window, rad, rad/s, rad/s²; which rows show them ``(w,)``."""
 
     position: Array
     speed: Array
     acceleration: Array
+    resolved: Bools
+
+    def of(self, rows: Bools | Integers | slice) -> Motion:
+        """Some of the rows."""
+        return Motion(self.position[rows], self.speed[rows], self.acceleration[rows], self.resolved[rows])
 
 
 class Motions:
@@ -114,15 +128,30 @@ class Motions:
         """The motion of a window, or only of the ``wanted`` rows ``(w,)`` of it; the others' accelerations are zero."""
         q, time = stacked(window, joint_columns("q", "rad", self.n)), window.columns["time_s"]
         run, length = window.columns["run"].astype(np.int64), self.way.window_s
+        shown = self.shown(window)
         if not self.way.logged:
             qd = speeds(q, time, run, length, self.step)
-            return Motion(q, qd, differentiate(qd, time, run, 1, length, None, self.step, wanted))
+            of, order = (q, 2) if self.way.direct else (qd, 1)
+            return Motion(q, qd, differentiate(of, time, run, order, length, None, self.step, wanted), shown)
         qd = stacked(window, joint_columns("qd", "rad_s", self.n))
         stale = stale_rows(q, run) if self.way.smoothed else None
         acceleration = differentiate(qd, time, run, 1, length, stale, self.step, wanted)
         if self.way.smoothed:
             qd = differentiate(qd, time, run, 0, length, stale, self.step, wanted)
-        return Motion(q, qd, acceleration)
+        return Motion(q, qd, acceleration, shown)
+
+    def shown(self, window: Window) -> Bools:
+        """Which rows ``(w,)`` of a window are sampled closely enough to show their motion."""
+        if not self.way.trusted:
+            return np.ones(len(window.columns["time_s"]), dtype=bool)
+        return np.asarray(np.all(self.misfit(window) <= np.array(self.way.trusted), axis=1))
+
+    def misfit(self, window: Window) -> Array:
+        """By how far a window's samples are from the curves taken for them ``(w, n)``, as accelerations, rad/s²."""
+        kind, unit, order = ("qd", "rad_s", 1) if self.way.logged else ("q", "rad", 2)
+        values, time = stacked(window, joint_columns(kind, unit, self.n)), window.columns["time_s"]
+        run = window.columns["run"].astype(np.int64)
+        return misfit(values, time, run, order, self.way.window_s, self.step)
 
     @property
     def logged(self) -> bool:
@@ -143,7 +172,7 @@ class LogFacts:
     regression
         ``(n,)``: what a regression on rigid-body dynamics and friction leaves of torques that it has not seen, rms in
         Nm, with two standard errors added; infinite where the log is too short for one. No model under test has a part
-        in it (:func:`clampid.stages.motion_choice.left_out_squares`).
+        in it (:func:`clampid.stages.motion_choice.Regression`).
     motions
         How its rows move.
     rest, rest_motor, clear, clear_motor
@@ -254,7 +283,7 @@ def _facts_of(parts: Sequence[LogPart], window: int, held: int) -> LogFacts:
     for p, part in enumerate(parts):
         for w in windows(part.table, motions.columns, window, halo_of(step, motions.way.window_s)):
             own = slice(w.start, w.stop)
-            _, qd, qdd = (v[own] for v in motions.of(p, w))
+            _, qd, qdd, _ = motions.of(p, w).of(own)
             wm = qd @ to_motor
             for kind, v in enumerate((qd, wm)):
                 counts[kind] += speed_counts(v)
@@ -303,19 +332,22 @@ def _motions_of(parts: Sequence[LogPart], step: float, default: Way, window: int
     speed = [np.abs(_smoothest(w, n, step, longest)[w.start : w.stop] @ to_motor) for _, _, w in read]
     slow = CLEAR_MOTION * np.max([v.max(axis=0) for v in speed], axis=0)
 
-    def score(way: Way) -> Array:
+    def score(way: Way) -> Regression:
         motions = Motions(n, step, way)
         excerpts = []
         for (campaign, before, w), fast in zip(read, speed, strict=True):
             own = np.zeros(len(w.columns["time_s"]), dtype=bool)
             own[w.start : w.stop] = chosen_rows(before + w.first + np.arange(w.start, w.stop), rows)
-            motion = Motion(*(v[own] for v in motions.at(w, own)))
+            motion = motions.at(w, own).of(own)
             torque, moving = stacked(w, joint_columns("tau", "Nm", n))[own], (fast > slow)[own[w.start : w.stop]]
-            excerpts.append(Excerpt(campaign, motion, torque, moving, before + w.first + np.flatnonzero(own)))
-        return left_out_squares(excerpts, rows)
+            number = before + w.first + np.flatnonzero(own)
+            excerpts.append(Excerpt(campaign, motion, torque, moving, number, motions.misfit(w)[own]))
+        return Regression(excerpts, rows)
 
-    way, left_out = chosen_way(default, candidates, score)
-    return Motions(n, step, way), left_out
+    way, left_out = chosen_way(default, candidates, lambda way: score(way).squares())
+    direct = replace(way, direct=not way.logged and way.window_s <= 2 * smallest_half() * step)
+    trusted, left_out = trusted_rows(score(way), score(direct), left_out)
+    return Motions(n, step, replace(direct, trusted=trusted) if trusted else way), left_out
 
 
 def _credible(left_out: Array) -> Array:

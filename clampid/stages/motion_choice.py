@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from scipy import linalg
 
-from clampid.stages.loads import gravity_signals, inertial_signals
+from clampid.stages.loads import gravity_signals, inertia_torque, inertial_signals
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.campaign import Campaign
 
@@ -28,11 +29,12 @@ __all__ = [
     "BLOCKS",
     "LONGEST_S",
     "Excerpt",
+    "Regression",
     "Way",
     "blocks_of",
     "chosen_rows",
     "chosen_way",
-    "left_out_squares",
+    "trusted_rows",
     "ways",
 ]
 
@@ -41,6 +43,10 @@ BLOCKS = 25  # of the log, in five folds that alternate: a block's neighbours ar
 FOLDS = 5
 ROWS = 4000  # of the log, about, that are regressed
 CLEAR = 2.0  # standard errors of the paired difference
+SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the rows in motion, which may count alone
+ROWS_WEIGHED = 20  # of each excerpt, for the inertia about the joints
+NEGLIGIBLE = 0.5  # of the noise
+RESOLVED = 1e-4  # of the accelerations: a misfit below is none
 ROUNDING = 1e-9  # of the largest column
 RIDGE = 1e-6  # of the balanced normal matrix: what the motion does not show is not fitted
 
@@ -68,11 +74,17 @@ class Way:
         Over which speeds and accelerations are taken, s.
     smoothed
         Whether recorded speeds are smoothed over the window too.
+    direct
+        Whether accelerations are taken from the positions in one step, so that they depend on fewer samples.
+    trusted
+        ``(n,)``, rad/s²: rows whose samples are farther off the curves taken for them do not count. Empty: all do.
     """
 
     logged: bool
     window_s: float
     smoothed: bool = False
+    direct: bool = False
+    trusted: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -89,6 +101,8 @@ class Excerpt:
         ``(w, n)``: where each motor clearly moves, the same for every way.
     row
         ``(w,)``: their numbers in the log.
+    misfit
+        ``(w, n)``, rad/s²: by how far their samples are from the curves taken for them.
     """
 
     campaign: Campaign
@@ -96,6 +110,7 @@ class Excerpt:
     torque: Array
     moving: Bools
     row: Integers
+    misfit: Array
 
 
 def ways(default: Way, step: float, smallest: int) -> list[list[Way]]:
@@ -174,23 +189,114 @@ class _Score(Protocol):
     def __call__(self, way: Way) -> Array: ...
 
 
-def left_out_squares(excerpts: Sequence[Excerpt], rows: int) -> Array:
-    """Mean squares ``(n, BLOCKS)``, Nm², of torques predicted by a regression that has not seen their block.
-
-    Every motor by itself: rigid-body dynamics of unknown masses, its rotor, dry and viscous friction, and a constant.
+class Regression:
+    """Every motor's torque by itself on rigid-body dynamics of unknown masses, its rotor, friction and a constant.
 
     Parameters
     ----------
     excerpts
-        The log, or parts of it.
+        The log, or parts of it, their motion taken in one way.
     rows
         How many rows the log has.
     """
-    columns = [_columns(e) for e in excerpts]
-    block, moving = blocks_of(np.concatenate([e.row for e in excerpts]), rows), [e.moving for e in excerpts]
-    motors = [np.concatenate([part[m] for part in columns]) for m in range(len(columns[0]))]
-    every = zip(motors, np.concatenate(moving).T, strict=True)
-    return np.array([_squares(both[used], block[used]) for both, used in every])
+
+    def __init__(self, excerpts: Sequence[Excerpt], rows: int) -> None:
+        columns = [_columns(e) for e in excerpts]
+        self._motors = [np.concatenate([part[m] for part in columns]) for m in range(len(columns[0]))]
+        self._moving = np.concatenate([e.moving for e in excerpts])
+        self._block = blocks_of(np.concatenate([e.row for e in excerpts]), rows)
+        self._misfit = np.concatenate([e.misfit for e in excerpts])
+        moves = self._moving.any(axis=1)
+        acceleration = np.concatenate([np.abs(e.motion.acceleration) for e in excerpts])
+        self.top = np.max(acceleration[moves], axis=0, initial=1e-12)
+        """Largest accelerations ``(n,)`` of rows in motion, rad/s²."""
+        self._excerpts = excerpts
+
+    @cached_property
+    def unresolved(self) -> Array:
+        """How badly rows ``(k,)`` show their motion: the largest of the joints' misfits over their accelerations."""
+        return np.asarray(np.max(self._misfit / self.top, axis=1))
+
+    def limits(self) -> list[float]:
+        """Values of :attr:`unresolved` that leave given shares of the rows in motion, ascending."""
+        shares = np.quantile(self.unresolved[self._moving.any(axis=1)], SHARES, method="lower")
+        return sorted({float(v) for v in np.maximum(shares, RESOLVED) if np.isfinite(v)})
+
+    def inertia(self) -> Array:
+        """What an acceleration of each joint asks of each motor ``(n, n)``, kg m², as described; rms over some rows."""
+        n = len(self._motors)
+        columns = []
+        for e in self._excerpts:
+            q = e.motion.position[:: max(1, len(e.row) // ROWS_WEIGHED)]
+            T, ones = np.asarray(e.campaign.robot.transmission), np.broadcast_to(np.eye(n), (len(q), n, n))
+            still = np.zeros_like(q)
+            columns.append(np.stack([inertia_torque(e.campaign, q, still, ones[:, j]) @ T.T for j in range(n)], axis=2))
+        return np.asarray(np.sqrt(np.mean(np.concatenate(columns) ** 2, axis=0)))
+
+    def squares(self, fitted: Bools | None = None, judged: Bools | None = None) -> Array:
+        """Mean squares ``(n, BLOCKS)``, Nm², of torques predicted by a regression that has not seen their block.
+
+        Parameters
+        ----------
+        fitted, judged
+            ``(k,)``: which rows are regressed, and which are predicted; by default all in which the motor moves.
+        """
+        every = np.ones(len(self._block), dtype=bool)
+        fitted, judged = (every if chosen is None else chosen for chosen in (fitted, judged))
+        return np.array(
+            [
+                _squares(both, self._block, moving & fitted, moving & judged)
+                for both, moving in zip(self._motors, self._moving.T, strict=True)
+            ]
+        )
+
+
+def trusted_rows(plain: Regression, direct: Regression, left_out: Array) -> tuple[tuple[float, ...], Array]:
+    """The misfits ``(n,)`` from which on rows do not count, or none; and squares left out ``(n, BLOCKS)`` of the rest.
+
+    Where a log is sampled so seldom that a ramp lies between two samples, no derivative is right there, and what such
+    rows are off biases all that is fitted. So it is tried whether the rows that show their motion best are predicted
+    better without others. All rows count unless they are, by more than two standard errors over the blocks. Else those
+    count with which this is best, and of them those whose misfits, by the masses as described, are little against the
+    noise; at least a twentieth of all. (Rows of a program that is repeated are also predicted well where they are
+    wrong: they are wrong alike.)
+
+    Parameters
+    ----------
+    plain, direct
+        The log with its motion as chosen, and with accelerations that depend on fewer samples.
+    left_out
+        The squares of the former.
+    """
+    limits = direct.limits()
+    if not limits:
+        return (), left_out
+    best = direct.unresolved <= limits[0]
+    before = plain.squares(judged=best)
+    known = np.isfinite(before)
+    blocks = known.any(axis=0)
+    if np.count_nonzero(blocks) < FOLDS:
+        return (), left_out
+
+    def gain(limit: float) -> Array:
+        """Log of the ratio of squares per block, mean of the motors: few rows foresee some blocks very badly."""
+        after = direct.squares(fitted=direct.unresolved <= limit, judged=best)
+        both = known & np.isfinite(after)
+        ratio = np.log(np.maximum(after[both], 1e-300) / np.maximum(before[both], 1e-300))
+        sums = np.bincount(np.nonzero(both)[1], ratio, minlength=BLOCKS)
+        return np.asarray((sums / np.maximum(both.sum(axis=0), 1))[blocks])
+
+    gains = {limit: gain(limit) for limit in limits}
+    chosen = min(limits, key=lambda limit: float(gains[limit].mean()))
+    error = gains[chosen].std(ddof=1) / np.sqrt(len(gains[chosen]))
+    if not gains[chosen].mean() < -CLEAR * error:
+        return (), left_out
+    kept = direct.unresolved <= chosen
+    squares = direct.squares(kept, kept)
+    noise = np.array([np.sqrt(np.mean(s[np.isfinite(s)])) if np.isfinite(s).any() else np.inf for s in squares])
+    harmless = NEGLIGIBLE * noise[:, None] / np.maximum(len(noise) * direct.inertia(), 1e-300)
+    limit = np.minimum(chosen, np.maximum(harmless.min(axis=0) / direct.top, limits[0]))
+    return tuple(float(v) for v in limit * direct.top), squares
 
 
 def chosen_rows(row: Integers, rows: int) -> Bools:
@@ -219,20 +325,34 @@ def _columns(e: Excerpt) -> list[Array]:
     return out
 
 
-def _squares(both: Array, block: Integers) -> Array:
-    """Mean squares ``(BLOCKS,)`` of one motor's rows ``(k, p + 1)``, each predicted without its fold of blocks.
+def _squares(both: Array, block: Integers, fitted: Bools, judged: Bools) -> Array:
+    """Mean squares ``(BLOCKS,)`` of one motor's judged rows, each predicted by the fitted ones of the other folds.
 
-    NaN for blocks in which the motor does not move.
+    Parameters
+    ----------
+    both
+        ``(k, p + 1)``: regressor and torque.
+    block
+        ``(k,)``: five folds of blocks alternate.
+    fitted, judged
+        ``(k,)``.
+
+    Returns
+    -------
+    Array
+        NaN for blocks of which no row is judged.
     """
-    size = np.linalg.norm(both, axis=0)
+    out = np.full(BLOCKS, np.nan)
+    if not fitted.any():
+        return out
+    size = np.linalg.norm(both[fitted], axis=0)
     # What turns without this motor is zero but for rounding; balanced, that would be columns of noise.
     kept = size > ROUNDING * size.max()
     kept[-1] = True
     fold, both = block % FOLDS, both[:, kept]
-    grams = np.array([both[fold == f].T @ both[fold == f] for f in range(FOLDS)])
-    out = np.full(BLOCKS, np.nan)
+    grams = np.array([both[fitted & (fold == f)].T @ both[fitted & (fold == f)] for f in range(FOLDS)])
     for f in range(FOLDS):
-        mine = fold == f
+        mine = judged & (fold == f)
         if not mine.any():
             continue
         # Added, not taken off the whole: where a column is of this fold alone, a difference would leave rounding.

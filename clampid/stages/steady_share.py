@@ -41,10 +41,13 @@ def steady_share(parts: Sequence[LogPart], window: int = WINDOW) -> float:
             signals = motion_signals(motion, T, facts, run, w.columns["time_s"])
             still = signals["joint_motion"] == 0.0
             signals["joint_motion"][still & (run == last_run)[:, None] & moved] = 1.0  # moved in an earlier window
-            moves, calm = (counting(signals, T, facts, run, wrist, kind)[chosen] for kind in (True, False))
+            shown = motion.resolved[:, None]
+            moves, calm = (shown & counting(signals, T, facts, run, wrist, kind) for kind in (True, False))
+            moves, calm = moves[chosen], calm[chosen]
             moving += int(moves.sum())
             some = np.flatnonzero(calm.any(axis=1))
-            torque = inertia_torque(part.campaign, *(v[chosen[some]] for v in motion)) @ T.T
+            q, qd, qdd, _ = motion.of(chosen[some])
+            torque = inertia_torque(part.campaign, q, qd, qdd) @ T.T
             steady += int((calm[some] & negligible(torque, facts)).sum())
             last_run = int(run[w.stop - 1])
             moved = np.any(signals["joint_motion"][: w.stop][run[: w.stop] == last_run] != 0.0, axis=0)

@@ -102,14 +102,14 @@ def torque_rows(
     run, time = run.astype(np.int64), joined["time_s"].to_numpy(float)
     motion = _motion_of(parts, facts)
     signals = motion_signals(motion, T, facts, run, time) | temperatures(joined, n)
-    used = counting(signals, T, facts, run, layout.wrist, accelerating, resting)
+    used = counting(signals, T, facts, run, layout.wrist, accelerating, resting) & motion.resolved[:, None]
     if resting:
         signals["dry_state"] = friction_states(signals, time, run, facts.motions.logged)
     for s, campaign in enumerate(campaigns):
         chosen = session == s
         if not np.any(chosen):
             continue
-        q, qd, qdd = (v[chosen] for v in motion)
+        q, qd, qdd, _ = motion.of(chosen)
         own = gravity_signals(campaign, q) | {"torque_rate": weight_rate(campaign, q, qd)}
         for name, values in inertial_signals(campaign, q, qd, qdd).items():
             own[name] = own[name] + values if name in own else values
@@ -156,11 +156,16 @@ def _columns(table: LogTable, n: int) -> list[str]:
 def _motion_of(parts: Sequence[LogPart], facts: LogFacts) -> Motion:
     """The motion of the whole log, of the same windows as a fit that does not hold it takes it."""
     found = [
-        [v[w.start : w.stop] for v in facts.motions.of(p, w)]
+        facts.motions.of(p, w).of(slice(w.start, w.stop))
         for p, part in enumerate(parts)
         for w in windows(part.table, facts.motions.columns, WINDOW, facts.halo)
     ]
-    return Motion(*(np.concatenate(v) for v in zip(*found, strict=True)))
+    return Motion(
+        position=np.concatenate([m.position for m in found]),
+        speed=np.concatenate([m.speed for m in found]),
+        acceleration=np.concatenate([m.acceleration for m in found]),
+        resolved=np.concatenate([m.resolved for m in found]),
+    )
 
 
 def _block_seconds(time: Array, run: Integers) -> float:

@@ -6,6 +6,7 @@ Nothing here knows of effects or of a robot.
 from experiments.signals.clock import Gap, gaps, irregularity, segments, stale_rows, typical_step
 from experiments.signals.definite import solve_definite
 from experiments.signals.derivatives import acceleration, accelerations, differentiate, low_pass, speeds
+from experiments.signals.misfit import misfit
 from experiments.signals.motion import held_sign, rest_threshold, speed_counts, threshold_of_counts
 from experiments.signals.polynomial import smallest_half
 from experiments.signals.selection import medians
@@ -26,6 +27,7 @@ __all__ = [
     "irregularity",
     "low_pass",
     "medians",
+    "misfit",
     "rest_threshold",
     "segments",
     "slip_states",

@@ -131,6 +131,7 @@ def test_what_one_fold_alone_shows_is_not_rounding_of_the_others() -> None:
     block = np.repeat(np.arange(BLOCKS), 40)
     both = rng.standard_normal((len(block), 6))
     both[block % 5 != 2, 2:5] *= 1e-10
-    left = motion_choice._squares(both, block)
+    every = np.ones(len(block), dtype=bool)
+    left = motion_choice._squares(both, block, every, every)
     assert np.all(np.isfinite(left))
     assert np.all(left < 3.0)
