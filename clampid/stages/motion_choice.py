@@ -44,7 +44,7 @@ FOLDS = 5
 ROWS = 4000  # of the log, about, that are regressed
 CLEAR = 2.0  # standard errors of the paired difference
 SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the rows in motion, which may count alone
-ROWS_WEIGHED = 20  # of each excerpt, for the inertia about the joints
+ROWS_WEIGHED = 100  # of the log, about, for the inertia about the joints
 NEGLIGIBLE = 0.5  # of the noise
 RESOLVED = 1e-4  # of the accelerations: a misfit below is none
 ROUNDING = 1e-9  # of the largest column
@@ -219,15 +219,19 @@ class Regression:
 
     def limits(self) -> list[float]:
         """Values of :attr:`unresolved` that leave given shares of the rows in motion, ascending."""
-        shares = np.quantile(self.unresolved[self._moving.any(axis=1)], SHARES, method="lower")
+        unresolved = self.unresolved[self._moving.any(axis=1)]
+        if not len(unresolved):
+            return []
+        shares = np.quantile(unresolved, SHARES, method="lower")
         return sorted({float(v) for v in np.maximum(shares, RESOLVED) if np.isfinite(v)})
 
     def inertia(self) -> Array:
         """What an acceleration of each joint asks of each motor ``(n, n)``, kg m², as described; rms over some rows."""
-        n = len(self._motors)
-        columns = []
-        for e in self._excerpts:
-            q = e.motion.position[:: max(1, len(e.row) // ROWS_WEIGHED)]
+        n, every = len(self._motors), max(1, sum(len(e.row) for e in self._excerpts) // ROWS_WEIGHED)
+        columns, before = [], 0
+        for e in self._excerpts:  # the same rows however the log is cut into windows
+            q = e.motion.position[(before + np.arange(len(e.row))) % every == 0]
+            before += len(e.row)
             T, ones = np.asarray(e.campaign.robot.transmission), np.broadcast_to(np.eye(n), (len(q), n, n))
             still = np.zeros_like(q)
             columns.append(np.stack([inertia_torque(e.campaign, q, still, ones[:, j]) @ T.T for j in range(n)], axis=2))
@@ -296,7 +300,7 @@ def trusted_rows(plain: Regression, direct: Regression, left_out: Array) -> tupl
     noise = np.array([np.sqrt(np.mean(s[np.isfinite(s)])) if np.isfinite(s).any() else np.inf for s in squares])
     harmless = NEGLIGIBLE * noise[:, None] / np.maximum(len(noise) * direct.inertia(), 1e-300)
     limit = np.minimum(chosen, np.maximum(harmless.min(axis=0) / direct.top, limits[0]))
-    return tuple(float(v) for v in limit * direct.top), squares
+    return tuple(float(v) for v in (1.0 + ROUNDING) * limit * direct.top), squares
 
 
 def chosen_rows(row: Integers, rows: int) -> Bools:
