@@ -39,7 +39,7 @@ from clampid.effect import Effect
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score, space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from experiments.campaign import Campaign

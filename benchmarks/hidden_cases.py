@@ -19,7 +19,7 @@ import numpy as np
 from clampid.effect import Stage
 from clampid.fitting.solve import Estimate
 from clampid.identification.identify import identify, standard_effects
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import hidden_file, simulate

@@ -22,7 +22,7 @@ from coverage_table import TWO_SIDED_95
 from clampid.effect import Stage
 from clampid.fitting.accuracy import noise_floor, predicted, size_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign

@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 from clampid.catalogue import catalogue
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model
 from clampid.report.angle_curves import points_on

@@ -17,7 +17,7 @@ from clampid.fitting.accuracy import Floor, cross_validated, noise_floor, predic
 from clampid.fitting.fit import fit, without_outlying
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import TABLES_OF, held_out_folds
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import Reopened, reopen
 from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, ModelError, StageModel

@@ -24,7 +24,7 @@ from scipy import stats
 from clampid.chain.chain import Deviations
 from clampid.display import with_error
 from clampid.fitting.noise import NORMAL
-from clampid.identification.reopen import Reopened
+from clampid.identification.model_on_campaign import Reopened
 from clampid.role_slots import any_of_role, numbers_of_role
 from clampid.roles import WEIGHTS
 from clampid.stages import poses

@@ -11,7 +11,7 @@ from clampid.comparison.attained import as_sent
 from clampid.effect import Effect, Stage
 from clampid.fitting.accuracy import noise_floor, predicted, rms_of
 from clampid.identification.identify import TABLES_OF
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import Reopened, reopen
 from clampid.models.model import Model
 from clampid.stages.rows import Bools, Rows
 from experiments.campaign import Campaign

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
+from clampid.diagnosis.candidate_scores import refuse_few_flips
 from clampid.diagnosis.few_rows import refuse_unjudged
 from clampid.diagnosis.headline import headline, notes
-from clampid.diagnosis.look import refuse_few_flips
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.omission import exported_shift, shift_in_words
@@ -24,7 +24,7 @@ from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import TABLES_OF, session_of
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import Reopened, reopen
 from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.shown import Shown

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.look import ALIASED, CONFUSABLE, RATE, Look
+from clampid.diagnosis.candidate_scores import ALIASED, CONFUSABLE, RATE, Look
 from clampid.effect import WEAK, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from clampid.diagnosis.look import Look
+from clampid.diagnosis.candidate_scores import Look
 from clampid.diagnosis.next_measurement import STATES, NextPlan
 from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
 from clampid.diagnosis.testability import noncentrality

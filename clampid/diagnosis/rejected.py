@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from clampid.diagnosis.candidate_scores import ABLE, RATE, Look
 from clampid.diagnosis.entries import considered_of
-from clampid.diagnosis.look import ABLE, RATE, Look
 from clampid.evidence.score import Scored
 
 __all__ = ["evidence_of"]

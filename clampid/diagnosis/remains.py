@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from clampid.diagnosis.candidate_scores import Look
 from clampid.diagnosis.confirm import Fall, cross_fitted_fall, probe_held_out_fall
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
-from clampid.diagnosis.look import Look
 from clampid.display import error_text
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate

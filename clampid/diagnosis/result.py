@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from clampid.diagnosis.above import OneSided
+from clampid.diagnosis.candidate_scores import Look
 from clampid.diagnosis.folds import Folds
-from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan, NextPoses
 from clampid.diagnosis.remains import Remains
+from clampid.diagnosis.residual_excess import OneSided
 from clampid.effect import Stage
 from clampid.fitting.agreeing import Agreement
 from clampid.identification.fitted_stage import FittedStage

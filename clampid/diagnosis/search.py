@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from clampid.diagnosis.candidate_scores import Look
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.held_out import HeldOut
-from clampid.diagnosis.look import Look
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Taken, Tried, Undecided
 from clampid.evidence.candidates import Candidate

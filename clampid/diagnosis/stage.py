@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
+from clampid.diagnosis.candidate_scores import Look
 from clampid.diagnosis.confirmed import Confirmed
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
@@ -21,10 +21,10 @@ from clampid.diagnosis.entries import (
 from clampid.diagnosis.few_rows import estimates_share
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HeldOut
-from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.remains import remains_of
+from clampid.diagnosis.residual_excess import above_floor, one_sided, one_sided_words
 from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.search import Searched, search
 from clampid.diagnosis.separators import separating_measurement, something_else

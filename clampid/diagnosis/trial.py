@@ -8,7 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clampid.diagnosis.alongside import Step, alongside, step_towards
+from clampid.diagnosis.candidate_scores import (
+    CONFUSABLE,
+    Look,
+    look_at,
+    of_other_families,
+    rivals_of,
+    simplest_of,
+    variants_of,
+)
 from clampid.diagnosis.confirm import (
     cross_fitted_fall,
     event_p,
@@ -19,15 +27,7 @@ from clampid.diagnosis.confirm import (
 )
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out
-from clampid.diagnosis.look import (
-    CONFUSABLE,
-    Look,
-    look_at,
-    of_other_families,
-    rivals_of,
-    simplest_of,
-    variants_of,
-)
+from clampid.diagnosis.linear_refit import Step, alongside, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
 from clampid.diagnosis.tried import Taken, Tried, Undecided

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from clampid.diagnosis.candidate_scores import ALIASED, Look
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.held_out import HeldOut
-from clampid.diagnosis.look import ALIASED, Look
 from clampid.effect import Effect, Stage
 from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.solve import Estimate

@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.fitting.accuracy import predicted
 from clampid.fitting.base_names import base_json
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.consistent import ConsistentArm, consistent_arm, off_by
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel

@@ -26,8 +26,8 @@ from clampid.fitting.rest_friction import RestFriction, with_open_friction, with
 from clampid.fitting.solve import Estimate, FitError
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.fitting.unknown_masses import with_unknown_masses
-from clampid.identification.begin import begun
 from clampid.identification.carried import carried_drives, carried_over
+from clampid.identification.initial_values import begun
 from clampid.models.agreement import Agreement
 from clampid.models.model import StageModel
 from clampid.models.ranges import ranges_of

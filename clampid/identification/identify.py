@@ -12,10 +12,10 @@ from clampid.catalogue import with_user_effects
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.fitting.bootstrap import bootstrap as by_poses
 from clampid.fitting.solve import FitError
-from clampid.identification.apart import moved_by_joint_fit
 from clampid.identification.fitted_stage import Cost, FittedStage, fit_stage
 from clampid.identification.identify_log import LogStage
 from clampid.identification.joint import JointPart, fit_jointly, shared_slots
+from clampid.identification.joint_vs_stagewise import moved_by_joint_fit
 from clampid.models.model import Model, Round, Session, StageModel
 from clampid.progress import in_parts
 from clampid.roles import INERTIAS

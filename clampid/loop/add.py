@@ -27,7 +27,7 @@ from clampid.identification.identify import (
     stages_of,
     verification_rows,
 )
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import Reopened, reopen
 from clampid.loop.change import Change, change_between
 from clampid.models.model import Model, Round, StageModel
 from clampid.progress import in_parts

@@ -10,7 +10,7 @@ from clampid.catalogue import catalogue
 from clampid.effect import Effect, Stage
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import has_friction_state, has_inertia, stage_rows
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model, ModelError, Round, StageModel
 from clampid.slots import Term
 from clampid.threads import single_threaded

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from clampid.charts.style import STYLE
 from clampid.charts.svg import svg
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.report.angle_curves import angle_curves_section

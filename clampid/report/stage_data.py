@@ -11,7 +11,7 @@ import pandas as pd
 from clampid.effect import Stage
 from clampid.fitting.accuracy import Floor, noise_floor, predicted
 from clampid.identification.identify import TABLES_OF, stage_rows
-from clampid.identification.reopen import Reopened
+from clampid.identification.model_on_campaign import Reopened
 from clampid.models.model import StageModel
 from clampid.stages.experiment import Experiment
 from clampid.stages.pose_rows import align

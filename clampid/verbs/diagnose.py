@@ -52,9 +52,9 @@ def diagnose(
     """Say where a model fails, and which effect is missing."""
     out = Output(quiet, json, verbose)
 
+    from clampid.diagnosis.candidate_scores import refuse_few_flips
     from clampid.diagnosis.diagnose import diagnose as look_for_missing
     from clampid.diagnosis.headline import listed
-    from clampid.diagnosis.look import refuse_few_flips
     from clampid.loop.kept_diagnosis import keep_diagnosis, kept_file
     from clampid.models.model import load_model
     from clampid.role_slots import any_of_role

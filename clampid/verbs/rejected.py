@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.display import error_text
 from clampid.fitting.accuracy import predicted
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model
 from clampid.stages.rows import lengths
 from experiments.campaign import Campaign

@@ -130,7 +130,7 @@ def test_rounding_is_no_lever_of_a_candidate(found: tuple[Path, str, dict[str, A
     from clampid.catalogue import catalogue
     from clampid.evidence.candidates import named_candidates
     from clampid.evidence.score import score, space_of
-    from clampid.identification.reopen import reopen
+    from clampid.identification.model_on_campaign import reopen
 
     folder, _, _ = found
     estimate = reopen(load_model(folder / "m.json"), read_campaign(folder / "arm")).refit("poses").estimate

@@ -8,7 +8,7 @@ from clampid.diagnosis.pruning import Refit
 from clampid.diagnosis.trial import Bench
 from clampid.fitting.accuracy import noise_floor
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.reopen import Reopened
+from clampid.identification.model_on_campaign import Reopened
 from clampid.slots import Slot, Term
 
 

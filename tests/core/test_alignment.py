@@ -17,7 +17,7 @@ from clampid.comparison.compare import compare
 from clampid.effect import EffectError
 from clampid.evidence.alignment import STRONG, Alignment, Curves, align, alignment_of, turned
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.loop.add import add
 from clampid.loop.undo import undo
 from clampid.models.curves import angle_errors, shared_curve

@@ -12,13 +12,13 @@ from scipy import sparse
 
 from clampid.catalogue import catalogue
 from clampid.comparison.compare import compare
+from clampid.diagnosis.candidate_scores import RATE
 from clampid.diagnosis.diagnose import diagnose
-from clampid.diagnosis.look import RATE
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
 from clampid.evidence.columns import Columns, Levers, Products, Sums
 from clampid.evidence.score import flip_maxima, score, space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.curves import angle_errors
 from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign

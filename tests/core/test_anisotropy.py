@@ -12,7 +12,7 @@ import pytest
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.solve import Estimate
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.identification.apart import Moved, moved_by_joint_fit
+from clampid.identification.joint_vs_stagewise import Moved, moved_by_joint_fit
 from clampid.models.model import StageModel
 from clampid.slots import Slot, Term
 

@@ -10,12 +10,12 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis import testability
+from clampid.diagnosis.candidate_scores import IMPOSSIBLE, RATE, look_at
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
-from clampid.diagnosis.look import IMPOSSIBLE, RATE, look_at
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.loop.add import add_steps
 from clampid.loop.auto import auto
 from clampid.loop.undo import undo

@@ -12,7 +12,7 @@ from clampid.comparison.compare import compare
 from clampid.display import error_text
 from clampid.effect import EffectError
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.loop.add import add
 from clampid.models.model import Model, ModelError
 from clampid.report.placing import placing_tables

@@ -15,7 +15,7 @@ from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Tried
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import Reopened, reopen
 from clampid.search_policy import Search
 from clampid.slots import Term
 from experiments.campaign import Campaign

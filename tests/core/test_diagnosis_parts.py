@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.alongside import step_towards
-from clampid.diagnosis.look import rivals_of
+from clampid.diagnosis.candidate_scores import rivals_of
+from clampid.diagnosis.linear_refit import step_towards
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
 from clampid.diagnosis.tried import Tried, Undecided
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
@@ -23,7 +23,7 @@ from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign

@@ -20,7 +20,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.fitting.accuracy import noise_floor
 from clampid.fitting.fit import fit
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.calibrated import calibrated_chain
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Slot, slots_of

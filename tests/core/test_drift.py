@@ -11,7 +11,7 @@ import pytest
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.drift import blocks_of_visits, drift_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from experiments.campaign import Campaign
 from experiments.check import check_campaign
 

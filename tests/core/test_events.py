@@ -16,7 +16,7 @@ from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify, stage_rows
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.loop.add import add
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import experiment

@@ -15,7 +15,7 @@ from clampid.comparison.compare import compare
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.joint import is_shared
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model, load_model, save_model
 from experiments.campaign import Campaign
 

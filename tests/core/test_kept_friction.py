@@ -11,7 +11,7 @@ from scipy import stats
 
 from clampid.fitting.kept_friction import AXES, with_kept_friction
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot

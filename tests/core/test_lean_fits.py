@@ -10,7 +10,7 @@ import pytest
 
 from clampid.algebra import harmonics
 from clampid.catalogue import catalogue
-from clampid.diagnosis.alongside import alongside
+from clampid.diagnosis.linear_refit import alongside
 from clampid.effect import Stage
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score, space_of

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.above import OneSided, above_floor, one_sided, one_sided_words
-from clampid.diagnosis.alongside import alongside
 from clampid.diagnosis.held_out import held_out
+from clampid.diagnosis.linear_refit import alongside
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
 from clampid.diagnosis.parting import part, show
 from clampid.diagnosis.propose import Weak
+from clampid.diagnosis.residual_excess import OneSided, above_floor, one_sided, one_sided_words
 from clampid.diagnosis.separators import something_else
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import Scored, Space, explained_together, score, space_of
@@ -24,7 +24,7 @@ from clampid.fitting.accuracy import noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.planning.clamping import Press, planned_sweep, postures_for, press_limits, stiffness_of
 from clampid.planning.scene import Scene
 from clampid.stages.experiment import parameter_of

@@ -18,7 +18,7 @@ from clampid.diagnosis.parting import part
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score, space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from experiments.campaign import Campaign
 from experiments.plans.read import read_plan
 from experiments.plans.write import write_plan

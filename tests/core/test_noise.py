@@ -13,7 +13,7 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln, logsumexp
 
-from clampid.diagnosis.look import RATE, Look
+from clampid.diagnosis.candidate_scores import RATE, Look
 from clampid.effect import Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns

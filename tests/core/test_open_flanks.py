@@ -13,7 +13,7 @@ from clampid.catalogue import catalogue
 from clampid.fitting.open_flanks import _fitted
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model, StageModel, load_model, save_model
 from clampid.slots import Slot
 from clampid.stages import poses

@@ -15,7 +15,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import AT_A_SLIDE, UNITS
 from clampid.evidence.candidates import named_candidates
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.slots import Layout, Slot, unit_of
 from clampid.stages import poses
 from clampid.stages.experiment import experiment, parameter_of

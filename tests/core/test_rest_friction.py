@@ -14,7 +14,7 @@ from clampid.evidence.score import space_of
 from clampid.fitting.rest_friction import _cost, _Profile
 from clampid.fitting.solve import solve
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign

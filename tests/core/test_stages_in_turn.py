@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import pytest
 
+from clampid.diagnosis.candidate_scores import look_at, simplest_of
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
-from clampid.diagnosis.look import look_at, simplest_of
 from clampid.diagnosis.tried import Undecided
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.loop.auto import mend
 from clampid.models.model import Model
 from clampid.slots import Term

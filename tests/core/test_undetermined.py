@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
+from clampid.diagnosis.candidate_scores import FEWEST_FLIPS, RATE, refuse_few_flips
 from clampid.diagnosis.entries import entry_of
 from clampid.diagnosis.headline import equally_good
-from clampid.diagnosis.look import FEWEST_FLIPS, RATE, refuse_few_flips
 from clampid.display import compact, scale_for, with_error
 from clampid.effect import EffectError
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import Flips, Scored, score, space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.loop.add import add
 from clampid.slots import fixed_slots
 

@@ -8,7 +8,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.charts import Cells, Line, Points
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.drives import drives_of
 from clampid.report.drives import drives_section
 from clampid.report.loops import loops_figure

@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.charts import Points
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.report.stage_data import StageData, stage_data
 from clampid.report.style import Figure
 from clampid.report.where import where_section

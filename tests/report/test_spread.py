@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.report.spread import HeldOut, Spread, held_out, spread_of, spread_sentences, spread_table
 from clampid.report.stage_data import stage_data
 from experiments.campaign import read_campaign, write_campaign

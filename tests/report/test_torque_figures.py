@@ -9,7 +9,7 @@ import pytest
 
 from clampid.charts import Band, Line
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.report.friction import friction_figures
 from clampid.report.stage_data import stage_data
 from clampid.report.torque import torque_section

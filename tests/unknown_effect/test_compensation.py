@@ -13,7 +13,7 @@ from clampid.comparison.compare import compare
 from clampid.comparison.compensation import compensation_of, put_right
 from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import reopen
 from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from clampid.diagnosis.look import ABLE
+from clampid.diagnosis.candidate_scores import ABLE
 from clampid.display import counted
 from clampid.effect import Effect
 from clampid.evidence.score import Scored
