@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 from clampid.catalogue import catalogue
 from clampid.identification.identify import identify
-from clampid.identification.model_on_campaign import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model
 from clampid.report.angle_curves import points_on
@@ -52,7 +52,7 @@ def draw(model: Model, campaigns: Sequence[Campaign]) -> None:
             axes.set_ylabel("arm less controller, µrad")
     axes = panels["all"]
     for session, campaign in enumerate(campaigns):
-        for j, on, value in points_on(one, stage_data(reopen(model, campaign)).get("poses")):
+        for j, on, value in points_on(one, stage_data(on_campaign(model, campaign)).get("poses")):
             label = f"joint {j + 1}{', mirrored' if one.sense[one.joints.index(j)] < 0 else ''}"
             label = label if session == 0 else "_" + label
             axes.plot(np.degrees(on), 1e6 * value, ".", ms=3, color=COLOURS[j], label=label)

@@ -24,7 +24,7 @@ from scipy import stats
 from clampid.chain.chain import Deviations
 from clampid.display import with_error
 from clampid.fitting.noise import NORMAL
-from clampid.identification.model_on_campaign import Reopened
+from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.role_slots import any_of_role, numbers_of_role
 from clampid.roles import WEIGHTS
 from clampid.stages import poses
@@ -109,7 +109,7 @@ def sent_elsewhere(found: Compensation) -> str:
     return said
 
 
-def compensation_of(opened: Reopened) -> Compensation | None:
+def compensation_of(opened: ModelOnCampaign) -> Compensation | None:
     """Look for a compensation, and for mistakes in it, in a campaign's poses.
 
     Returns
@@ -151,7 +151,7 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     return Compensation(factors, spread, base, base_std, wrong, said, explained)
 
 
-def put_right(opened: Reopened, found: Compensation) -> Reopened | None:
+def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign | None:
     """The campaign with the joint values to which its compensation sent the robot, instead of those asked for.
 
     With the factors that the explanation has, so that a mistake is taken for what it is called, and springs within what
@@ -192,7 +192,7 @@ class _Bending:
     covariance: Array
 
 
-def _bending(opened: Reopened, trial: Experiment) -> _Bending:
+def _bending(opened: ModelOnCampaign, trial: Experiment) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
     springs = numbers_of_role(model.slots, "compliance")
@@ -257,7 +257,7 @@ class _Search:
 
 
 def _search(
-    opened: Reopened, trial: Experiment, parts: Array, mean: Array | None = None, spread: Array | None = None
+    opened: ModelOnCampaign, trial: Experiment, parts: Array, mean: Array | None = None, spread: Array | None = None
 ) -> _Search:
     """Gauss-Newton on factors of deflections ``(F, N, n)``; where a compensation sends the robot, it gives way anew.
 
@@ -302,7 +302,7 @@ def _search(
     return _Search(theta, rows, used, S[:, :, :n], columns, r, step)
 
 
-def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
+def _fit(opened: ModelOnCampaign, trial: Experiment, bent: _Bending) -> _Fit:
     """Factors on what the arm's own weight and the tool bend, and their covariance."""
     found = _search(opened, trial, bent.parts.sum(axis=1))
     theta, used, r = found.theta, found.used, found.residual
@@ -322,7 +322,7 @@ def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
     return _Fit(theta, covariance, found.columns[used])
 
 
-def _sent(opened: Reopened, rows: Rows, shift: Array) -> Rows:
+def _sent(opened: ModelOnCampaign, rows: Rows, shift: Array) -> Rows:
     """The rows at joint values shifted by ``(N, n)``, seen from the same base."""
     table = _shifted(opened.campaign.tables["poses"], shift)
     campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
@@ -335,7 +335,7 @@ def _shifted(table: pd.DataFrame, shift: Array) -> pd.DataFrame:
     return table.assign(**dict(zip(names, (table[names].to_numpy(float) + shift).T, strict=True)))
 
 
-def _values(trial: Experiment, opened: Reopened) -> Array:
+def _values(trial: Experiment, opened: ModelOnCampaign) -> Array:
     """The model's station values ``(N, S)``."""
     theta = opened.stages["poses"].theta
     return trial.chain.evaluate(theta, trial.with_flanks(theta).rows.signals).values

@@ -1,4 +1,4 @@
-"""One look at what a fit leaves: both dictionaries scored, each with its null, and the best of each."""
+"""What a fit leaves, scored by both dictionaries, each with its null, and the best of each."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ __all__ = [
     "FEWEST_FLIPS",
     "IMPOSSIBLE",
     "RATE",
-    "Look",
-    "look_at",
+    "CandidateScores",
     "of_other_families",
     "refuse_few_flips",
     "rivals_of",
+    "scores_of",
     "simplest_of",
     "variants_of",
 ]
@@ -71,8 +71,8 @@ def refuse_few_flips(flips: int) -> None:
 
 
 @dataclass(frozen=True)
-class Look:
-    """One look at what is left: both dictionaries scored, with their nulls."""
+class CandidateScores:
+    """The scores of both dictionaries on what a fit leaves, with their nulls."""
 
     space: Space
     named: list[Scored]
@@ -92,7 +92,7 @@ class Look:
         return [s for s in _standing_out(self.named, self.named_null) if s.candidate.label not in rejected]
 
     @property
-    def remembered(self) -> Look:
+    def remembered(self) -> CandidateScores:
         """What a verdict says of it later, without what is as large as its rows."""
         return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0].copy())
 
@@ -122,14 +122,14 @@ class Look:
         )
 
 
-def look_at(
+def scores_of(
     estimate: Estimate,
     effects: dict[str, Effect],
     flips: int,
     seed: int,
     granted: Sequence[Candidate] = (),
     block: int = 1,
-) -> Look:
+) -> CandidateScores:
     """Score both dictionaries on what a fit leaves, with their nulls.
 
     Parameters
@@ -156,7 +156,7 @@ def look_at(
     named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
     named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]
     folds = stability_folds(estimate.experiment.rows)[estimate.whitened.entry]
-    return Look(space, named, free, named_null, free_null, _best(free, free_null), folds)
+    return CandidateScores(space, named, free, named_null, free_null, _best(free, free_null), folds)
 
 
 def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:

@@ -74,12 +74,12 @@ def drift_of(estimate: Estimate) -> Drift | None:
     for means in parts:
         n = len(means)
         total = np.sum(means**2, axis=0)
-        told = total > 0.0
-        lagged = np.array([np.sum(means[k:] * means[:-k], axis=0) for k in range(1, LAGS + 1)])[:, told]
-        rho = lagged / total[told]
+        varying = total > 0.0
+        lagged = np.array([np.sum(means[k:] * means[:-k], axis=0) for k in range(1, LAGS + 1)])[:, varying]
+        rho = lagged / total[varying]
         products += n * np.sum(rho, axis=1)
         variance += rho.shape[1] * n * (n - lag) / (n + 2)  # of independent visits rho has (n - k) / n (n + 2)
-        count += n * int(told.sum())
+        count += n * int(varying.sum())
     if not count:
         return None
     correlation, z = products / count, products / np.sqrt(variance)

@@ -13,10 +13,10 @@ from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, limits_of
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Step", "alongside", "step_towards"]
+__all__ = ["Step", "linear_refit", "step_towards"]
 
 
-def alongside(estimate: Estimate, s: Scored) -> Estimate | None:
+def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
     """The estimate with a candidate fitted along, linear about the fit without; None of what is no amplitude of rows.
 
     Noise and covariance stay those of the fit without it: it is there to predict, not to be reported.
@@ -119,7 +119,7 @@ def step_towards(estimate: Estimate, s: Scored) -> Step | None:
 
     A gap that closes, or a time constant, is not linear: then only a search tells.
     """
-    near = alongside(estimate, s)
+    near = linear_refit(estimate, s)
     if near is None:
         return None
     trial = near.experiment.with_flanks(near.theta)

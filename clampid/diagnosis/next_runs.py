@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from clampid.diagnosis.next_measurement import TEMPERATURES
-from clampid.diagnosis.pools import Pool, cell_of, joined, told_by
+from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
@@ -78,12 +78,12 @@ def runs_to_choose(
     # Of a dense log several rows are one number to the noise: one row is imagined for each of these.
     noise = estimate.noise
     sparse = replace(estimate, noise=replace(noise, together=1))
-    told: list[Array] = []
+    information: list[Array] = []
     for start in range(0, len(kinds), CHUNK):
         few = [kind.course for kind in kinds[start : start + CHUNK]]
         rows = _imagined_rows(campaign, estimate, cell, few, rate / noise.together, state, fastest)
-        told += told_by(sparse, candidates, rows, rows.constants["run"])
-    nuisance, columns = joined(told, candidates, len(estimate.slots))
+        information += columns_seen_by(sparse, candidates, rows, rows.constants["run"])
+    nuisance, columns = joined(information, candidates, len(estimate.slots))
     assumed = (*assumed, f"the robot is {TEMPERATURES[state]}", "the floor is the only obstacle")
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from clampid.diagnosis.next_measurement import TEMPERATURES
-from clampid.diagnosis.pools import Pool, cell_of, joined, told_by
+from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
 from clampid.planning.clamping import (
@@ -62,7 +62,7 @@ def sweeps_to_choose(
     limits = press_limits(free, rated)
     blank = Plan("clamping", cell, limits, 0.0, stiffness=MARGIN * press.stiffness)
     sweeps, shares = _sweeps(blank, press, _places(estimate, cell, limits, seed))
-    told: list[Array] = []
+    information: list[Array] = []
     for start in range(0, len(sweeps), CHUNK):
         few = sweeps[start : start + CHUNK]
         rows = _imagined_rows(campaign, estimate, cell, few, press, state)
@@ -70,8 +70,8 @@ def sweeps_to_choose(
         def standing(theta: Array, rows: Rows = rows, few: Sequence[Sweep] = few) -> Array:
             return _standing(estimate, candidates, cell, rows, few, theta)
 
-        told += told_by(estimate, candidates, rows, rows.constants["run"], standing)
-    nuisance, columns = joined(told, candidates, len(estimate.slots))
+        information += columns_seen_by(estimate, candidates, rows, rows.constants["run"], standing)
+    nuisance, columns = joined(information, candidates, len(estimate.slots))
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
         mine = in_order([sweeps[k] for k in chosen])

@@ -18,9 +18,9 @@ from clampid.evidence.score import Scored
 from clampid.signals import SIGNALS
 from clampid.stages.rows import Rows
 
-__all__ = ["ABOVE", "OneSided", "above_floor", "one_sided", "one_sided_words", "unseen_by_probes"]
+__all__ = ["EXCESS_FACTOR", "OneSided", "excess_over_floor", "one_sided", "one_sided_words", "unseen_by_probes"]
 
-ABOVE = 1.3  # noise floors: of an error that is farther above, two fifths of the square are no noise
+EXCESS_FACTOR = 1.3  # noise floors: of an error that is farther above, two fifths of the square are no noise
 FEW = 3  # visits or blocks from a side: fewer do not show an error that has a side
 SIDES = frozenset(name for name, known in SIGNALS.items() if known.sided)
 WHY_FLOOR = {
@@ -110,7 +110,7 @@ def unseen_by_probes(free: Sequence[Scored]) -> dict[str, list[str]]:
     return {place: variables for place, variables in left.items() if variables}
 
 
-def above_floor(
+def excess_over_floor(
     after: float, floor: float, source: str, outliers: int, free: Sequence[Scored], few: float = 1.0
 ) -> dict[str, Any] | None:
     """By how much a held-out error lies above its floor, and what may be the reason; None where it does not.
@@ -128,7 +128,7 @@ def above_floor(
     few
         How many times the floor the error may be for the error of the estimates alone, where the rows are few.
     """
-    if not after > ABOVE * floor or not floor > 0:
+    if not after > EXCESS_FACTOR * floor or not floor > 0:
         return None
     reasons = [WHY_FLOOR[source], "robot or instrument may have drifted, or noise may be larger in some places"]
     if few > 1.0:

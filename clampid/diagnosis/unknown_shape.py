@@ -200,11 +200,11 @@ def _curves(rows: Rows, found: Dependence, fitted: _Fitted, seed: int) -> Iterat
 def _width(root: Array, seed: int) -> float:
     """How many standard errors a band is wide that holds all points ``(G, f)`` at once with 95 % probability."""
     spread = np.linalg.norm(root, axis=1)
-    told = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
-    if not told.any():
+    varying = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
+    if not varying.any():
         return 0.0
     draws = np.random.default_rng(seed).standard_normal((root.shape[1], DRAWS))
-    largest = np.abs((root[told] / spread[told, None]) @ draws).max(axis=0)
+    largest = np.abs((root[varying] / spread[varying, None]) @ draws).max(axis=0)
     return float(np.quantile(largest, COVERED))
 
 

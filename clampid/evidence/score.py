@@ -75,7 +75,7 @@ class Space:
         Standard deviation of the residual, about 1.
     rows
         M.
-    told
+    pseudo_std
         ``(p,)``: standard deviations of the pseudo-rows, 1, or 0 where the prior is too weak to be a measurement.
     """
 
@@ -85,7 +85,7 @@ class Space:
     scale: float
     freedom: int
     rows: int
-    told: Array
+    pseudo_std: Array
 
     def beside(self, columns: Array) -> Space:
         """The same with whitened columns ``(M, k)`` that are granted to the model: what they explain is no evidence."""
@@ -274,8 +274,8 @@ def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
     units = np.r_[unit, unit.max(initial=0) + 1 + np.arange(len(root))]
     freedom = max(count - basis.shape[1], 1)
     scale = float(np.sqrt(residual @ residual / freedom))
-    told = np.linalg.norm(vectors[~weak], axis=0)
-    return Space(residual, basis, units, max(scale, 1e-12), freedom, count, told)
+    pseudo_std = np.linalg.norm(vectors[~weak], axis=0)
+    return Space(residual, basis, units, max(scale, 1e-12), freedom, count, pseudo_std)
 
 
 def _span(A: Array) -> Array:
@@ -367,7 +367,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     amplitude = c.columns.times(space.residual) @ weights  # the residual is off the basis
     parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
     # Of a candidate's own columns pseudo-rows have none.
-    parts[space.drawn] = -(space.told[:, None] * space.basis[space.rows :]) @ absorbed @ weights
+    parts[space.drawn] = -(space.pseudo_std[:, None] * space.basis[space.rows :]) @ absorbed @ weights
     kept, cost, size = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2))), 1.0
     if c.prior is not None:
         size = c.sizes[int(np.argmax(of_size(np.array(c.sizes), values, amplitude / space.scale)))]
@@ -407,9 +407,9 @@ def _charge(reach: Array, amplitude: Array, space: Space) -> float:
     reach
         ``(k, f)``: what a reasonable size of each parameter moves the residual along the directions of ``amplitude``.
     """
-    _, told, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
+    _, gain, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
     component = turn @ amplitude / space.scale
-    return float(component @ component) - 2.0 * of_any_size(told**2, component)
+    return float(component @ component) - 2.0 * of_any_size(gain**2, component)
 
 
 def _overlap(a: Scored, b: Scored) -> Array:

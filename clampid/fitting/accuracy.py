@@ -140,12 +140,12 @@ def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, i
     """Pooled standard deviation of channels of some rows ``(N,)`` over returns, degrees of freedom; None if too few."""
     place = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["anchor_is"]]
     warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
-    told = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
-    returns = comparable_returns(place[told], rows.unit[told], rows.signals["direction"][told], warm[told])
+    usable = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
+    returns = comparable_returns(place[usable], rows.unit[usable], rows.signals["direction"][usable], warm[usable])
     freedom = freedom_of(returns)
     if freedom < ENOUGH_RETURNS:
         return None
-    measured, squares = rows.measured[told][:, channels], np.zeros(len(channels))
+    measured, squares = rows.measured[usable][:, channels], np.zeros(len(channels))
     for members in returns:
         x = measured[members]
         squares += ((x - x.mean(axis=0)) ** 2).sum(axis=0)

@@ -188,8 +188,8 @@ def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]
                 stands[-1].append(int(s))
             else:
                 stands.append([int(s)])
-        told = sweeps.rows.constants["kept_sign"]
-        stands = [s for s in stands if live[s, motor].any() and not told[s[0], motor]]
+        sign_known = sweeps.rows.constants["kept_sign"]
+        stands = [s for s in stands if live[s, motor].any() and not sign_known[s[0], motor]]
         while stands:
             clampings = [int(sweeps.clamping[s[0]]) for s in stands]
             first = [s for k, s in enumerate(stands) if clampings[k] not in clampings[:k]]

@@ -157,6 +157,6 @@ def _covariance(trial: Experiment, theta: Array, precision: Array, kappa: float,
     g = np.zeros((int(visit.max()) + 1, len(theta)))
     np.add.at(g, visit, along)
     inverse = inverse_of(H)
-    told = max(len(theta) - float(np.sum(inverse * precision) * kappa), 0.0)
-    small = len(g) / max(len(g) - told / 3, 1.0)  # a visit has three coordinates or more
+    determined = max(len(theta) - float(np.sum(inverse * precision) * kappa), 0.0)
+    small = len(g) / max(len(g) - determined / 3, 1.0)  # a visit has three coordinates or more
     return np.asarray(inverse @ (small * g.T @ g + kappa**2 * precision) @ inverse)

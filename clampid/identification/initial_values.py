@@ -16,12 +16,12 @@ from clampid.evidence.scan import place_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import Layout, Slot, Term
 
-__all__ = ["begun"]
+__all__ = ["initial_values"]
 
 FitTerms = Callable[[Sequence[Term], Mapping[Slot, float]], Estimate]
 
 
-def begun(
+def initial_values(
     terms: Sequence[Term],
     effects: Mapping[str, Effect],
     layout: Layout,

@@ -23,13 +23,13 @@ from clampid.models.agreement import LEVEL, stands_out
 from clampid.models.model import StageModel
 from clampid.slots import Slot
 
-__all__ = ["Moved", "moved_by_joint_fit"]
+__all__ = ["StageDisagreement", "joint_fit_disagreements"]
 
-LEAST = 0.1  # of the variance apart that counts as the difference's
+MIN_VARIANCE_SHARE = 0.1  # of the variance apart that counts as the difference's
 
 
 @dataclass(frozen=True)
-class Moved:
+class StageDisagreement:
     """A parameter that the joint fit sees elsewhere than its stage alone; SI.
 
     Attributes
@@ -58,7 +58,9 @@ class Moved:
         }
 
 
-def moved_by_joint_fit(apart: StageModel, joint: StageModel, shared: Collection[Slot]) -> tuple[Moved, ...]:
+def joint_fit_disagreements(
+    apart: StageModel, joint: StageModel, shared: Collection[Slot]
+) -> tuple[StageDisagreement, ...]:
     """The parameters on which a stage alone and the joint fit disagree: 5 % chance that any does where all is well.
 
     Parameters
@@ -72,11 +74,11 @@ def moved_by_joint_fit(apart: StageModel, joint: StageModel, shared: Collection[
     if not tested:
         return ()
     alone, together = apart.std[tested], joint.std[tested]
-    spread = np.sqrt(np.maximum(alone**2 - together**2, LEAST * alone**2))
+    spread = np.sqrt(np.maximum(alone**2 - together**2, MIN_VARIANCE_SHARE * alone**2))
     z = (joint.theta[tested] - apart.theta[tested]) / spread
     found = stands_out(2.0 * stats.norm.sf(np.abs(z)), LEVEL)
     return tuple(
-        Moved(
+        StageDisagreement(
             apart.slots[k],
             (float(apart.theta[k]), float(apart.std[k])),
             (float(joint.theta[k]), float(joint.std[k])),

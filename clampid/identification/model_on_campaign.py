@@ -25,11 +25,11 @@ from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Integers, Rows
 from experiments.campaign import Campaign
 
-__all__ = ["Reopened", "reopen"]
+__all__ = ["ModelOnCampaign", "on_campaign"]
 
 
 @dataclass(frozen=True)
-class Reopened:
+class ModelOnCampaign:
     """A model's stages on one campaign, or on several, which then are all that it was fitted on.
 
     Attributes
@@ -103,10 +103,12 @@ class Reopened:
         model = self.stages[stage]
         rows = self.rows(stage) if rows is None else rows
         start, held = model.values(), self.held(stage)
-        return fit_stage(rows, self.effects, model.terms, before, start, held, model.told)
+        return fit_stage(rows, self.effects, model.terms, before, start, held, model.carried_prior)
 
 
-def reopen(model: Model, campaigns: Campaign | Sequence[Campaign], user_effects: Path | None = None) -> Reopened:
+def on_campaign(
+    model: Model, campaigns: Campaign | Sequence[Campaign], user_effects: Path | None = None
+) -> ModelOnCampaign:
     """Carry a model to a campaign, or to all that it was fitted on, in their order.
 
     Raises
@@ -125,7 +127,7 @@ def reopen(model: Model, campaigns: Campaign | Sequence[Campaign], user_effects:
     return _on_one(model, several[0], effects) if len(several) == 1 else _on_all(model, several, effects)
 
 
-def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str, Effect]) -> Reopened:
+def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str, Effect]) -> ModelOnCampaign:
     """The campaigns that the model was fitted on."""
     layout = layout_of(campaigns)
     prints = tuple(c.fingerprint for c in campaigns)
@@ -134,10 +136,10 @@ def _on_all(model: Model, campaigns: tuple[Campaign, ...], effects: Mapping[str,
         raise ModelError(f"expected the campaigns that the model was fitted on, in their order ({names}), found others")
     base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
     anchors = {k: s.anchors for k, s in enumerate(model.sessions)} if base else None
-    return Reopened(model, campaigns, effects, layout, None, model.stages, base or None, anchors)
+    return ModelOnCampaign(model, campaigns, effects, layout, None, model.stages, base or None, anchors)
 
 
-def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> Reopened:
+def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> ModelOnCampaign:
     """One campaign, of the model's or a new one."""
     prints = [s.fingerprint for s in model.sessions]
     session = prints.index(campaign.fingerprint) if campaign.fingerprint in prints else None
@@ -159,7 +161,7 @@ def _on_one(model: Model, campaign: Campaign, effects: Mapping[str, Effect]) -> 
     reference = model.sessions[session or 0].base_reference if model.sessions else None
     if reference is not None and session is not None:
         base, anchors = {0: reference}, {0: model.sessions[session].anchors}
-    return Reopened(model, (campaign,), effects, layout, session, stages, base, anchors)
+    return ModelOnCampaign(model, (campaign,), effects, layout, session, stages, base, anchors)
 
 
 def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> StageModel:
@@ -195,7 +197,7 @@ def _renamed(stage: StageModel, session: int, sessions: int, layout: Layout) -> 
         base=stage.base,
         observability=stage.observability,
         bootstrap=None if stage.bootstrap is None else _taken(stage.bootstrap, chosen),
-        told=stage.told,
+        carried_prior=stage.carried_prior,
         by_springs=None if stage.by_springs is None else stage.by_springs[chosen],
         lean=stage.lean,
         ranges=stage.ranges,

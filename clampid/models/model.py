@@ -84,7 +84,7 @@ class StageModel:
         Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.fitting.observability`.
     bootstrap
         Standard errors and intervals by drawing whole poses anew, where that was asked for.
-    told
+    carried_prior
         Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
         counting any row twice; else None.
     lean
@@ -108,7 +108,7 @@ class StageModel:
     base: tuple[BaseParameter, ...] = ()
     observability: Mapping[str, float] = field(default_factory=dict)
     bootstrap: Bootstrap | None = None
-    told: Prior | None = None
+    carried_prior: Prior | None = None
     lean: Array | None = None
     by_springs: Array | None = None
     ranges: Ranges | None = None
@@ -301,7 +301,7 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "base_parameters": [base_json(parameter) for parameter in stage.base],
         "observability": dict(stage.observability),
         "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
-        "told": None if stage.told is None else _told_json(stage.told),
+        "told": None if stage.carried_prior is None else _carried_prior_json(stage.carried_prior),
         "lean_rad": None if stage.lean is None else stage.lean.tolist(),
         "by_springs": None if stage.by_springs is None else stage.by_springs.tolist(),
         "ranges": None if stage.ranges is None else stage.ranges.to_json(),
@@ -320,12 +320,12 @@ def _read_bootstrap(data: Mapping[str, Any] | None) -> Bootstrap | None:
     return Bootstrap(int(data["count"]), std, low, high)
 
 
-def _told_json(told: Prior) -> dict[str, Any]:
-    places = [{"effect": s.effect, "parameter": s.parameter, "at": s.place} for s in told.slots]
-    return {"parameters": places, "mean": told.mean.tolist(), "covariance": told.covariance.tolist()}
+def _carried_prior_json(carried_prior: Prior) -> dict[str, Any]:
+    places = [{"effect": s.effect, "parameter": s.parameter, "at": s.place} for s in carried_prior.slots]
+    return {"parameters": places, "mean": carried_prior.mean.tolist(), "covariance": carried_prior.covariance.tolist()}
 
 
-def _read_told(data: Mapping[str, Any] | None) -> Prior | None:
+def _read_carried_prior(data: Mapping[str, Any] | None) -> Prior | None:
     if data is None:
         return None
     slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in data["parameters"])
@@ -359,7 +359,7 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             base=tuple(read_base(p) for p in part["base_parameters"]),
             observability={name: float(v) for name, v in part["observability"].items()},
             bootstrap=_read_bootstrap(part["bootstrap"]),
-            told=_read_told(part["told"]),
+            carried_prior=_read_carried_prior(part["told"]),
             lean=None if part["lean_rad"] is None else np.array(part["lean_rad"], dtype=float),
             by_springs=None if part["by_springs"] is None else np.array(part["by_springs"], dtype=float),
             ranges=read_ranges(part["ranges"]),

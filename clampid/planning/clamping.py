@@ -163,9 +163,9 @@ def plan_clamping(
     bench = _Bench(cell, noise, press, effects)
     for steps in STEPS:
         sweeps = [planned_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
-        told = bench.tell(sweeps)
-        for order in _choices(bench, sweeps, told, driven, press, time):
-            information = np.sum([told[k] for k in order], axis=0)
+        informations = bench.tell(sweeps)
+        for order in _choices(bench, sweeps, informations, driven, press, time):
+            information = np.sum([informations[k] for k in order], axis=0)
             value = log_det(bench.prior + information * bench.scale)
             if best is None or value > best[0]:
                 rows = sum(sweeps[k].offset.size for k in order) * cell.robot.n
@@ -382,16 +382,16 @@ def _cost(sweep: Sweep) -> float:
 
 
 def _choices(
-    bench: _Bench, sweeps: list[Sweep], told: list[Array], driven: Sequence[int], press: Press, time: float
+    bench: _Bench, sweeps: list[Sweep], informations: list[Array], driven: Sequence[int], press: Press, time: float
 ) -> list[list[int]]:
     """The best sweeps in one, two and three clampings that fit into the time; empty where not one does."""
-    factors = [factor(matrix * bench.scale) for matrix in told]
+    factors = [factor(matrix * bench.scale) for matrix in informations]
     table = np.zeros((len(factors), len(bench.size), max(f.shape[1] for f in factors)))
     for k, f in enumerate(factors):
         table[k, :, : f.shape[1]] = f
     cost = np.array([_cost(sweep) for sweep in sweeps])
     out = []
-    for clampings, taken in _clamped_in_turn(bench, sweeps, told):
+    for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
         budget = time - clampings * press.clamping_time
         if budget <= 0:
             break
@@ -407,25 +407,25 @@ def _choices(
     return out
 
 
-def _clamped_in_turn(bench: _Bench, sweeps: list[Sweep], told: list[Array]) -> Iterator[tuple[int, list[int]]]:
+def _clamped_in_turn(bench: _Bench, sweeps: list[Sweep], informations: list[Array]) -> Iterator[tuple[int, list[int]]]:
     """One, two and three clampings, and the sweeps that may be made in them."""
     groups: dict[tuple[float, ...], list[int]] = {}
     for k, sweep in enumerate(sweeps):
         groups.setdefault(tuple(sweep.posture), []).append(k)
     taken: list[int] = []
     for clampings in range(1, min(MOST_CLAMPINGS, len(groups)) + 1):
-        known = bench.prior + sum((told[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
+        known = bench.prior + sum((informations[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
         # Clamp where all that may be swept there tells most beyond what the earlier clampings tell.
-        best = max(groups, key=lambda g: log_det(known + sum(told[k] * bench.scale for k in groups[g])))
+        best = max(groups, key=lambda g: log_det(known + sum(informations[k] * bench.scale for k in groups[g])))
         taken = [*taken, *groups.pop(best)]
         yield clampings, taken
 
 
 def _too_short(
-    bench: _Bench, sweeps: list[Sweep], told: list[Array], driven: Sequence[int], press: Press, time: float
+    bench: _Bench, sweeps: list[Sweep], informations: list[Array], driven: Sequence[int], press: Press, time: float
 ) -> str:
     """Why no sweeps fit into the time: how many clampings it takes to drive each joint once, and how long."""
-    for clampings, taken in _clamped_in_turn(bench, sweeps, told):
+    for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
         able = {sweeps[k].joint: _cost(sweeps[k]) for k in taken}
         if set(driven) <= able.keys():
             need = clampings * press.clamping_time + sum(able[j] for j in driven)

@@ -116,12 +116,12 @@ class _Search:
     def _value(self, paths: Sequence[Sequence[Array]]) -> tuple[list[Array], Array]:
         """Scaled information of the moves of each path (all speeds), ``(moves, P, P)`` each, and the times, s."""
         courses = [course for path in paths for course in self.courses(path)]
-        told = self.bench.tell(courses)
+        informations = self.bench.tell(courses)
         size, many = self.bench.size, len(self.speeds)
         out, cost = [], np.zeros(len(paths))
         for p in range(len(paths)):
             mine = slice(p * many, (p + 1) * many)
-            out.append(np.sum([t.information for t in told[mine]], axis=0) * np.outer(size, size))
+            out.append(np.sum([t.information for t in informations[mine]], axis=0) * np.outer(size, size))
             cost[p] = sum(c.length - self.dwell for c in courses[mine])  # the first stop is the last one's
         return out, cost
 
@@ -144,18 +144,21 @@ class _Search:
             options = self._looked_at(AT_ONCE, self.knots[-1])
             if not options:
                 break
-            told, cost = self._value([[self.knots[-1], q] for q in options])
+            informations, cost = self._value([[self.knots[-1], q] for q in options])
             fits = cost <= self.budget - self.spent
             if not fits.any():
                 break
             base = log_det(self.information)
             gain = np.array(
-                [log_det(self.information + t[0]) - base if ok else -np.inf for t, ok in zip(told, fits, strict=True)]
+                [
+                    log_det(self.information + t[0]) - base if ok else -np.inf
+                    for t, ok in zip(informations, fits, strict=True)
+                ]
             )
             best = int(np.argmax(np.where(fits, gain / cost, -np.inf)))
             self.knots.append(options[best])
-            self.moves.append(told[best][0])
-            self.information = self.information + told[best][0]
+            self.moves.append(informations[best][0])
+            self.information = self.information + informations[best][0]
             self.spent += float(cost[best])
         if len(self.knots) < FEWEST:
             raise PlanError(
@@ -178,15 +181,15 @@ class _Search:
         options = self._looked_at(TRIALS, before, *after)
         if not options:
             return False
-        told, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])
-        old = told[0].sum(axis=0)
-        value = np.array([log_det(self.information - old + t.sum(axis=0)) for t in told])
+        informations, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])
+        old = informations[0].sum(axis=0)
+        value = np.array([log_det(self.information - old + t.sum(axis=0)) for t in informations])
         value[cost - cost[0] > self.budget - self.spent] = -np.inf
         best = int(np.argmax(value))
         if best == 0 or value[best] <= value[0] + 1e-9:
             return False
-        self.information = self.information - old + told[best].sum(axis=0)
-        self.moves[k - 1 : k + 1] = list(told[best])
+        self.information = self.information - old + informations[best].sum(axis=0)
+        self.moves[k - 1 : k + 1] = list(informations[best])
         self.spent += float(cost[best] - cost[0])
         self.knots[k] = options[best - 1]
         return True

@@ -68,9 +68,9 @@ def finished_program(
     PlanError
         A move is beyond a limit.
     """
-    told = bench.tell([run.course for run in runs])
-    information = np.sum([t.information.sum(axis=0) for t in told], axis=0)
-    rows = int(sum(t.rows.sum() for t in told))
+    informations = bench.tell([run.course for run in runs])
+    information = np.sum([t.information.sum(axis=0) for t in informations], axis=0)
+    rows = int(sum(t.rows.sum() for t in informations))
     plan = Plan(
         kind=kind,
         cell=bench.cell,

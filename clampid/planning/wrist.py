@@ -261,10 +261,10 @@ def _choose(
 ) -> list[int]:
     courses = [_course(cell, limits, swing, dwell) for swing in swings]
     size = np.outer(bench.size, bench.size)
-    told = []
+    informations = []
     for start in range(0, len(courses), 60):  # logs of a few thousand rows at once
-        told += [t.information.sum(axis=0) * size for t in bench.tell(courses[start : start + 60])]
-    parts = [factor(matrix) for matrix in told]
+        informations += [t.information.sum(axis=0) * size for t in bench.tell(courses[start : start + 60])]
+    parts = [factor(matrix) for matrix in informations]
     factors = np.zeros((len(parts), len(bench.size), max(p.shape[1] for p in parts)))
     for k, part in enumerate(parts):
         factors[k, :, : part.shape[1]] = part
@@ -276,7 +276,7 @@ def _choose(
         # The best swing for a fact, given those already taken.
         if not any(fact in swings[k].seen for k in shown):
             able = [k for k, swing in enumerate(swings) if fact in swing.seen]
-            known = prior + sum((told[k] for k in shown), np.zeros_like(prior))
+            known = prior + sum((informations[k] for k in shown), np.zeros_like(prior))
             picked = greedy(factors[able], known, count=1, cost=cost[able])
             shown.append(able[picked[0] if picked else int(np.argmin(cost[able]))])
     if cost[shown].sum() > budget:

@@ -189,7 +189,7 @@ def _drives(clamped: StageData | None) -> str:
     k = np.where(np.isfinite(d.joint_stiffness) & (d.joint_stiffness > 0.0), d.joint_stiffness, np.inf)
     if not np.isfinite(k).any():
         return ""
-    soft, clear = int(np.argmin(k)), int(sum(map(bool, d.told)))
+    soft, clear = int(np.argmin(k)), int(sum(map(bool, d.gap_identified)))
     found = (
         f"{clear} clearance{'s differ' if clear != 1 else ' differs'} from zero" if clear else "no clearance is found"
     )

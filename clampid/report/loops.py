@@ -84,7 +84,7 @@ def _spring(data: StageData, drives: Drives, joint: int, rows: Integers) -> list
     if np.isfinite(drives.gap[joint]):
         spread = float(drives.gap_std[joint]) / abs(float(piece.rows.robot.transmission[joint][joint]))
         texts.append(f"clearance {with_std(gap, spread, DEGREES)}")
-        texts += [] if drives.told[joint] else ["(not significant)"]
+        texts += [] if drives.gap_identified[joint] else ["(not significant)"]
     return [
         Span(float(x[1]), float(x[2])),
         Line(x, reach, "spring and clearance", "ink", 1.4, dash="5 4"),

@@ -11,7 +11,7 @@ import pandas as pd
 from clampid.effect import Stage
 from clampid.fitting.accuracy import Floor, noise_floor, predicted
 from clampid.identification.identify import TABLES_OF, stage_rows
-from clampid.identification.model_on_campaign import Reopened
+from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.models.model import StageModel
 from clampid.stages.experiment import Experiment
 from clampid.stages.pose_rows import align
@@ -114,7 +114,7 @@ def in_order(stages: Iterable[str]) -> tuple[Stage, ...]:
     return tuple(s for s in ORDER if s in found)
 
 
-def stage_data(opened: Reopened) -> dict[Stage, StageData]:
+def stage_data(opened: ModelOnCampaign) -> dict[Stage, StageData]:
     """Every stage that both the model and the campaign have.
 
     A campaign that the model never saw says nothing of where its instrument stands: there the base is aligned with the
@@ -142,7 +142,7 @@ def stage_data(opened: Reopened) -> dict[Stage, StageData]:
     return out
 
 
-def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
+def _aligned(opened: ModelOnCampaign, rows: Rows) -> dict[int, Array]:
     """Where the instrument sees the base, from the points that the model predicts."""
     model = opened.stages["poses"]
     rows = rows.points
@@ -151,7 +151,7 @@ def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
     return {0: motion @ rows.constants["base_reference"][0]}
 
 
-def _piece(opened: Reopened, stage: Stage, rows: Rows, verification: bool) -> Piece:
+def _piece(opened: ModelOnCampaign, stage: Stage, rows: Rows, verification: bool) -> Piece:
     model = opened.stages[stage]
     found = opened.experiment(stage, rows)
     rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()

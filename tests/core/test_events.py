@@ -16,7 +16,7 @@ from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify, stage_rows
-from clampid.identification.model_on_campaign import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import experiment
@@ -169,5 +169,5 @@ def test_a_slip_is_named_and_mended(slipped: Campaign, still: Campaign):
     best = identify(still, {"clamped": STANDARD}).ledger[-1].heldout_rms
     assert addition.stages["clamped"].after.heldout_rms < 1.1 * best
     # It is no property of the robot: in other sweeps of that arm it has not happened.
-    assert reopen(mended, slipped).stages["clamped"].values()[SLIPPED] == pytest.approx(2.646875)
-    assert SLIPPED not in reopen(mended, still).stages["clamped"].values()
+    assert on_campaign(mended, slipped).stages["clamped"].values()[SLIPPED] == pytest.approx(2.646875)
+    assert SLIPPED not in on_campaign(mended, still).stages["clamped"].values()

@@ -18,7 +18,7 @@ from clampid.diagnosis.parting import part
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import score, space_of
 from clampid.identification.identify import identify
-from clampid.identification.model_on_campaign import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
 from experiments.plans.read import read_plan
 from experiments.plans.write import write_plan
@@ -66,7 +66,7 @@ def test_the_measurements_in_which_look_alikes_differ_are_chosen():
 
 def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[..., Campaign], tmp_path: Path):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     space = space_of(estimate)
     effects = {n: catalogue()[n] for n in ("gear_eccentricity", "coupling_ratio_error")}
     scored = [s for s in score(space, named_candidates(estimate, effects)) if s.candidate.places == ("joint2",)]
@@ -88,5 +88,5 @@ def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[...
 
 def test_none_where_there_is_nothing_to_part(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     assert next_poses(campaign, estimate, [], 1.0, seed=0) is None

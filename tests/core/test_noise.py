@@ -13,7 +13,7 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln, logsumexp
 
-from clampid.diagnosis.candidate_scores import RATE, Look
+from clampid.diagnosis.candidate_scores import RATE, CandidateScores
 from clampid.effect import Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns
@@ -328,10 +328,10 @@ def test_what_explains_much_by_chance_does_not_stand_before_what_stands_out():
     null = flip_maxima(sp, scored, 199, 0)
     assert max(scored, key=lambda s: s.bic).candidate.name == "loud"
     assert null.p_familywise(scored[1].log_p) > RATE
-    best = Look(sp, scored, [], null, null, None, unit).best()
+    best = CandidateScores(sp, scored, [], null, null, None, unit).best()
     assert best is not None
     assert best.candidate.name == "true"
-    assert Look(sp, scored[1:], [], null, null, None, unit).best() is None
+    assert CandidateScores(sp, scored[1:], [], null, null, None, unit).best() is None
 
 
 @settings(max_examples=100, deadline=None)

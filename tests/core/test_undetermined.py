@@ -16,7 +16,7 @@ from clampid.effect import EffectError
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.score import Flips, Scored, score, space_of
 from clampid.identification.identify import identify
-from clampid.identification.model_on_campaign import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.slots import fixed_slots
 
@@ -26,7 +26,7 @@ def gravity(simulated) -> tuple[Scored, float]:
     """Masses of all links as poses alone score them: most of the combinations bend nothing."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), robot="ur10")
     estimate = (
-        reopen(identify([campaign], {"poses": ["geometry", "joint_compliance"]}), campaign).refit("poses").estimate
+        on_campaign(identify([campaign], {"poses": ["geometry", "joint_compliance"]}), campaign).refit("poses").estimate
     )
     space = space_of(estimate)
     scored = score(space, named_candidates(estimate, {"gravity": catalogue()["gravity"]}))
