@@ -28,15 +28,15 @@ IMAGE = Path(__file__).parent / "images" / "ur10_angle_curves.png"
 EFFECTS = ("geometry", "joint_compliance", "shared_angle_curve")
 BLUE, GREY = "#0072B2", "#b0b0b0"
 COLOURS = ("#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-STEPS = 720
+CURVE_POINTS = 720
 
 
 def draw(model: Model, campaigns: Sequence[Campaign]) -> None:
     """Each joint's error by itself, and the one curve with what the poses of all joints say of it."""
     stage = model.stages["poses"]
-    angle = np.linspace(-np.pi, np.pi, STEPS + 1)
+    angle = np.linspace(-np.pi, np.pi, CURVE_POINTS + 1)
     found = angle_errors(stage, catalogue(), model.layout, campaigns[0].robot, np.tile(angle[:, None], (1, 6)))
-    one = shared_curve(stage, catalogue(), np.linspace(0.0, 2 * np.pi, 2 * STEPS + 1))
+    one = shared_curve(stage, catalogue(), np.linspace(0.0, 2 * np.pi, 2 * CURVE_POINTS + 1))
     if one is None:
         raise SystemExit("no two joints share a curve")
     figure = plt.figure(figsize=(10, 8.4), layout="constrained")

@@ -16,7 +16,7 @@ __all__ = ["angle_findings", "joint_angles"]
 FloatArray = npt.NDArray[np.float64]
 
 # A controller stops a joint at its limits. Twice as far is not a limit set a little wider: it is another unit.
-FAR = 2.0
+REACH_FACTOR = 2.0
 # One row may be a glitch of the log; a wrong unit shows wherever the joint is away from zero.
 MANY_ROWS = 0.05
 # Degrees, turned into radians, lie within the limits; the margin lets limits of another variant of the robot differ.
@@ -90,7 +90,7 @@ def _reach(campaign: Campaign) -> FloatArray:
 
 def _wrong_unit(campaign: Campaign, table: str, q: FloatArray) -> Finding | None:
     robot, reach = campaign.robot, _reach(campaign)
-    share = np.mean(np.abs(q) > FAR * reach, axis=0)  # (n,)
+    share = np.mean(np.abs(q) > REACH_FACTOR * reach, axis=0)  # (n,)
     far = [int(i) + 1 for i in np.flatnonzero(share > MANY_ROWS)]
     if not far:
         return None

@@ -20,7 +20,7 @@ from experiments.signals.typing_ import Array
 
 __all__ = ["sweep_findings"]
 
-FEWEST = 12  # rows that a line with a step may be judged on
+MIN_ROWS = 12  # rows that a line with a step may be judged on
 # Worn gears have clearances of arc minutes; a joint that turns by twice this without its spring winding up is free.
 WIDEST_GAP_RAD = 2e-3
 # Fixtures and worn drives have been found several times as soft as described, never twenty times.
@@ -100,7 +100,7 @@ def _slope(angle: Array, torque: Array) -> _Slope | None:
     moving = np.abs(step) > 0.0
     sign = np.sign(step)
     settled = moving & np.r_[True, sign[1:] == sign[:-1]]  # on the first step back friction only builds up
-    if settled.sum() < FEWEST or np.ptp(angle[settled]) == 0.0:
+    if settled.sum() < MIN_ROWS or np.ptp(angle[settled]) == 0.0:
         return None
     columns = [np.ones(int(settled.sum())), angle[settled] - angle[settled].mean()]
     if np.ptp(sign[settled]) > 0:

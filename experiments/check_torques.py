@@ -26,7 +26,7 @@ __all__ = ["torque_findings", "torque_shift"]
 # 997 of 1000 motors; gears are factors of 30 to 250, and percent of the rated torque, on robots' motors, of 10 to 100.
 SPREAD = np.log(1.5)
 # A motor is asked when weight stands out of its standard error by this, and is most of what is not friction.
-CLEAR, MOST = 5.0, 0.5
+CLEAR_ERRORS, MAX_SHARE = 5.0, 0.5
 # The middle one of the motors asked is rejected when such a one is seen once in a million sound logs (a factor of 7),
 # and believed when it is not rare among those of its kind.
 REJECTED, BELIEVED = 1e-6, 1e-2
@@ -174,7 +174,7 @@ def _units(campaign: Campaign, table: str, log: MovingLog, regressor: Array) -> 
 def _asked(factors: Array) -> list[int]:
     """Motors whose factors ``(n, 4)`` say something."""
     size, error, share = np.abs(factors[:, 0]), factors[:, 1], factors[:, 2]
-    return [int(m) for m in np.flatnonzero((size > CLEAR * error) & (share > MOST))]
+    return [int(m) for m in np.flatnonzero((size > CLEAR_ERRORS * error) & (share > MAX_SHARE))]
 
 
 def _numbers(motors: list[int]) -> str:

@@ -17,7 +17,7 @@ __all__ = ["MovingLog", "clear_moves", "freed", "moving_logs", "read_log", "weig
 
 # A table is judged on at most this many rows, smoothed and thinned: a check should not take longer than a fit.
 ROWS = 12_000
-FEWEST = 120  # fewer rows than this hold no moves to judge by
+MIN_ROWS = 120  # fewer rows than this hold no moves to judge by
 # Of a direction in other columns, relative to their largest: below, it is rounding and not a column of its own.
 ROUNDING = 1e-8
 # Rows at either end of a move in which friction builds up.
@@ -40,7 +40,7 @@ class MovingLog:
 def moving_logs(campaign: Campaign) -> dict[str, MovingLog]:
     """The torque tables of a campaign that are long enough to be judged, by name."""
     tables = {table: campaign.tables[table] for table in ("free_air", "wrist") if table in campaign.tables}
-    return {table: read_log(campaign, frame) for table, frame in tables.items() if len(frame) >= FEWEST}
+    return {table: read_log(campaign, frame) for table, frame in tables.items() if len(frame) >= MIN_ROWS}
 
 
 def read_log(campaign: Campaign, frame: pd.DataFrame) -> MovingLog:

@@ -35,7 +35,7 @@ __all__ = ["FALSE_ALARM", "Reflection", "SamplePosition", "sample_position", "sc
 
 Array = npt.NDArray[np.float64]
 
-STEPS, HALVINGS = 50, 20
+MAX_STEPS, MAX_HALVINGS = 50, 20
 SETTLED = 1e-9  # m
 UNDETERMINED = 1e-2  # m, standard error from which on a direction is not identified by the reflections
 FALSE_ALARM = 0.01
@@ -184,7 +184,7 @@ def sample_position(
     problem = _problem(convention, reflections, common)
     sample = np.asarray(convention.sample, dtype=float).copy()
     moved = math.inf
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         _, A, b, L = problem.whitened(sample)
         U, size, Vt = np.linalg.svd(A, full_matrices=False)
         known = _determined(size)
@@ -193,7 +193,7 @@ def sample_position(
             break
     else:
         raise TargetError(
-            f"the search for the scattering point did not settle within {STEPS} steps (the last one {moved:.1e} m): "
+            f"the search for the scattering point did not settle within {MAX_STEPS} steps (the last {moved:.1e} m): "
             "one of the reflections or the cell's sample, where it began, may be far off"
         )
     return _found(problem, sample)
@@ -220,7 +220,7 @@ class _Problem:
     def stepped(self, sample: Array, step: Array, misses: Array, L: Array) -> tuple[Array, float]:
         """The end of a step, halved until the residuals by L are no larger than ``misses``, and how far it asked, m."""
         asked = float(np.abs(step).max())
-        for _ in range(HALVINGS):
+        for _ in range(MAX_HALVINGS):
             residual, _ = _angles(self.points - (sample + step), self.beam, self.wanted)
             found = solve_triangular(L, residual, lower=True)
             if float(found @ found) <= (1.0 + 1e-9) * float(misses @ misses) + 1e-12:

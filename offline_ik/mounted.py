@@ -24,7 +24,7 @@ __all__ = ["MountedArm", "poses_of", "wrapped"]
 
 Array = npt.NDArray[np.float64]
 
-STEPS = 8  # of a search, in one call of its kernel
+STEPS_PER_CALL = 8  # of a search, in one call of its kernel
 
 
 class MountedArm:
@@ -60,7 +60,7 @@ class MountedArm:
     @cached_property
     def refine(self) -> Kernel:
         """See :func:`refine_kernel`."""
-        return refine_kernel(self.arm, self.mount, STEPS)
+        return refine_kernel(self.arm, self.mount, STEPS_PER_CALL)
 
     @cached_property
     def sensitivity(self) -> Kernel:

@@ -23,11 +23,11 @@ from offline_ik.peak_wording import LAB, agreement, not_told
 if TYPE_CHECKING:
     from offline_ik.detector import Detector
 
-__all__ = ["MOST", "Peak", "SampleFound", "sample_from_peaks"]
+__all__ = ["MAX_PEAKS", "Peak", "SampleFound", "sample_from_peaks"]
 
 Array = npt.NDArray[np.float64]
 
-MOST = 500  # peaks of one answer: their common covariance is that of 1500 numbers
+MAX_PEAKS = 500  # peaks of one answer: their common covariance is that of 1500 numbers
 WIDEST_ERROR = 0.1  # rad: no peak is as wide; a larger standard error is in degrees
 MARGIN = 0.02  # rad: limits on paper and in a controller may differ
 LARGEST = 1.0  # m from the detector's middle, and of a standard error there
@@ -144,8 +144,8 @@ def sample_from_peaks(
         A peak that cannot be meant or a place out of reach, named by its number from 1; else as for
         :func:`offline_ik.bragg.sample_position`.
     """
-    if len(peaks) > MOST:
-        raise TargetError(f"expected at most {MOST} reflections, found {len(peaks)}")
+    if len(peaks) > MAX_PEAKS:
+        raise TargetError(f"expected at most {MAX_PEAKS} reflections, found {len(peaks)}")
     if not 0 <= repeatability <= LARGEST:
         raise TargetError(f"repeatability: expected metres from 0 to {LARGEST:g}, found {repeatability:g}")
     offsets = np.array([_checked(k, peak) for k, peak in enumerate(peaks, 1)]).reshape(-1, 2)

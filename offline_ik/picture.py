@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 WIDTH, HEIGHT, MARGIN = 460.0, 420.0, 34.0  # of one view
 POINTS = 25  # of the detector's way
 AROUND = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
-MOST = 400  # corners of a mesh that are drawn
+MAX_CORNERS = 400  # corners of a mesh that are drawn
 VIEWS = (("from the side", "x", "z", (0, 2)), ("from above", "x", "y", (0, 1)))
 COLOURS = {"obstacle": "#8a8f98", "base": "#c9b899", "link": "#e08a3c", "detector": "#2f6fb0"}
 ASIDE = 3.0  # of the reach, beyond which bodies do not widen the picture
@@ -125,7 +125,7 @@ def _corners(geometry: Any) -> Array:
         case coal.Capsule():
             return np.vstack([_ball(geometry.radius) + np.array([0, 0, z * geometry.halfLength]) for z in (-1, 1)])
     points = np.array([np.asarray(p) for p in geometry.points()]).reshape(-1, 3)
-    return points[:: max(len(points) // MOST, 1)]
+    return points[:: max(len(points) // MAX_CORNERS, 1)]
 
 
 def _ball(radius: float) -> Array:

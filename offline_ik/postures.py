@@ -33,7 +33,7 @@ ELBOW_SINGULAR = 0.02  # |sin| of the elbow's angle
 SHOULDER_SINGULAR = 0.02  # m: the wrist this near to axis 1
 SAME = 1e-9  # rad: not another turn
 STAYED = 0.1  # rad: joints 1 and 4 this near to where they are leave nothing to look for
-BEYOND = 0.05  # rad: by which the nominal arm may be beyond its limits and the identified one still be tried
+LIMIT_MARGIN = 0.05  # rad: by which the nominal arm may be beyond its limits and the identified one still be tried
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class PostureSearch:
             if lacks[1] > NEARLY:
                 reasons[f"out of reach by {1e3 * lacks[1]:.0f} mm"] = None
                 continue
-            turned = candidate_turns(branch, here, self.lower - BEYOND, self.upper + BEYOND)
+            turned = candidate_turns(branch, here, self.lower - LIMIT_MARGIN, self.upper + LIMIT_MARGIN)
             if turned is None and (lacks[2] < WRIST_SINGULAR or -lacks[0] < SHOULDER_SINGULAR):
                 turned = branch  # another posture of the same pose may be within them
             if turned is None:

@@ -18,7 +18,7 @@ from offline_ik.arm import Conditions, nominal_arm
 from offline_ik.iterations import CONVERGED, GIVEN_UP, WISHED
 from offline_ik.kernel import Kernel
 from offline_ik.kernels import forward_kernel
-from offline_ik.mounted import STEPS, MountedArm, poses_of, wrapped
+from offline_ik.mounted import STEPS_PER_CALL, MountedArm, poses_of, wrapped
 from offline_ik.ortho import SIGNS
 
 __all__ = ["Search", "Solved", "Wanted"]
@@ -33,7 +33,7 @@ ALONG, ALONG_STEPS = 0.05, 250  # rad: twice round, if a joint turns as fast as 
 STARTS = 40  # of an arm without an analytic solution
 LM_STEPS = 80
 LONG_STEPS = 1500
-FAR = np.pi + 0.1  # rad: what Newton's method has moved a joint by went astray
+MAX_JOINT_CHANGE = np.pi + 0.1  # rad: what Newton's method has moved a joint by went astray
 DAMPING, GROWTH = 1e-3, 2.0  # at first
 NEAR = 1e-3  # m and rad: what is further off after a search lies in another valley
 
@@ -279,7 +279,7 @@ class Search:
         q, error, pressing = np.array(start, dtype=float), np.zeros((count, 6)), np.zeros((count, n))
         control = np.tile([DAMPING, GROWTH], (count, 1))
         rows = np.arange(count)
-        for _ in range(0, steps, STEPS):
+        for _ in range(0, steps, STEPS_PER_CALL):
             columns = (R[rows], p[rows], q[rows], control[rows], given[rows])
             q[rows], error[rows], pressing[rows], control[rows] = self.mounted.refine.many(*columns)
             rows = rows[(np.abs(error[rows]).max(axis=1) > WISHED) & (control[rows, 0] < GIVEN_UP)]
@@ -301,4 +301,4 @@ def _all_at(at: Array, some: Wanted) -> Array:
 def _where_newton_ended(some: Wanted) -> Array:
     """The ends of Newton's method, unless they strayed: then the posture at hand."""
     far = np.abs(some.first - some.near).max(axis=1, keepdims=True)
-    return np.where(far < FAR, some.first, some.near)
+    return np.where(far < MAX_JOINT_CHANGE, some.first, some.near)

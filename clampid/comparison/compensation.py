@@ -33,7 +33,7 @@ from clampid.stages.rows import Array, Bools, Rows
 
 __all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
 
-STEPS = 12
+MAX_NEWTON_STEPS = 12
 SETTLED = 1e-7  # of a factor, m or rad
 ELSEWHERE = 1e-6  # rad: where a robot is sent closer than this, it gives way as it would here
 WEIGHT = ("gravity_torque", "sag_torque", "regressor", "tool_regressor")
@@ -41,7 +41,7 @@ _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 LEVEL = 1e-3  # chance that a true explanation is not accepted
 ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
 KNOWN = 0.25  # standard error of a factor beyond which these poses cannot determine it
-FAR = 6.0  # robust standard deviations: wrong rows
+OUTLIER_DEVIATIONS = 6.0  # robust standard deviations: wrong rows
 DEGREES = 180.0 / np.pi
 AMPLIFIED = 5.0  # times the deflections: what is then left of the model's own small errors shows among the noise
 EXPLANATIONS: tuple[tuple[float, float, str], ...] = (
@@ -267,7 +267,7 @@ def _search(
     theta, sent = np.zeros(count + 6 + 3 * targets.shape[1]), np.zeros_like(parts[0])
     theta[:count] = 0.0 if mean is None else mean
     rows, at = trial.rows, _values(trial, opened)
-    for _ in range(STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         shift = np.einsum("p,pni->ni", theta[:count], parts)
         if np.abs(shift - sent).max() > ELSEWHERE:
             moved = trial.with_rows(_sent(opened, trial.rows, shift))
@@ -285,7 +285,7 @@ def _search(
         columns = np.concatenate([np.stack(factors, axis=2), S[:, :, n : n + 6], shifts], axis=2)
         residual = rows.measured[:, :3] - position
         size = np.linalg.norm(residual, axis=1)
-        used = rows.used[:, 0] & (size <= FAR * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
+        used = rows.used[:, 0] & (size <= OUTLIER_DEVIATIONS * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
         J, r = columns[used].reshape(-1, len(theta)), residual[used].ravel()
         scale = np.linalg.norm(J, axis=0)
         scale[scale == 0.0] = 1.0

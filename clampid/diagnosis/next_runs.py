@@ -40,7 +40,7 @@ PATHS = 2  # of each speed
 ALONE = 2  # of the speeds, the fastest ones, at which one joint goes alone
 STOPS = 200  # configurations to go through
 CHUNK = 4  # runs looked at together
-MOST = 10
+MAX_RUNS = 10
 REST = 60.0  # s, between runs in the sum of what they cost
 
 
@@ -107,7 +107,7 @@ def runs_to_choose(
         return f"{'; '.join(f'{n} × {said}' for said, n in counts.items())}; {TEMPERATURES[state]}"
 
     cost = np.array([kind.course.length + REST for kind in kinds])
-    return Pool(nuisance, columns, cost, ("run", "runs"), 1, MOST, words, plan)
+    return Pool(nuisance, columns, cost, ("run", "runs"), 1, MAX_RUNS, words, plan)
 
 
 def _fastest(estimate: Estimate, limits: Limits) -> float:

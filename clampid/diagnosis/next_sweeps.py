@@ -36,12 +36,12 @@ from experiments.plans.validate import sweep_fault, validate_plan
 __all__ = ["sweeps_to_choose"]
 
 AMPLITUDES = (0.05, 0.2, 0.4)  # of the rated motor torques
-STEPS = 8  # in a quarter of a sweep
+STEPS_PER_QUARTER = 8  # in a quarter of a sweep
 NEW, USED = 3, 2  # postures: such as nobody has clamped the flange in, and of the campaign
 ALIKE = 0.02  # rad: two sweeps closer than this were one clamping
 MARGIN = 1.3  # by how much stiffer drives may be than they have been found
 CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
-MOST = 16
+MAX_SWEEPS = 16
 CLAMPING = 600.0  # s, to clamp the flange
 
 
@@ -103,7 +103,7 @@ def sweeps_to_choose(
         return f"{counts}; in {many}; {TEMPERATURES[state]}"
 
     cost = np.array([len(s.offset) * s.dwell + PAUSE_S for s in sweeps])
-    return Pool(nuisance, columns, cost, ("sweep", "sweeps"), 1, MOST, words, plan)
+    return Pool(nuisance, columns, cost, ("sweep", "sweeps"), 1, MAX_SWEEPS, words, plan)
 
 
 def _stiffness(estimate: Estimate, described: Array) -> Array:
@@ -133,7 +133,7 @@ def _sweeps(blank: Plan, press: Press, places: Array) -> tuple[list[Sweep], list
         for joint in range(blank.cell.robot.n):
             for share in AMPLITUDES:
                 pressed = replace(press, amplitude=np.full(blank.cell.robot.n, share))
-                sweep = planned_sweep(blank, pressed, posture, joint, STEPS)
+                sweep = planned_sweep(blank, pressed, posture, joint, STEPS_PER_QUARTER)
                 if sweep_fault(bounded, sweep) is None:
                     found.append(sweep)
                     shares.append(share)

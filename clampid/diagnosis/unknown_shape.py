@@ -34,7 +34,7 @@ __all__ = ["shape_of"]
 
 FINEST = (8, 3)  # orders tried of one variable, and of each of two
 TRIED = 2  # variables; a shape over more of them nobody can look at
-STEPS = 61
+GRID_POINTS = 61
 COVERED = 0.95
 DRAWS = 4000
 SINGULAR = 1e-6  # of a direction that only one unit tells
@@ -213,7 +213,7 @@ def _grid(v: Variable, values: Array) -> Array:
     if v.basis == "sign":
         return np.array([-1.0, 1.0])
     low, high = np.quantile(values, EDGES)
-    return np.linspace(low, high, STEPS)
+    return np.linspace(low, high, GRID_POINTS)
 
 
 def _sections(v: Variable, values: Array) -> list[float]:

@@ -31,10 +31,14 @@ __all__ = ["STRONG", "Alignment", "Curves", "align", "alignment_of", "curves_of"
 STRONG = float(np.log(150.0))
 """Log odds from which evidence is very strong (Kass and Raftery): less does not make two joints' curves one."""
 
-STEPS = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
+STEPS_PER_TURN = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
 PEAKS = 10  # of the correlation, a sense: where curves overlap little, the right one is not the highest
 NEAR = np.pi / 360.0  # rad: a turn is refined within half a degree
-START, LEAST, MOST = 0.3, 0.01, 0.999  # of the curves' size: deviations with which joints are looked for, and tried
+START, MIN_SIZE, MAX_SIZE = (
+    0.3,
+    0.01,
+    0.999,
+)  # of the curves' size: deviations with which joints are looked for, and tried
 SIZES = (float(np.log(1e-6)), float(np.log(1e-2)))  # rad: curves' sizes
 
 
@@ -334,11 +338,11 @@ class _Group:
         # dq = Re sum c_k exp(ikq), c = b - ia; of s g(s q - phase) that is g exp(-ik phase), or -conj(g exp(-ik phase))
         g, c = curve[1::2] - 1j * curve[::2], own[1::2] - 1j * own[::2]
         c = c if sense > 0 else -np.conj(c)
-        spectrum = np.zeros(STEPS, dtype=complex)
+        spectrum = np.zeros(STEPS_PER_TURN, dtype=complex)
         spectrum[self.harmonics.astype(int)] = g * np.conj(c)
-        match = np.real(np.fft.fft(spectrum))  # at phase 2 pi m / STEPS: Re sum g conj(c) exp(-ik phase)
+        match = np.real(np.fft.fft(spectrum))  # at phase 2 pi m / STEPS_PER_TURN: Re sum g conj(c) exp(-ik phase)
         peaks = np.flatnonzero((match >= np.roll(match, 1)) & (match > np.roll(match, -1)))
-        return np.asarray(2 * np.pi / STEPS * peaks[np.argsort(-match[peaks])][:PEAKS])
+        return np.asarray(2 * np.pi / STEPS_PER_TURN * peaks[np.argsort(-match[peaks])][:PEAKS])
 
 
 def _peak(f: Callable[[float], float], span: tuple[float, float], prior: float) -> tuple[float, float, float]:
@@ -368,7 +372,7 @@ def align(curves: Curves) -> Alignment:
             left |= {k: max(value, left.get(k, -np.inf)) for k in (a, b)}
         return _nothing(curves, left)
     group, refused = _settled(first.with_members({i: _Turn(), j: turn}))
-    span = (float(np.log(LEAST * size)), float(np.log(MOST * size)))
+    span = (float(np.log(MIN_SIZE * size)), float(np.log(MAX_SIZE * size)))
     total = 0.0
     for _ in range(2):
         if len(group.members) < 2:

@@ -29,7 +29,7 @@ from experiments.metrics import norm_metrics
 __all__ = ["compared", "mean_norm"]
 
 ALIKE = 2 / 3 * np.sqrt(2 / np.pi)  # E[1 - uu']/|e|, times sigma, an axis: of Gaussian errors in three dimensions
-TOLERANCE, STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
+TOLERANCE, MAX_SLSQP_STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
 NEAREST = 1e-3  # of sigma: a point that is met more closely than this counts as that far off in H
 
 
@@ -136,7 +136,7 @@ def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -
         constraints.append({"type": "ineq", "fun": lambda z: by_z @ z + slack, "jac": lambda z: by_z})
     found = optimize.minimize(
         cost, np.zeros(len(free)), jac=True, method="SLSQP", constraints=constraints,
-        options={"ftol": TOLERANCE, "maxiter": STEPS},
+        options={"ftol": TOLERANCE, "maxiter": MAX_SLSQP_STEPS},
     )  # fmt: skip
     if not found.success or not np.all(np.isfinite(found.x)):
         raise FitError(f"poses: SLSQP did not find the least mean norm: {found.message}")

@@ -49,7 +49,7 @@ __all__ = [
 
 POSTURES = 16
 TRIED = 600  # configurations among which postures are looked for
-STEPS = (8, 16, 32)  # steps in a quarter of a sweep
+STEPS_PER_QUARTER = (8, 16, 32)  # steps in a quarter of a sweep
 MOST_SWEEPS = 24  # each has unknowns of its own, which a fit has to carry along
 MOST_CLAMPINGS = 3
 LOOPS = 2
@@ -161,7 +161,7 @@ def plan_clamping(
     allowed = _allowed(blank, press, places, driven)
     best: tuple[float, list[Sweep], Array, int] | None = None
     bench = _Bench(cell, noise, press, effects)
-    for steps in STEPS:
+    for steps in STEPS_PER_QUARTER:
         sweeps = [planned_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
         informations = bench.tell(sweeps)
         for order in _choices(bench, sweeps, informations, driven, press, time):
@@ -171,7 +171,7 @@ def plan_clamping(
                 rows = sum(sweeps[k].offset.size for k in order) * cell.robot.n
                 best = (value, [sweeps[k] for k in order], information, rows)
     if best is None:
-        sweeps = [planned_sweep(blank, press, posture, joint, STEPS[0]) for posture, joint in allowed]
+        sweeps = [planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0]) for posture, joint in allowed]
         raise PlanError(_too_short(bench, sweeps, bench.tell(sweeps), driven, press, time))
     chosen = in_order(best[1])
     plan = replace(
@@ -254,7 +254,7 @@ def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) ->
     careful = [careful_limits(blank, press, posture) for posture in places]
     for joint in driven:
         faults = [
-            (sweep_fault(plan, planned_sweep(blank, press, posture, joint, STEPS[0])), posture)
+            (sweep_fault(plan, planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0])), posture)
             for plan, posture in zip(careful, places, strict=True)
         ]
         mine = [(p, joint) for fault, p in faults if fault is None]

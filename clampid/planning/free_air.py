@@ -32,7 +32,7 @@ POOL = 400
 AT_ONCE = 16  # candidates looked at for the next stop
 TRIALS = 4  # candidates looked at in an exchange
 PASSES = 1
-FEWEST = 4  # stops: fewer do not make a program
+MIN_STOPS = 4  # stops: fewer do not make a program
 
 
 @single_threaded
@@ -160,9 +160,9 @@ class _Search:
             self.moves.append(informations[best][0])
             self.information = self.information + informations[best][0]
             self.spent += float(cost[best])
-        if len(self.knots) < FEWEST:
+        if len(self.knots) < MIN_STOPS:
             raise PlanError(
-                f"time: expected enough for at least {FEWEST} stops at {len(self.speeds)} speeds, found "
+                f"time: expected enough for at least {MIN_STOPS} stops at {len(self.speeds)} speeds, found "
                 f"{self.budget:g} s, which is enough for {len(self.knots)}"
             )
 

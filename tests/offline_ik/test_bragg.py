@@ -149,7 +149,7 @@ def test_a_direction_that_is_not_determined_is_said_and_kept() -> None:
 
 
 def test_a_search_that_does_not_settle_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bragg, "STEPS", 2)
+    monkeypatch.setattr(bragg, "MAX_STEPS", 2)
     points, angles = rays(PLACES, np.add(CONVENTION.sample, (5e-2, -3e-2, 4e-2)))
     with pytest.raises(TargetError, match="did not settle within 2 steps"):
         sample_position(CONVENTION, [Reflection(p, a, SIGMA) for p, a in zip(points, angles, strict=True)])
