@@ -28,8 +28,9 @@ from experiments.links.address import open_link
 from experiments.links.connection import Connection
 from kinematics.description import load_robot
 from offline_ik.cell import read_cell
-from offline_ik.detector import Detector, open_detector
+from offline_ik.detector import Detector
 from offline_ik.link import LinkedRobot
+from offline_ik.opening import open_detector
 from offline_ik.protocol import Session, Speaker
 from offline_ik.server import Server, settle
 from offline_ik.simulation import simulate_move

@@ -21,7 +21,7 @@ from server_lines import GOOD, rubbish
 
 from kinematics.description import load_robot
 from offline_ik.cell import read_cell
-from offline_ik.detector import open_detector
+from offline_ik.opening import open_detector
 from offline_ik.protocol import Session, Speaker
 from offline_ik.server import Limits, Server, settle
 

@@ -33,7 +33,8 @@ from experiments.virtual_robot.pose_tables import tracked_points
 from kinematics.description import load_robot
 from offline_ik.arm import IdentifiedArm
 from offline_ik.cell import Cell, default_cell
-from offline_ik.detector import Detector, open_detector
+from offline_ik.detector import Detector
+from offline_ik.opening import open_detector
 from offline_ik.uncertainty import Uncertainty
 
 ROBOT = "kuka_kr20_r1810"

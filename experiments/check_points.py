@@ -6,27 +6,32 @@ No base frame is known beforehand: spread, distances and the best rigid fit of n
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 from scipy import stats
-from scipy.spatial.transform import Rotation
 
 from experiments.campaign import Campaign, target_points
 from experiments.check_angles import joint_angles
 from experiments.columns import POSITION, QUATERNION
 from experiments.finding import Finding
 from experiments.mistakes import joint_mistakes, renaming_words, target_mistakes
+from experiments.rigid_fit import (
+    FEW_ROWS,
+    FLAT,
+    FloatArray,
+    RigidFit,
+    fit_rigid,
+    near_points,
+    orientation_findings,
+    spread_of,
+)
 from kinematics.poe import forward
-from kinematics.screws import nearest_rotation
 
 __all__ = ["point_findings"]
 
-FloatArray = npt.NDArray[np.float64]
 
 # A real arm's points spread as the nominal ones do, within per cent. Between that and the nearest wrong unit (inches,
 # 39) lies a wide gap; 5 is beyond any robot mistaken for another.
@@ -35,10 +40,6 @@ UNITS = {1e6: "micrometres", 1e3: "millimetres", 100.0: "centimetres", 1 / 0.025
 UNIT_TOLERANCE = 0.25
 # Below this the nominal points hardly move, and their spread says nothing about units.
 SMALLEST_SPREAD_M = 1e-3
-# An arm does not reach this many times farther than where half of its points are. So few of them are rows that are
-# wrong, to be said one by one, and no unit.
-FAR_OFF = 20.0
-FEW_ROWS = 0.05
 # No instrument for robots measures from farther away; 1 m in millimetres is ten times that.
 FARTHEST_M = 100.0
 # An arm out of calibration errs by a few millimetres; a wrong robot, joint order, sign or target by centimetres.
@@ -50,20 +51,12 @@ SHIFTED_SHARE = 0.1
 NOT_THIS_ROBOT_M = 0.1
 # A wrong sign of a joint that hardly moves the targets errs by less; where it is turned, all but a few millimetres go.
 SIGN_WRONG_M = 0.005
-# Orientation errors of real arms are milliradians; the base frame adds a few more.
-ORIENTATION_WRONG_RAD = 0.05
-# Gauss–Newton converges in three or four steps from the closed-form frame; dropping bad rows takes a few more.
-_ITERATIONS = 8
 # A target nearer to the last joint's axis than the wrist's own errors is not moved by that joint.
 ON_AXIS_M = 0.005
 # A mistake is named where it fits better than the description by so much that chance does it once in a thousand
 # campaigns, over all mistakes that were tried. A median is worth 0.37 of the rows that a mean of squares would be.
 BY_CHANCE, OF_A_MEDIAN = 1e-3, 0.37
 TRIED = 50  # signs and pairs of up to eight joints, targets' names, and a mirror
-# Points on a line leave the base's turn about it to the targets' places: nothing says from which turn a fit finds it.
-TURNS = 12
-# Off a plane by as much as the points reach within it, an error seen in their thickness alone is twenty times larger.
-FLAT = 0.05
 
 
 def point_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool = False) -> Iterator[Finding]:
@@ -161,16 +154,9 @@ def _nominal_poses(campaign: Campaign, table: str) -> FloatArray:
     return poses
 
 
-def _near(measured: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which points (rows, 3) count for what all of them say: all but a few that are far off the rest."""
-    off = np.linalg.norm(measured - np.median(measured, axis=0), axis=1)
-    near = np.asarray(off <= FAR_OFF * np.median(off))
-    return near if np.mean(near) >= 1.0 - FEW_ROWS else np.ones(len(near), dtype=bool)
-
-
 def _wrong_unit(table: str, nominal: FloatArray, measured: FloatArray) -> Finding | None:
-    near = _near(measured)
-    expected, found = _spread(nominal[near]), _spread(measured[near])
+    near = near_points(measured)
+    expected, found = spread_of(nominal[near]), spread_of(measured[near])
     distance = float(np.median(np.linalg.norm(measured, axis=1)))
     if expected > SMALLEST_SPREAD_M:
         ratio = found / expected
@@ -189,10 +175,6 @@ def _wrong_unit(table: str, nominal: FloatArray, measured: FloatArray) -> Findin
         reason = f"half of them are more than {distance:.4g} from the instrument's origin"
         return Finding("error", table, "x_m", None, f"positions look like millimetres, metres are expected: {reason}")
     return None
-
-
-def _spread(points: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 
 
 def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> Iterator[Finding]:
@@ -224,7 +206,7 @@ def _target_distances(campaign: Campaign, table: str, measured: FloatArray) -> I
 def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray) -> Iterator[Finding]:
     """Judge what the best base frame and tool offset leave of the difference between nominal and measured points."""
     points = target_points(campaign, table)
-    fit = _fit(poses, points, measured)
+    fit = fit_rigid(poses, points, measured)
     residual = fit.distance
     size = float(np.median(residual))
     good = min(0.2, _clearly_better(len(measured))) * size
@@ -239,7 +221,7 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
         return
     if size > CLEARLY_WRONG_M:
         far = f"positions stay {size * 1e3:.0f} mm (median) from the nominal ones in the best base and tool frame"
-        if np.median(_fit(poses, points, measured * [1.0, 1.0, -1.0]).distance) < good:
+        if np.median(fit_rigid(poses, points, measured * [1.0, 1.0, -1.0]).distance) < good:
             message = f"{far}; they fit when mirrored: an axis has a wrong sign, or two are swapped"
             yield Finding("error", table, "x_m", None, message)
             return
@@ -253,7 +235,7 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
         yield Finding(severity, table, "target" if swap else "x_m", None, f"{far}; {reason}")
         return
     if QUATERNION[0] in campaign.tables[table]:
-        yield from _orientations(table, campaign.tables[table], poses, fit.base)
+        yield from orientation_findings(table, campaign.tables[table], poses, fit.base)
     bad = np.flatnonzero(residual > CLEARLY_WRONG_M + 10.0 * size)
     if bad.size:
         shifted = None
@@ -295,7 +277,7 @@ def _mistaken_joints(
     robot, found = campaign.robot, []
     for first, words, angles in joint_mistakes(joint_angles(campaign, table)):
         poses = forward(robot.screws, robot.flange, angles @ robot.linkage.T)
-        if np.median(_fit(poses, points, measured).distance) < good:
+        if np.median(fit_rigid(poses, points, measured).distance) < good:
             found.append((first, words))
     return found[0] if len(found) == 1 else None
 
@@ -325,7 +307,7 @@ def _shifted_rows(
             there = of >= 0
             if there.sum() < len(frame) // 2:
                 continue
-            moved = _fit(poses[of[there]], points[there], measured[there])
+            moved = fit_rigid(poses[of[there]], points[there], measured[there])
             if np.quantile(moved.distance, share) < good:
                 other = "next" if step > 0 else "previous"
                 return (
@@ -343,13 +325,13 @@ def _swapped_targets(
     labels = [str(name) for name in campaign.tables[table]["target"]]
     for swap in target_mistakes(sorted(set(labels))):
         points = np.stack([known[swap.get(name, name)] for name in labels])
-        if np.median(_fit(poses, points, measured).distance) < good:
+        if np.median(fit_rigid(poses, points, measured).distance) < good:
             return renaming_words(swap)
     return None
 
 
 def _mistaken_targets(
-    campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray, bad: npt.NDArray[np.intp], fit: _Fit
+    campaign: Campaign, table: str, poses: FloatArray, measured: FloatArray, bad: npt.NDArray[np.intp], fit: RigidFit
 ) -> str | None:
     """In words, at which poses points lie where other targets should be; None unless that explains all of them."""
     frame = campaign.tables[table]
@@ -366,85 +348,3 @@ def _mistaken_targets(
     stops = list(dict.fromkeys(int(p) for p in frame["pose"].iloc[bad]))
     listed = ", ".join(map(str, stops[:10])) + (f" and {len(stops) - 10} more" if len(stops) > 10 else "")
     return f"targets are swapped at pose{'s' if len(stops) > 1 else ''} {listed}: {', '.join(list(found)[:6])}"
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """How nominal points lie on measured ones: distance (rows,) [m], base's turn, shift, offset of all targets."""
-
-    distance: FloatArray
-    base: FloatArray
-    shift: FloatArray
-    offset: FloatArray
-
-    def place(self, pose: FloatArray, point: FloatArray) -> FloatArray:
-        """Where a point of the flange at a pose (4, 4) should be measured (3,)."""
-        return np.asarray(self.base @ (pose[:3, 3] + pose[:3, :3] @ (point + self.offset)) + self.shift)
-
-
-def _fit(poses: FloatArray, points: FloatArray, measured: FloatArray) -> _Fit:
-    """Lay nominal points on measured ones; bad rows do not pull the fit.
-
-    Fitted are the base frame and one offset common to all targets, since neither is known to better than centimetres
-    on a real cell: first the frame in closed form, then both by Gauss–Newton. Of points on a line the closed form knows
-    no turn about it: the best of several is taken.
-    """
-    turn = poses[:, :3, :3]
-    nominal = poses[:, :3, 3] + np.einsum("rij,rj->ri", turn, points)
-    near = _near(measured)
-    here, there = nominal[near].mean(axis=0), measured[near].mean(axis=0)
-    first = nearest_rotation(nominal[near] - here, measured[near] - there)
-    _, extent, axes = np.linalg.svd(measured[near] - there)
-    starts = [first]
-    if len(extent) == 3 and extent[1] < FLAT * extent[0]:
-        angles = 2.0 * np.pi / TURNS * np.arange(1, TURNS)
-        starts += [Rotation.from_rotvec(angle * axes[0]).as_matrix() @ first for angle in angles]
-    fits = [_descended(turn, nominal, measured, start, there - start @ here) for start in starts]
-    return min(fits, key=lambda fit: float(np.median(fit.distance)))
-
-
-def _descended(
-    turn: FloatArray, nominal: FloatArray, measured: FloatArray, base: FloatArray, shift: FloatArray
-) -> _Fit:
-    """The best frame and offset from a frame on, by Gauss–Newton over the rows that are not far off."""
-    offset = np.zeros(3)
-    for _ in range(_ITERATIONS):
-        turned = (nominal + turn @ offset) @ base.T  # (rows, 3)
-        error = measured - turned - shift
-        distance = np.linalg.norm(error, axis=1)
-        keep = distance <= 3.0 * np.median(distance) + 1e-9
-        x, y, z = turned[keep].T
-        o = np.zeros_like(x)
-        rotation = np.stack([np.stack(row, -1) for row in ((o, z, -y), (-z, o, x), (y, -x, o))], -2)  # −[turned]×
-        jacobian = np.concatenate([rotation, np.broadcast_to(np.eye(3), rotation.shape), base @ turn[keep]], axis=2)
-        step = np.linalg.lstsq(jacobian.reshape(-1, 9), error[keep].ravel(), rcond=1e-10)[0]
-        base = Rotation.from_rotvec(step[:3]).as_matrix() @ base
-        shift, offset = shift + step[3:6], offset + step[6:]
-    distance = np.linalg.norm(measured - (nominal + turn @ offset) @ base.T - shift, axis=1)
-    return _Fit(np.asarray(distance), base, shift, offset)
-
-
-def _orientations(table: str, frame: pd.DataFrame, poses: FloatArray, base: FloatArray) -> Iterator[Finding]:
-    """Compare orientations in the base frame (3, 3) that the positions gave; the tool's own turn is left free.
-
-    With the base free as well, reading the components in another order would go unseen: every orthogonal map of
-    quaternions is q → a·q·b or a·q*·b.
-    """
-    quaternion = frame[list(QUATERNION)].to_numpy(dtype=np.float64)
-    scalar_last = Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])  # scipy's own order
-    readings = {
-        "": scalar_last,
-        "they fit as scalar last, the contract has the scalar first": Rotation.from_quat(quaternion),
-        "they fit when inverted, the contract wants the flange in the instrument's frame": scalar_last.inv(),
-    }
-    nominal = Rotation.from_matrix(base @ poses[:, :3, :3])
-    error = {}
-    for words, measured in readings.items():
-        tool = nominal.inv() * measured
-        error[words] = float(np.median((tool.mean().inv() * tool).magnitude()))
-    if error[""] > ORIENTATION_WRONG_RAD:
-        best = min(error, key=lambda words: error[words])
-        fits = error[best] < ORIENTATION_WRONG_RAD
-        reason = best if fits else "order or sign of the components?"
-        message = f"orientations differ from nominal by {error['']:.2g} rad (median) with any tool frame: {reason}"
-        yield Finding("error" if fits else "warning", table, "qw", None, message)

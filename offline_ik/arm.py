@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.catalogue import catalogue
-from clampid.chain.chain import OUTPUTS, RowSymbols, offer_torque, parameter_columns
+from clampid.chain.chain import OUTPUTS
+from clampid.chain.row_symbols import RowSymbols, offer_torque, parameter_columns
 from clampid.effect import Effect
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel

@@ -9,39 +9,34 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from clampid.models.described import robot_of
-from clampid.models.model import Model, load_model
 from clampid.models.ranges import Beyond
 from experiments.temperatures import REFERENCE_TEMPERATURE
-from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
 from offline_ik.answer import Answer, Solution
-from offline_ik.arm import Conditions, IdentifiedArm, arm_of
+from offline_ik.arm import Conditions, IdentifiedArm
 from offline_ik.assumed import notes_of
 from offline_ik.branches import Choice, parse_choice, status_and_turn
-from offline_ik.cell import LONGEST, Cell, default_cell, read_cell
-from offline_ik.checks import check_arm, check_directions, check_posture, check_temperatures
+from offline_ik.cell import LONGEST, Cell
+from offline_ik.checks import check_directions, check_posture, check_temperatures
 from offline_ik.coordinates import check_target, detector_pose
-from offline_ik.errors import CellError, TargetError
+from offline_ik.detector_parts import DetectorParts
+from offline_ik.errors import TargetError
 from offline_ik.frames import Framing
 from offline_ik.free_roll import effort, rolls_to_try
 from offline_ik.kernel import Kernel
-from offline_ik.kernels import looking_kernel
-from offline_ik.mount import identified_mount
 from offline_ik.nearest import Nearest
-from offline_ik.postures import STAYED, Direction, PostureSearch, Reasons
+from offline_ik.postures import STAYED, Direction, Reasons
 from offline_ik.reach import nearest_reachable
 from offline_ik.shapes import sheets_of
-from offline_ik.solver import Solver
 from offline_ik.uncertainty import Propagation
 
-__all__ = ["Answer", "Detector", "Solution", "open_detector"]
+__all__ = ["Answer", "Detector", "Solution"]
+
 
 Array = npt.NDArray[np.float64]
 
@@ -53,6 +48,8 @@ class Detector:
     ----------
     arm, cell
         Of the same robot.
+    parts
+        Of the same arm in a cell that differs by its temperatures and running time only; None: made anew.
 
     Raises
     ------
@@ -62,19 +59,17 @@ class Detector:
         The arm has a joint that is not revolute, or fewer than six.
     """
 
-    def __init__(self, arm: IdentifiedArm, cell: Cell) -> None:
+    def __init__(self, arm: IdentifiedArm, cell: Cell, parts: DetectorParts | None = None) -> None:
         self.arm, self.cell = arm, cell
+        self.parts = DetectorParts(arm, cell) if parts is None else parts
         self.robot: RobotDescription = arm.robot
-        check_arm(self.robot)
-        self.solver = Solver(arm, identified_mount(cell, arm))
-        self.lower = self.robot.lower + cell.limit_margin
-        self.upper = self.robot.upper - cell.limit_margin
-        self.search = PostureSearch(self.solver, self.lower, self.upper)
-        self.fastest = np.array([j.max_speed or np.pi for j in self.robot.joints])  # rad/s
-        self.rest = np.clip(np.zeros(arm.n), self.lower, self.upper)
-        from offline_ik.safety import check_sample
+        self.solver, self.search = self.parts.solver, self.parts.search
+        self.lower, self.upper = self.parts.lower, self.parts.upper
+        self.fastest, self.rest = self.parts.fastest, self.parts.rest
+        if parts is None:
+            from offline_ik.safety import check_sample
 
-        check_sample(self)
+            check_sample(self)
 
     def warm_up(self) -> None:
         """Compile what the first answer would otherwise have to wait for."""
@@ -133,14 +128,7 @@ class Detector:
 
     def within(self, cell: Cell) -> Detector:
         """The same in a cell that differs by its temperatures and running time, and by nothing else."""
-        if cell is self.cell:
-            return self
-        out = object.__new__(Detector)
-        out.__dict__.update(self.__dict__)
-        for derived in ("still", "notes", "_still_vector", "_said", "_surroundings"):
-            out.__dict__.pop(derived, None)
-        out.cell = cell
-        return out
+        return self if cell is self.cell else Detector(self.arm, cell, self.parts)
 
     def to_base(self, pose: Array) -> Array:
         """A pose in the convention's frame as one in the calibrated base's."""
@@ -156,7 +144,7 @@ class Detector:
 
     def motor(self, q: Array) -> Array:
         """Motor angles of joint angles ``(..., n)``: T^-T q."""
-        return np.asarray(q @ self._to_motor)
+        return np.asarray(q @ self.parts.to_motor)
 
     def check_posture(self, q: Sequence[float] | Array, what: str = "near") -> Array:
         """A posture as an array.
@@ -263,13 +251,13 @@ class Detector:
         """The posture at hand ``(n,)``, and what one call of a kernel finds nearest to it, or None."""
         check_target(gamma, delta, r, 0.0 if roll is None else roll)
         here = self.rest if near is None else self.check_posture(near)
-        if choice.kind != "nearest" or roll is None or self._nearest is None:
+        if choice.kind != "nearest" or roll is None or self.parts.nearest is None:
             return here, None
         asked = (gamma, delta, r, roll)
-        quick = self._nearest.locate(asked, here, direction, self._still_vector)
+        quick = self.parts.nearest.locate(asked, here, direction, self._still_vector)
         if quick is None:
             return here, None
-        return here, self._answer(asked, quick[0], (self._told_outside(self._nearest, quick[1]),))
+        return here, self._answer(asked, quick[0], (self._told_outside(self.parts.nearest, quick[1]),))
 
     def _answer(
         self,
@@ -287,39 +275,28 @@ class Detector:
     def _said(self) -> tuple[dict[str, Any], dict[str, Any]]:
         return self.cell.convention.to_json(), self.cell.to_json()
 
-    @cached_property
-    def _nearest(self) -> Nearest | None:
-        ortho = self.solver.ortho
-        return None if ortho is None else Nearest(ortho, self.search, self.propagation, self.cell)
-
     @property
     def twin(self) -> Detector:
         """The same with kernels of its own, ready to be used by another thread: those of one may not be shared."""
-        return self._twin.within(self.cell)
+        if self.parts.twin is None:
+            first = Detector(self.arm, self.cell)
+            first.warm_up()
+            self.parts.twin = first.parts
+        return Detector(self.arm, self.cell, self.parts.twin)
 
-    @cached_property
-    def _twin(self) -> Detector:
-        out = Detector(self.arm, self.cell)
-        out.warm_up()
-        return out
-
-    @cached_property
+    @property
     def framing(self) -> Framing:
         """Makes the frames that a controller writes."""
-        return Framing(self.robot, self.solver.mount)
+        return self.parts.framing
 
-    @cached_property
+    @property
     def looking(self) -> Kernel:
         """See :func:`offline_ik.kernels.looking_kernel`."""
-        return looking_kernel(self.arm, self.solver.mount, self.cell.convention)
+        return self.parts.looking
 
     @cached_property
     def _still_vector(self) -> Array:
         return self.still.vector
-
-    @cached_property
-    def _to_motor(self) -> Array:
-        return np.linalg.inv(np.asarray(self.robot.transmission))
 
     def _solutions(
         self,
@@ -391,10 +368,10 @@ class Detector:
         outside = self.propagation.outside
         return () if outside is None else outside.surroundings(self.cell.link_temperature)
 
-    @cached_property
+    @property
     def propagation(self) -> Propagation:
         """From the model's covariance to the detector's."""
-        return Propagation(self.solver, self.cell)
+        return self.parts.propagation
 
     def towards(self, base: Array, roll: float) -> Array:
         """Columns: across and up of the detector as the circles carry it (at roll 0), outward; in the base's axes."""
@@ -406,53 +383,3 @@ class Detector:
 def _wanders(solution: Solution) -> bool:
     """Whether the posture of a singular pose is far from the one at hand, so that others may be nearer."""
     return bool(solution.singular) and solution.distance >= STAYED
-
-
-def open_detector(
-    model: Model | str | Path,
-    cell: Cell | str | Path | None = None,
-    *,
-    robot: RobotDescription | str | Path | None = None,
-    user_effects: Path | None = None,
-) -> Detector:
-    """A model in a cell.
-
-    Parameters
-    ----------
-    model
-        A model or the path of its file.
-    cell
-        A cell or the path of its file; without one, the placeholder of :func:`offline_ik.cell.default_cell`.
-    robot
-        The nominal robot, where it is not a bundled one.
-
-    Raises
-    ------
-    ModelError, DescriptionError, CellError
-        One of them cannot be read, or they do not fit each other.
-    DetectorError
-        The arm is none that can carry a detector: see :class:`Detector`.
-    """
-    loaded = model if isinstance(model, Model) else load_model(model)
-    given = robot if robot is None or isinstance(robot, RobotDescription) else load_robot(robot)
-    described = robot_of(loaded, given)
-    if cell is None:
-        cell = default_cell(described)
-        if given is None:
-            cell = replace(cell, assumed=(f"robot {described.name}, the model's", *cell.assumed))
-    placed = cell if isinstance(cell, Cell) else read_cell(cell, described)
-    arm = arm_of(
-        loaded,
-        robot=described,
-        gravity=placed.gravity,
-        tool_mass=placed.tool_mass,
-        tool_com=placed.tool_com,
-        session=placed.session,
-        user_effects=user_effects,
-    )
-    try:
-        return Detector(arm, placed)
-    except CellError as error:
-        if isinstance(cell, Cell):
-            raise
-        raise CellError(f"{cell}: {error}") from None

@@ -13,16 +13,9 @@ from clampid.diagnosis.next_measurement import TEMPERATURES
 from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
-from clampid.planning.clamping import (
-    PAUSE_S,
-    Press,
-    careful_limits,
-    in_order,
-    planned_sweep,
-    postures_for,
-    press_limits,
-    stiffness_of,
-)
+from clampid.planning.clamping import careful_limits, in_order, planned_sweep, postures_for
+from clampid.planning.clamping_bench import PAUSE_S
+from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
 from clampid.stages.clamped import standing_angles
 from clampid.stages.clamped_rows import clamped_rows

@@ -31,8 +31,9 @@ from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
 from kinematics.escaping import for_csv
+from kinematics.fixed_angles import roll_pitch_yaw, rotation_of
 from kinematics.robot import RobotDescription
-from kinematics.screws import roll_pitch_yaw, rotation_of, transform
+from kinematics.screws import transform
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -134,8 +134,9 @@ def clamping(
 
         import numpy as np
 
-        from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
+        from clampid.planning.clamping import plan_clamping
         from clampid.planning.least_torque import search_for
+        from clampid.planning.press import Press, press_limits, stiffness_of
         from clampid.standard_sets import STANDARD
         from experiments.plans.press import rated_motor_torque
 
@@ -220,7 +221,8 @@ def poses(
     """Plan poses to measure: visible, clear of obstacles, informative, approached from both sides, in a short order."""
     out = begin(output, json, quiet, verbose)
     with refusals():
-        from clampid.planning.poses import PoseWishes, balance_of, plan_poses
+        from clampid.planning.direction_balance import balance_of
+        from clampid.planning.poses import PoseWishes, plan_poses
         from clampid.planning.region import box_of, sphere_part_of
 
         if box is not None and sphere is not None:

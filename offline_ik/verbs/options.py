@@ -74,7 +74,7 @@ def opened(
     model: Path, cell: Path | None, robot: str | None, effects_from: Path | None, running: str | None = None
 ) -> Detector:
     """The model in its cell, the robot running for so long."""
-    from offline_ik.detector import open_detector
+    from offline_ik.opening import open_detector
 
     time = seconds("--running", running)
     detector = open_detector(model, cell, robot=robot, user_effects=effects_from)

@@ -7,7 +7,7 @@ import sys
 from memory_link import MemoryLink
 
 from offline_ik.beamline.processes import Side
-from offline_ik.detector import open_detector
+from offline_ik.opening import open_detector
 from offline_ik.protocol import Speaker
 from offline_ik.server import serve
 

@@ -25,7 +25,8 @@ from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
-from clampid.planning.clamping import Press, planned_sweep, postures_for, press_limits, stiffness_of
+from clampid.planning.clamping import planned_sweep, postures_for
+from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign, read_campaign

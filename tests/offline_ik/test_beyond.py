@@ -22,7 +22,8 @@ from experiments.simulate import simulate
 from offline_ik.approach import approach_through
 from offline_ik.arm import arm_of
 from offline_ik.beyond import Outside
-from offline_ik.detector import Detector, open_detector
+from offline_ik.detector import Detector
+from offline_ik.opening import open_detector
 from offline_ik.protocol import Session, Speaker
 
 HERE = (0.3, 0.2, 0.8)

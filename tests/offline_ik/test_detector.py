@@ -14,8 +14,9 @@ from offline_ik.approach import approach_through
 from offline_ik.branches import parse_choice, status_and_turn
 from offline_ik.cell import default_cell
 from offline_ik.coordinates import detector_angles
-from offline_ik.detector import Detector, open_detector
+from offline_ik.detector import Detector
 from offline_ik.errors import CellError, DetectorError, TargetError
+from offline_ik.opening import open_detector
 from offline_ik.ortho import ortho_arm
 from offline_ik.uncertainty import Uncertainty
 

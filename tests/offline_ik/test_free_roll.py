@@ -13,9 +13,10 @@ from kinematics.description import load_robot
 from offline_ik import free_roll
 from offline_ik.cell import default_cell
 from offline_ik.coordinates import detector_pose
-from offline_ik.detector import Detector, open_detector
+from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
 from offline_ik.free_roll import GRID
+from offline_ik.opening import open_detector
 
 FINE = 10 * GRID  # rolls all round
 

@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 
 from offline_ik.cell import read_cell
 from offline_ik.coordinates import detector_angles
-from offline_ik.detector import Detector, open_detector
+from offline_ik.detector import Detector
+from offline_ik.opening import open_detector
 from offline_ik.reach import nearest_reachable
 
 AS_FAR = 1e-4  # m by which a search from everywhere may find a nearer place

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from clampid.identification.identify import identify
-from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
+from clampid.planning.clamping import plan_clamping
 from clampid.planning.logs import torque_noise_of
+from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.plan import plan as plan_verb
 from experiments.campaign import read_campaign

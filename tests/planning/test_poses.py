@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from clampid.identification.identify import identify
+from clampid.planning.direction_balance import balance_of
 from clampid.planning.directions import balanced, confounded, covariates_of
 from clampid.planning.pose_bench import PoseBench
-from clampid.planning.poses import PoseWishes, balance_of, plan_poses
+from clampid.planning.poses import PoseWishes, plan_poses
 from clampid.planning.reach import reaching
 from clampid.planning.region import Box, SpherePart, box_of, sphere_part_of
 from clampid.planning.sampling import configurations
