@@ -27,13 +27,13 @@ from ik_arms import CELL, drawn_model
 from experiments.links.address import open_link
 from experiments.links.connection import Connection
 from kinematics.description import load_robot
-from offline_ik.cell import read_cell
-from offline_ik.detector import Detector
-from offline_ik.link import LinkedRobot
-from offline_ik.opening import open_detector
-from offline_ik.protocol import Session, Speaker
-from offline_ik.server import Server, settle
-from offline_ik.simulation import simulate_move
+from offline_ik.cell.cell import read_cell
+from offline_ik.exchange.link import LinkedRobot
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
+from offline_ik.motion.simulation import simulate_move
+from offline_ik.server.protocol import Session, Speaker
+from offline_ik.server.server import Server, settle
 
 START = np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0])
 TURNS, EACH = 100, 25

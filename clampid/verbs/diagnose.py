@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from clampid.plain_json import finite
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked
 from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed, Verbose
-from clampid.verbs.output import Output, finite, output_file
+from clampid.verbs.output import Output, output_file
 from clampid.verbs.plan_options import names_of
 from experiments.targets import OutputError, refuse_other_kind
 

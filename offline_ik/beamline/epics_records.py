@@ -19,7 +19,7 @@ import socket
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from clampid.verbs.errors import CallError
+from clampid.wrong_call import CallError
 from offline_ik.beamline.combining import AXES, Combined
 from offline_ik.beamline.line_client import Server
 from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock_of, server_of

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from clampid.cli import app
 from clampid.verbs.units import Units
-from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
-from offline_ik.simulation import simulate_move
+from offline_ik.inverse.detector import Detector
+from offline_ik.motion.simulation import simulate_move
 from offline_ik.verbs.looking import Look, looked
 
 PLACE = ["--gamma", "0.35", "--delta", "0.2", "--r", "0.8", "--near", "0.1,-1.2,1.2,0.1,0.4,0"]

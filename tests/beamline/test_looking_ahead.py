@@ -15,16 +15,16 @@ from scipy.spatial.transform import Rotation
 from serving_thread import Serving
 
 from kinematics.poe import forward
-from offline_ik.cell import read_cell
-from offline_ik.coordinates import detector_angles, detector_pose
-from offline_ik.detector import Detector
+from offline_ik.cell.cell import read_cell
+from offline_ik.cell.coordinates import detector_angles, detector_pose
+from offline_ik.cell.frames import kuka_frame
+from offline_ik.collision.safety import check_path
 from offline_ik.errors import CellError, TargetError
-from offline_ik.frames import kuka_frame
-from offline_ik.picture import picture_of
-from offline_ik.protocol import Session, Speaker
-from offline_ik.safety import check_path
-from offline_ik.seen import pixel_of, poni_text
-from offline_ik.simulation import simulate_move, simulate_straight
+from offline_ik.inverse.detector import Detector
+from offline_ik.motion.picture import picture_of
+from offline_ik.motion.simulation import simulate_move, simulate_straight
+from offline_ik.reflections.seen import pixel_of, poni_text
+from offline_ik.server.protocol import Session, Speaker
 
 PIXELS = (514, 1030)
 
@@ -57,7 +57,7 @@ def test_simulate_asks_the_same_check_as_move(detector: Detector, monkeypatch: p
     def refusing(*given: object) -> object:
         return replace(check_path(*given), reasons=("patched",))  # type: ignore[arg-type]
 
-    monkeypatch.setattr("offline_ik.ways.check_path", refusing)
+    monkeypatch.setattr("offline_ik.motion.ways.check_path", refusing)
     link = MemoryLink()
     speaker = Speaker(detector, link)
     assert ask(speaker, "simulate gamma=0.35 delta=0.2 r=0.8")["would_move"] is False

@@ -23,8 +23,8 @@ from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Plant, measure
 from kinematics.description import load_robot
-from offline_ik.arm import Conditions, arm_of
-from offline_ik.kernels import forward_kernel
+from offline_ik.arm.identified import Conditions, arm_of
+from offline_ik.inverse.kernels import forward_kernel
 
 EFFECTS = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction")
 GAP = 1.5e-4  # rad: three times the largest that is drawn, so that flanks show

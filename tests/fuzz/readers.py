@@ -124,10 +124,10 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from experiments.touched import read_touched
     from kinematics.description import load_robot
     from kinematics.kuka_text import machine_data_text, read_machine_data
-    from offline_ik.arm import arm_of
-    from offline_ik.cell import read_cell
-    from offline_ik.mesh import read_mesh
-    from offline_ik.peak_table import read_peaks
+    from offline_ik.arm.identified import arm_of
+    from offline_ik.cell.cell import read_cell
+    from offline_ik.collision.mesh import read_mesh
+    from offline_ik.reflections.peak_table import read_peaks
 
     arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
     parquet = simulate(folder / "arm2", "ur10", seed=3, poses=8, tables=("poses",))
@@ -220,7 +220,7 @@ def is_refusal(error: Exception) -> bool:
     from experiments.links.protocol import LinkError
     from experiments.virtual_controller.errors import ControllerError
     from kinematics.kuka import MachineDataError
-    from offline_ik.mesh import MeshError
+    from offline_ik.collision.mesh import MeshError
 
     # Verbs make wrong calls of the last three.
     known = (MeshError, MachineDataError, InstrumentError, LinkError, ControllerError)

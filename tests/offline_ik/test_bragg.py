@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offline_ik import bragg
-from offline_ik.bragg import FALSE_ALARM, Reflection, SamplePosition, sample_position, scattering_angle
-from offline_ik.coordinates import CONVENTIONS, detector_pose
+from offline_ik.cell.coordinates import CONVENTIONS, detector_pose
 from offline_ik.errors import TargetError
+from offline_ik.reflections import bragg
+from offline_ik.reflections.bragg import FALSE_ALARM, Reflection, SamplePosition, sample_position, scattering_angle
 
 CONVENTION = replace(CONVENTIONS["thesis"], beam=(0.6, 0.8, 0.0), sample=(0.3, 0.2, 0.9))
 SIGMA = 5e-5  # rad

@@ -30,7 +30,7 @@ from clampid.models.model import load_model, save_model
 from clampid.slots import Term
 from clampid.stages.layout import layout_of
 from experiments.simulate import hidden_file
-from offline_ik.arm import Conditions, IdentifiedArm, arm_of
+from offline_ik.arm.identified import Conditions, IdentifiedArm, arm_of
 
 NEAR = 1.15  # of the noise floor: what a smooth shape leaves of a sharp one, and what its factors cost
 AMPLITUDE = 2e-4  # rad
