@@ -37,7 +37,8 @@ from clampid.diagnosis.next_plan import parting_plan
 from clampid.diagnosis.next_poses import _choices
 from clampid.effect import Effect
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.planning.sampling import configurations

@@ -17,7 +17,8 @@ from clampid.effect import Effect, EffectError
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
 from clampid.evidence.scan import scan
-from clampid.evidence.score import Flips, Scored, Space, canonical, explained_together, flip_maxima, score, space_of
+from clampid.evidence.score import Flips, Scored, canonical, explained_together, flip_maxima, score
+from clampid.evidence.space import Space, space_of
 from clampid.fitting.solve import Estimate
 from clampid.stages.experiment import parameter_of
 from clampid.stages.rows import Integers, Rows

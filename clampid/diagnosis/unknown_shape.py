@@ -26,7 +26,8 @@ from clampid.diagnosis.effect_new import JOINTS, effect_module, effect_text
 from clampid.effect import EffectError
 from clampid.evidence.candidates import Candidate, named_candidates
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import Scored, Space, score
+from clampid.evidence.score import Scored, score
+from clampid.evidence.space import Space
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Rows
 

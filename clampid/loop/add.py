@@ -16,7 +16,8 @@ from clampid.diagnosis.result import Step
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.events import event_scores
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import Floor, StageErrors
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import (

@@ -129,7 +129,8 @@ def test_rounding_is_no_lever_of_a_candidate(found: tuple[Path, str, dict[str, A
     """A column that moves all rows by less than a millionth of the noise gives a candidate no freedom."""
     from clampid.catalogue import catalogue
     from clampid.evidence.candidates import named_candidates
-    from clampid.evidence.score import score, space_of
+    from clampid.evidence.score import score
+    from clampid.evidence.space import space_of
     from clampid.identification.model_on_campaign import on_campaign
 
     folder, _, _ = found

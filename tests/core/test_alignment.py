@@ -15,7 +15,8 @@ from clampid.catalogue import catalogue
 from clampid.chain.chain import build_chain
 from clampid.comparison.compare import compare
 from clampid.effect import EffectError
-from clampid.evidence.alignment import STRONG, Alignment, Curves, align, alignment_of, turned
+from clampid.evidence.alignment import STRONG, Alignment, align, alignment_of
+from clampid.evidence.curves import Curves, turned
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add

@@ -16,7 +16,8 @@ from clampid.diagnosis.candidate_scores import RATE
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
 from clampid.evidence.columns import Columns, Levers, Products, Sums
-from clampid.evidence.score import flip_maxima, score, space_of
+from clampid.evidence.score import flip_maxima, score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.curves import angle_errors

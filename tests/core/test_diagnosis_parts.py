@@ -18,7 +18,8 @@ from clampid.diagnosis.remains import CLEARLY, above_the_floor
 from clampid.diagnosis.tried import Tried, Undecided
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import Scored, canonical, score, space_of
+from clampid.evidence.score import Scored, canonical, score
+from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
 from clampid.identification.fitted_stage import FittedStage

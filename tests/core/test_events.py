@@ -11,7 +11,8 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
 from clampid.evidence.events import Scan, absent_events, event_scores, time_of
-from clampid.evidence.score import Flips, space_of
+from clampid.evidence.score import Flips
+from clampid.evidence.space import space_of
 from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import active_slots

@@ -13,7 +13,8 @@ from clampid.catalogue import catalogue
 from clampid.diagnosis.linear_refit import linear_refit
 from clampid.effect import Stage
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.fitting.descent import Chord, Limits, descend
 from clampid.fitting.fit import fit
 from clampid.fitting.noise import learn_noise

@@ -19,7 +19,8 @@ from clampid.diagnosis.propose import Weak
 from clampid.diagnosis.residual_excess import OneSided, excess_over_floor, one_sided, one_sided_words
 from clampid.diagnosis.separators import something_else
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import Scored, Space, explained_together, score, space_of
+from clampid.evidence.score import Scored, explained_together, score
+from clampid.evidence.space import Space, space_of
 from clampid.fitting.accuracy import noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import fit_stage

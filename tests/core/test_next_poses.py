@@ -16,7 +16,8 @@ from clampid.diagnosis.next_measurement import ENOUGH
 from clampid.diagnosis.next_poses import next_poses, plan_of
 from clampid.diagnosis.parting import part
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign

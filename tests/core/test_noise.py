@@ -19,7 +19,6 @@ from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import (
     Flips,
-    Space,
     canonical,
     explained_together,
     flip_maxima,
@@ -28,6 +27,7 @@ from clampid.evidence.score import (
     score,
     tail_of,
 )
+from clampid.evidence.space import Space
 from clampid.fitting.noise import initial_noise, learn_noise
 from clampid.slots import Slot
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled

@@ -10,7 +10,7 @@ import pytest
 from virtual_arms import ARMS, arm
 
 import clampid.fitting.rest_friction
-from clampid.evidence.score import space_of
+from clampid.evidence.space import space_of
 from clampid.fitting.rest_friction import _cost, _Profile
 from clampid.fitting.solve import solve
 from clampid.identification.identify import identify

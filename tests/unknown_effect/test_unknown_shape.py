@@ -21,7 +21,8 @@ from clampid.comparison.compare import compare
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.unknown_shape import _width, shape_of
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.exports.dh_export import calibrated_chain
 from clampid.fitting.fit import fit
 from clampid.identification.fitted_stage import fit_stage
