@@ -31,7 +31,7 @@ from offline_ik.cell.cell import read_cell
 from offline_ik.exchange.link import LinkedRobot
 from offline_ik.inverse.detector import Detector
 from offline_ik.inverse.opening import open_detector
-from offline_ik.motion.simulation import simulate_move
+from offline_ik.motion.simulation import Position, simulate_move
 from offline_ik.server.protocol import Session, Speaker
 from offline_ik.server.server import Server, settle
 
@@ -126,7 +126,7 @@ async def over_ethernetkrl(detector: Detector) -> None:
             gamma = 0.30 + 0.005 * (k % 2)
             here = robot.posture()
             begun = perf_counter()
-            simulate_move(detector, gamma, 0.2, 0.8, start=here)
+            simulate_move(detector, Position(gamma, 0.2, 0.8), start=here)
             check.append(1e3 * (perf_counter() - begun))
             begun = perf_counter()
             answer = json.loads(await ours.ask(b"move gamma=%r delta=0.2 r=0.8 wait=yes" % gamma))
@@ -151,7 +151,7 @@ async def to_the_link(ours: Line, detector: Detector, link: Link) -> None:
     for k in range(MOVES):
         gamma = 0.30 + 0.05 * (k % 2)
         begun = perf_counter()
-        simulate_move(twin, gamma, 0.2, 0.8, start=link.q)
+        simulate_move(twin, Position(gamma, 0.2, 0.8), start=link.q)
         check.append(perf_counter() - begun)
         begun = perf_counter()
         assert json.loads(await ours.ask(b"move gamma=%r delta=0.2 r=0.8" % gamma))["moving"]

@@ -24,8 +24,7 @@ def entry_of(
     s: Scored,
     null: Flips,
     effects: dict[str, Effect],
-    before: float,
-    after: float | None,
+    rms: tuple[float, float | None],
     estimate: Estimate | None = None,
     kept: Sequence[Term] | None = None,
     rivals: Sequence[Scored] = (),
@@ -35,7 +34,7 @@ def entry_of(
 
     Parameters
     ----------
-    before, after
+    rms
         Held-out rms without it and with it, in the stage's unit; None where it was not fitted.
     estimate
         The fit with it, for its parameters; without, the score's own estimate, one step from zero.
@@ -56,8 +55,8 @@ def entry_of(
         "alternative": False,
         "p_value": float(np.exp(max(s.log_p, -690.0))),
         "p_familywise": null.p_familywise(s.log_p),
-        "heldout_rms_before": before,
-        "heldout_rms_after": after,
+        "heldout_rms_before": rms[0],
+        "heldout_rms_after": rms[1],
         "parameters": _parameters(s, effects, estimate, scale),
         "confusable_with": confusable_with(rivals, s) if rivals else [],
         "explained": s.explained,

@@ -181,7 +181,7 @@ def _undecided(
                 after = bench.alone(fitted, s)
             scores = group.scores
             entry = entry_of(
-                s, scores.named_null, effects, before, after, rivals=group.members, scale=scores.space.scale
+                s, scores.named_null, effects, (before, after), rivals=group.members, scale=scores.space.scale
             )
             entries.append({**entry, "alternative": True, "group": number})
         result.candidates += entries

@@ -43,7 +43,7 @@ class Tried:
         """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
         null, after = self.scores.named_null, self.held.rms
         return {
-            **entry_of(self.best, null, effects, before, after, estimate, self.kept),
+            **entry_of(self.best, null, effects, (before, after), estimate, self.kept),
             "stability": self.stability,
             "p_held_out": self.p_held_out,
             "confusable_with": confusable_with(self.scores.named, self.best),
@@ -52,7 +52,7 @@ class Tried:
     def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
         scale = self.scores.space.scale
-        entry = entry_of(self.best, self.scores.named_null, effects, before, self.held.rms, scale=scale)
+        entry = entry_of(self.best, self.scores.named_null, effects, (before, self.held.rms), scale=scale)
         outcome = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
         return {**entry, **outcome}
 

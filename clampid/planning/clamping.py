@@ -8,7 +8,7 @@ than described by a margin, and bounded. A sweep beyond a limit is refused here,
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -29,7 +29,7 @@ from experiments.plans.model import Cell, Plan, Sweep
 from experiments.plans.press import SINGULAR, flange_jacobian, holding_torque, wrenches
 from experiments.plans.validate import sweep_fault, validate_plan
 
-__all__ = ["careful_limits", "in_order", "plan_clamping", "planned_sweep", "postures_for"]
+__all__ = ["ClampingWishes", "careful_limits", "in_order", "plan_clamping", "planned_sweep", "postures_for"]
 
 
 POSTURES = 16
@@ -41,19 +41,40 @@ LOOPS = 2
 FRICTION = 0.15  # of the rated torques: what friction and the preload of clamping may add to every motor's reading
 
 
+@dataclass(frozen=True, eq=False)
+class ClampingWishes:
+    """What sweeps against a clamp are wanted.
+
+    Attributes
+    ----------
+    time
+        Budget, s, clamping included.
+    effects
+        What is asked.
+    joints
+        Which to drive, from 0; None: all.
+    postures
+        ``(k, n)`` rad: where the flange can be clamped; None: chosen among many.
+    seed
+        Of the candidate postures.
+    """
+
+    time: float = 7200.0
+    effects: Sequence[str] = STANDARD["clamped"]
+    joints: Sequence[int] | None = None
+    postures: Array | None = None
+    seed: int = 0
+
+
 @single_threaded
 def plan_clamping(
     cell: Cell,
     limits: Limits,
     noise: TorqueNoise,
     press: Press,
+    wished: ClampingWishes | None = None,
     *,
-    time: float = 7200.0,
-    effects: Sequence[str] = STANDARD["clamped"],
-    joints: Sequence[int] | None = None,
-    postures: Array | None = None,
     scene: Scene | None = None,
-    seed: int = 0,
     assumed: Sequence[str] = (),
 ) -> Plan:
     """Plan a clamping campaign.
@@ -62,18 +83,10 @@ def plan_clamping(
     ----------
     cell, limits, noise, press
         What it is for; the limits are those of `press_limits`.
-    time
-        Budget, s, clamping included.
-    effects
-        What is asked.
-    joints
-        Which to drive, from 0; all by default.
-    postures
-        ``(k, n)`` rad: where the flange can be clamped; by default chosen among many.
+    wished
+        Which sweeps are wanted.
     scene
         What the arm must not touch.
-    seed
-        Of the candidate postures.
     assumed
         What had to be assumed so far.
 
@@ -82,11 +95,14 @@ def plan_clamping(
     PlanError
         A sweep would exceed a limit in every posture, the time is too short, or a number is out of range.
     """
+    wished = wished or ClampingWishes()
+    time, effects = wished.time, wished.effects
     _check(cell, press, time)
-    driven = tuple(range(cell.robot.n)) if joints is None else tuple(joints)
+    driven = tuple(range(cell.robot.n)) if wished.joints is None else tuple(wished.joints)
     blank = Plan("clamping", cell, limits, 0.0, stiffness=press.margin * press.stiffness)
     around = scene or Scene.floor_only(cell)
-    places = postures_for(cell, limits, around, seed) if postures is None else np.asarray(postures, dtype=float)
+    given = wished.postures
+    places = postures_for(cell, limits, around, wished.seed) if given is None else np.asarray(given, dtype=float)
     allowed = _allowed(blank, press, places, driven)
     best: tuple[float, list[Sweep], Array, int] | None = None
     bench = ClampingBench(cell, noise, press, effects)
@@ -119,7 +135,7 @@ def plan_clamping(
                 "time_s": time,
                 "effects": ", ".join(effects),
                 "amplitude": ", ".join(f"{a:g}" for a in press.amplitude),
-                "seed": seed,
+                "seed": wished.seed,
             }
         ),
     )

@@ -15,7 +15,7 @@ from clampid.catalogue import catalogue
 from clampid.planning.choose import log_det
 from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
-from clampid.planning.program import check_program, finished_program, wishes
+from clampid.planning.program import LogWishes, finished_program
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.rows import Array
@@ -40,14 +40,9 @@ def plan_free_air(
     cell: Cell,
     limits: Limits,
     noise: TorqueNoise,
+    wished: LogWishes | None = None,
     *,
-    time: float = 1200.0,
-    speeds: Sequence[float] = (0.15, 0.06),
-    effects: Sequence[str] = STANDARD["free_air"],
     scene: Scene | None = None,
-    dwell: float = 1.0,
-    rate: float = 10.0,
-    seed: int = 0,
     assumed: Sequence[str] = (),
 ) -> Plan:
     """Plan a free-air campaign.
@@ -56,20 +51,10 @@ def plan_free_air(
     ----------
     cell, limits, noise
         What it is for.
-    time
-        Budget, s, for all runs.
-    speeds
-        Shares of the top speeds at which the whole program runs, once each.
-    effects
-        What is asked, ``effect`` or ``effect@joint3``.
+    wished
+        Which program is wanted.
     scene
         What the arm must not touch; only the floor by default.
-    dwell
-        s at each stop.
-    rate
-        Hz of the log.
-    seed
-        Of the candidates.
     assumed
         What had to be assumed so far, for the plan.
 
@@ -78,33 +63,35 @@ def plan_free_air(
     PlanError
         A number is out of range, the time is too short, or the limits allow nothing.
     """
-    check_program(time, speeds, dwell, rate)
+    wished = wished or LogWishes()
+    wished.check()
+    effects = STANDARD["free_air"] if wished.effects is None else wished.effects
     around = scene or Scene.floor_only(cell)
-    bench = LogBench(cell, catalogue(), effects, noise, rate)
-    pool = configurations(limits, POOL, around.clear, seed, why="clear of floor and obstacles")
-    search = _Search(cell, limits, bench, around, pool, tuple(speeds), dwell, time, np.random.default_rng(seed))
+    bench = LogBench(cell, catalogue(), effects, noise, wished.rate)
+    pool = configurations(limits, POOL, around.clear, wished.seed, why="clear of floor and obstacles")
+    search = _Search(cell, limits, bench, around, pool, wished)
     search.grow()
     search.improve()
-    runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), speeds, strict=True))
-    wished = wishes(time, speeds, effects, seed)
-    return finished_program("free_air", limits, bench, runs, wished, assumed=(*assumed, *around.assumed))
+    runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), wished.speeds, strict=True))
+    record = wished.record(effects)
+    return finished_program("free_air", limits, bench, runs, record, assumed=(*assumed, *around.assumed))
 
 
 class _Search:
     """A path that grows and is improved; all its runs go through the same stops."""
 
     def __init__(
-        self, cell: Cell, limits: Limits, bench: LogBench, scene: Scene, pool: Array, speeds: tuple[float, ...],
-        dwell: float, budget: float, rng: np.random.Generator,
-    ) -> None:  # fmt: skip
+        self, cell: Cell, limits: Limits, bench: LogBench, scene: Scene, pool: Array, wished: LogWishes
+    ) -> None:
         self.cell, self.limits, self.bench, self.scene = cell, limits, bench, scene
-        self.pool, self.speeds, self.dwell, self.budget, self.rng = pool, speeds, dwell, budget, rng
+        self.pool, self.speeds, self.dwell, self.budget = pool, tuple(wished.speeds), wished.dwell, wished.time
+        self.rng = np.random.default_rng(wished.seed)
         middle = (limits.lower + limits.upper) / 2
         self.knots: list[Array] = [pool[int(np.argmin(np.linalg.norm(pool - middle, axis=1)))]]
         size = bench.size
         self.information: Array = prior_precision(bench.experiment) * np.outer(size, size)
         self.moves: list[Array] = []  # information of each move, scaled
-        self.spent = len(speeds) * dwell
+        self.spent = len(self.speeds) * self.dwell
 
     def courses(self, knots: Sequence[Array]) -> list[Course]:
         """The path at every speed."""

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from offline_ik.cell.checks import check_directions
 from offline_ik.exchange.requests import number, numbers, switch
 from offline_ik.inverse.detector import Detector
-from offline_ik.motion.simulation import Simulation, simulate_move, simulate_straight
+from offline_ik.motion.simulation import Position, Simulation, simulate_move, simulate_straight
 
 __all__ = ["asked_of", "sides_of", "simulated_at_once", "simulation_of"]
 
@@ -40,11 +40,11 @@ def asked_of(given: Mapping[str, str], near: Array | None, sides: Array | None) 
 def simulation_of(given: Mapping[str, str], start: Array, sides: Array | None) -> Callable[[Detector], Simulation]:
     """What simulates the move from a posture ``(n,)`` to where a request asks for."""
     asked = asked_of(given, start, sides)
-    position = {name: asked[name] for name in ("gamma", "delta", "r", "roll")}
+    position = Position(asked["gamma"], asked["delta"], asked["r"], asked["roll"])
     branch, approach = given.get("branch", "nearest"), switch(given, "approach")
 
     def work(detector: Detector) -> Simulation:
-        return simulate_move(detector, **position, start=start, branch=branch, approach=approach, direction=sides)
+        return simulate_move(detector, position, start=start, branch=branch, approach=approach, direction=sides)
 
     return work
 

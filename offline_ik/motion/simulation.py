@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from offline_ik.inverse.answer import Answer
     from offline_ik.inverse.detector import Detector
 
-__all__ = ["Simulation", "simulate_move", "simulate_straight"]
+__all__ = ["Position", "Simulation", "simulate_move", "simulate_straight"]
 
 Array = npt.NDArray[np.float64]
 
@@ -108,12 +108,18 @@ class Simulation:
         }
 
 
+class Position(NamedTuple):
+    """A detector position as :meth:`offline_ik.inverse.detector.Detector.locate` takes it: rad, m; roll None: free."""
+
+    gamma: float
+    delta: float
+    r: float
+    roll: float | None = 0.0
+
+
 def simulate_move(
     detector: Detector,
-    gamma: float,
-    delta: float,
-    r: float,
-    roll: float | None = 0.0,
+    position: Position,
     *,
     start: Sequence[float] | Array | None = None,
     branch: str = "nearest",
@@ -124,8 +130,8 @@ def simulate_move(
 
     Parameters
     ----------
-    gamma, delta, r, roll
-        As :meth:`offline_ik.inverse.detector.Detector.locate` takes them: rad, m; ``roll`` None: free.
+    position
+        Where the detector shall be.
     start
         ``(n,)``: where the move begins, rad.
     branch, approach, direction
@@ -138,7 +144,7 @@ def simulate_move(
     """
     here = None if start is None else detector.check_posture(start, "start")
     came = direction if direction is not None else None if here is None else "moved"
-    answer = detector.locate(gamma, delta, r, roll, near=here, branch=branch, direction=came)  # type: ignore[arg-type]
+    answer = detector.locate(*position, near=here, branch=branch, direction=came)  # type: ignore[arg-type]
     ways = ways_to(detector, answer, start=here, branch=branch, approach=approach, direction=direction)
     return Simulation(detector, here, ways)
 

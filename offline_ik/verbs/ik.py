@@ -71,7 +71,7 @@ def ik(
     from offline_ik.cell.checks import check_directions
     from offline_ik.cell.coordinates import check_target
     from offline_ik.inverse.assumed import assumptions
-    from offline_ik.motion.simulation import simulate_move
+    from offline_ik.motion.simulation import Position, simulate_move
 
     units = Units(deg, mm)
     given_position = {"--gamma": gamma, "--delta": delta, "--r": r}
@@ -84,7 +84,7 @@ def ik(
     asked = None if sides is None else check_directions(detector.arm.n, sides)
     with out.working("solving"):
         simulation = simulate_move(
-            detector, gamma, delta, r, turned, start=here, branch=branch, approach=approach, direction=asked
+            detector, Position(gamma, delta, r, turned), start=here, branch=branch, approach=approach, direction=asked
         )
         ways = simulation.ways
         answer, data = ways.answer, _data(ways, branch, (*detector.notes, *_later(detector, ways)))

@@ -14,7 +14,7 @@ from clampid.diagnosis.held_out import held_out
 from clampid.diagnosis.linear_refit import linear_refit
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
-from clampid.diagnosis.parting import part, show
+from clampid.diagnosis.parting import Rivals, part, show
 from clampid.diagnosis.propose import Weak
 from clampid.diagnosis.residual_excess import OneSided, excess_over_floor, one_sided, one_sided_words
 from clampid.diagnosis.separators import something_else
@@ -92,9 +92,8 @@ def test_pairs_that_nothing_parts_do_not_keep_others_from_being_parted():
     J, a = rng.standard_normal((80, 3)), rng.standard_normal((80, 1))
     pool_J, pool_a = rng.standard_normal((40, 3, 3)), rng.standard_normal((40, 3, 1))
     pool_c = rng.standard_normal((40, 3, 1))
-    found = part(
-        J, [a, a, a], [np.ones(1)] * 3, np.eye(3), pool_J, [pool_a, pool_a, pool_c], enough=30.0, batch=1, most=40
-    )  # fmt: skip
+    rivals = Rivals(J, [a, a, a], [np.ones(1)] * 3, np.eye(3))
+    found = part(rivals, pool_J, [pool_a, pool_a, pool_c], enough=30.0, batch=1, most=40)
     assert [pair[:2] for pair in found.never] == [(0, 1)]
     assert found.never[0][2] == pytest.approx(1.0, abs=1e-6)
     assert found.before == pytest.approx(0.0, abs=1e-6)

@@ -39,7 +39,7 @@ def gravity(simulated) -> tuple[Scored, float]:
 def test_a_candidate_that_was_not_fitted_has_no_value_beyond_what_is_reasonable(gravity):
     best, scale = gravity
     assert np.abs(best.value).max() < 1e6  # columns of rounding are no directions
-    entry = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 1.0, None, scale=scale)
+    entry = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), (1.0, None), scale=scale)
     size = dict(zip([s.label for s in best.candidate.slots], best.candidate.reasonable, strict=True))
     assert all(p["identified"] == (p["std"] < size[p["name"]]) for p in entry["parameters"])
     assert not all(p["identified"] for p in entry["parameters"])
@@ -48,7 +48,7 @@ def test_a_candidate_that_was_not_fitted_has_no_value_beyond_what_is_reasonable(
 
 def test_an_alternative_of_undetermined_parameters_is_not_offered_as_equally_good(gravity):
     best, scale = gravity
-    vague = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 4e-4, 1.33e-3, scale=scale)
+    vague = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), (4e-4, 1.33e-3), scale=scale)
     clear = {**vague, "effect": "backlash", "heldout_rms_after": 1.08e-4, "parameters": [{"identified": True}]}
     both = [{**entry, "alternative": True, "group": 1} for entry in (clear, vague)]
     assert equally_good(both) == both[:1]

@@ -114,6 +114,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from clampid.models.model import load_model, save_model
     from clampid.planning.free_air import plan_free_air
     from clampid.planning.logs import torque_noise_of
+    from clampid.planning.program import LogWishes
     from clampid.planning.scene import read_obstacles
     from clampid.trusted import list_of_trusted, trust, trust_file
     from experiments.campaign import read_campaign
@@ -133,7 +134,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     parquet = simulate(folder / "arm2", "ur10", seed=3, poses=8, tables=("poses",))
     save_model(drawn_model(effects=("geometry", "joint_compliance", "backlash")), folder / "model.json")
     cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
-    plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], time=60.0)
+    plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], LogWishes(time=60.0))
     write_plan(plan, folder / "plan.toml")
     os.environ["XDG_CONFIG_HOME"] = str(folder / "config")
     (folder / "own.py").write_text("EFFECT = 1\n")
