@@ -61,7 +61,7 @@ def unit_errors(model: Model, campaign: Campaign, stage: Stage) -> tuple[np.ndar
     opened = on_campaign(model, campaign)
     rows = opened.rows(stage)
     part = opened.stages[stage]
-    held = np.flatnonzero(rows.in_folds(opened.held(stage)))
+    held = np.flatnonzero(rows.in_folds(opened.held_out(stage)))
     floor = noise_floor(rows, predicted(experiment(rows, opened.effects, part.slots), part.theta))
     test = rows.take(held)
     residual = predicted(experiment(test, opened.effects, part.slots), part.theta)

@@ -166,8 +166,8 @@ def _independent_drives(opened: ModelOnCampaign) -> tuple[StageModel, StageModel
         if stage is clamped and stage.carried_prior is None:  # stage by stage it knows nothing of the poses anyway
             alone.append(stage)
             continue
-        rows, held = opened.rows(stage.stage), opened.held(stage.stage)
-        alone.append(fit_stage(rows, opened.effects, stage.terms, before, stage.values(), held).model)
+        rows, held_out = opened.rows(stage.stage), opened.held_out(stage.stage)
+        alone.append(fit_stage(rows, opened.effects, stage.terms, before, stage.values(), held_out).model)
     return alone[0], alone[1]
 
 
@@ -184,14 +184,14 @@ def _as_fitted(
     trial = opened.experiment(stage, rows)
     residual = predicted(trial, model.theta)
     floor = noise_floor(rows, residual)
-    held = opened.held(stage)
-    fitted = ~rows.in_folds(held) if opened.session is not None else np.zeros(len(rows), dtype=bool)
+    held_out = opened.held_out(stage)
+    fitted = ~rows.in_folds(held_out) if opened.session is not None else np.zeros(len(rows), dtype=bool)
     verification = opened.verification() if stage == "poses" else None
 
     @cache
     def kept_out() -> tuple[Rows, Array, Bools]:
         """Rows of these tables that no fit has seen, or each predicted by a fit without it."""
-        if opened.session is None or any(held):
+        if opened.session is None or any(held_out):
             return rows, residual, ~fitted
         estimate = opened.refit(stage).with_best_weights(seed).estimate
         test, left = cross_validated(estimate, estimate.experiment.rows, seed)
@@ -303,8 +303,8 @@ def _refitted(
 ) -> dict[str, dict[str, Any]]:
     """The poses with only base, tool or both fitted anew on a share of whole poses; the rest is held out."""
     model, rows = opened.stages["poses"], opened.rows("poses")
-    held = held_out_folds(rows, 1.0 - share, seed)
-    out = rows.in_folds(held)
+    held_out = held_out_folds(rows, 1.0 - share, seed)
+    out = rows.in_folds(held_out)
     if not (~out).any() or not out.any():
         raise ModelError(f"{opened.campaign.name}: too few poses to refit on a share of {share:g} of them")
     moved = _moved_slots(opened, rows, refit)

@@ -196,7 +196,7 @@ def _bending(opened: ModelOnCampaign, trial: Experiment) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
     springs = numbers_of_role(model.slots, "compliance")
-    held = trial.with_flanks(model.theta).rows.signals
+    at_flanks = trial.with_flanks(model.theta).rows.signals
     angle = trial.chain.offsets["joint_angle"]
     stiff = model.theta.copy()
     stiff[springs] = 0.0
@@ -214,9 +214,12 @@ def _bending(opened: ModelOnCampaign, trial: Experiment) -> _Bending:
         return each
 
     declared = opened.campaign.tool.mass * np.r_[1.0, opened.campaign.tool.com]
-    bare = {**held, "gravity_torque": held["gravity_torque"] - held["tool_regressor"] @ declared}
-    weightless = {**held, **{name: np.zeros_like(held[name]) for name in WEIGHT}}  # dry friction still winds up springs
-    whole, arm, rest = (through_each(signals) for signals in (held, bare, weightless))
+    bare = {**at_flanks, "gravity_torque": at_flanks["gravity_torque"] - at_flanks["tool_regressor"] @ declared}
+    weightless = {
+        **at_flanks,
+        **{name: np.zeros_like(at_flanks[name]) for name in WEIGHT},
+    }  # dry friction still winds up springs
+    whole, arm, rest = (through_each(signals) for signals in (at_flanks, bare, weightless))
     size = np.where(model.theta[springs] != 0.0, model.theta[springs], np.inf)
     covariance = model.covariance[np.ix_(springs, springs)] / np.outer(size, size)
     return _Bending(np.array([arm - rest, whole - arm]), covariance)

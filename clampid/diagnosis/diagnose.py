@@ -151,7 +151,7 @@ def _one(
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
         known, held, carried_prior = (
             {**last.model.values(), **start},
-            opened.held(stage),
+            opened.held_out(stage),
             opened.stages[stage].carried_prior,
         )
         # Poses may be looked through twice, and then most of what is fitted is the same. A fit of a log is too large.

@@ -169,7 +169,7 @@ def _opened(estimate: Estimate) -> Array:
     """
     precision = estimate.prior_precision.copy()
     variance, tight = np.diag(estimate.covariance), (HELD * estimate.experiment.sizes()) ** -2.0
-    open_ = (variance * tight > HELD_OPEN) & ~estimate.experiment.held()
+    open_ = (variance * tight > HELD_OPEN) & ~estimate.experiment.fixed()
     held = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
     precision[held, :] = precision[:, held] = 0.0
     precision[held, held] = 1.0 / variance[held]

@@ -82,7 +82,7 @@ def best_table(
     Parameters
     ----------
     model
-        With what the data do not determine at its nominal value (:func:`clampid.exports.determined.hold_undetermined`).
+        With what the data do not determine at its nominal value (:func:`clampid.exports.determined.fix_undetermined`).
     session, temperature, campaign, user_effects
         As of `clampid.exports.dh_export.dh_export`.
 

@@ -179,7 +179,7 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
     full = np.r_[theta, np.zeros(experiment.offsets)]
     if experiment.stage == "clamped":
         full[count:] = clamping_offsets(experiment, full)
-    free = experiment.own() & ~experiment.held()
+    free = experiment.own() & ~experiment.fixed()
     precision = np.diag(np.where(free, 1.0 / experiment.prior_std() ** 2, 1e12 / experiment.sizes() ** 2))
     estimate = solve(experiment, full, noise or Noise(experiment.rows.sigma), precision, full)
     return estimate.residual
@@ -197,7 +197,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     part = parts_of_rows(rows, seed)
     residual = experiment.error(estimate.theta)
     size = experiment.sizes()
-    its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.held()), part[white.entry]
+    its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.fixed()), part[white.entry]
     shared = np.setdiff1d(np.arange(len(size)), its_own)
     normals = {k: _normal(white.jacobian[of_part == k], white.residual[of_part == k]) for k in np.unique(of_part)}
     free = ~limits_of(experiment).resting(estimate.theta)

@@ -76,7 +76,7 @@ def fit(
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
     precision, mean = prior_of(experiment, priors)
     theta = start_of(experiment, start, priors)
-    mean = np.where(experiment.held(), theta, mean)
+    mean = np.where(experiment.fixed(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
@@ -131,7 +131,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
             return estimate
         experiment = estimate.experiment.with_rows(replace(rows, constants={**rows.constants, "stated": now}))
         precision, mean = prior_of(experiment, priors)
-        mean = np.where(experiment.held(), estimate.theta, mean)
+        mean = np.where(experiment.fixed(), estimate.theta, mean)
         estimate = solve(experiment, estimate.theta, estimate.noise, precision, mean)
     return estimate
 

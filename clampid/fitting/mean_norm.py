@@ -114,7 +114,7 @@ def _cost(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> 
 
 def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> Array:
     """SLSQP from ``theta``, flanks held, in coordinates in which least squares would be a ball."""
-    free = np.flatnonzero(~trial.held())
+    free = np.flatnonzero(~trial.fixed())
     J = estimate.whitened.jacobian
     L = linalg.cholesky(inverse_of(J.T @ J + estimate.prior_precision)[np.ix_(free, free)], lower=True)
 

@@ -168,7 +168,7 @@ def _held(experiment: Experiment, open_: Sequence[int], theta: Array) -> Prior:
 
 def _solved(experiment: Experiment, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
     precision, mean = prior_of(experiment, (*priors, _held(experiment, open_, theta)))
-    mean = np.where(experiment.held(), theta, mean)
+    mean = np.where(experiment.fixed(), theta, mean)
     return solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
 
 

@@ -150,7 +150,7 @@ class LogStage:
         priors = description_priors(self.folds)
         at = start_of(self.experiment, start, priors)
         precision, mean = prior_of(self.experiment, priors)
-        mean = np.where(self.experiment.held(), at, mean)
+        mean = np.where(self.experiment.fixed(), at, mean)
         prior = LogPrior(precision, mean, limits_of(self.experiment))
         part = parts_of(self.folds, kept, seed)
         fit, weights = fit_log(self.design, kept, prior, at, part), None

@@ -155,7 +155,7 @@ def _union(parts: Sequence[JointPart]) -> _Union:
         limits = limits_of(trial)
         scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
         bounded[here] |= limits.bounded
-        mean[here] = np.where(trial.held(), _alone(part), own_mean)
+        mean[here] = np.where(trial.fixed(), _alone(part), own_mean)
     return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
 
 
@@ -271,5 +271,5 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, carried_prior:
         whitened=point.white,
         residual=point.residual,
         prior_precision=precision,
-        prior_mean=np.where(alone.experiment.held(), theta, mean),
+        prior_mean=np.where(alone.experiment.fixed(), theta, mean),
     )

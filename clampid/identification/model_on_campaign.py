@@ -87,7 +87,7 @@ class ModelOnCampaign:
         model = self.stages[stage]
         return experiment(rows, self.effects, model.slots, model.lean)
 
-    def held(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
+    def held_out(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
         """The folds ``(campaigns, folds)`` that no fit has seen."""
         kept = self.stages[stage].held_out
         if len(self.campaigns) > 1:
@@ -102,8 +102,8 @@ class ModelOnCampaign:
         before = {s: m for s, m in self.stages.items() if s != stage}
         model = self.stages[stage]
         rows = self.rows(stage) if rows is None else rows
-        start, held = model.values(), self.held(stage)
-        return fit_stage(rows, self.effects, model.terms, before, start, held, model.carried_prior)
+        start, held_out = model.values(), self.held_out(stage)
+        return fit_stage(rows, self.effects, model.terms, before, start, held_out, model.carried_prior)
 
 
 def on_campaign(

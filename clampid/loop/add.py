@@ -229,7 +229,7 @@ def _stage_with(
     """One stage after one round a step; a round begins with the fit of the one before it, not with one of its own."""
     effects, model = opened.effects, opened.stages[stage]
     before = {s: m for s, m in stages.items() if s != stage}
-    held, carried_prior = model.held_out, model.carried_prior
+    held_out, carried_prior = model.held_out, model.carried_prior
 
     def acting(terms: Sequence[Term]) -> tuple[bool, bool]:
         return has_inertia(terms, effects), has_friction_state(terms, effects)
@@ -244,7 +244,7 @@ def _stage_with(
             resting=kind[1],
             anchors=opened.anchors,
         )
-        fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, carried_prior)
+        fitted = fit_stage(rows, effects, known.terms, before, known.values(), held_out, carried_prior)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
 
@@ -269,7 +269,7 @@ def _stage_with(
         old, worse = fitted.model, errors
         every = (*old.terms, *new_terms)
         start, last = {**shapes, **old.values()}, fitted.estimate
-        fitted = fit_stage(fitted.rows, effects, every, before, start, held, carried_prior, last=last)
+        fitted = fit_stage(fitted.rows, effects, every, before, start, held_out, carried_prior, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and stage == "free_air":
@@ -277,7 +277,7 @@ def _stage_with(
         errors = fitted.errors(verification, seed, floor)
         known = {**rounds[-1].evidence, "heldout_rms_after": errors.heldout_rms, **fitted.evidence}
         rounds[-1] = replace(rounds[-1], rms=errors.rms, heldout_rms=errors.heldout_rms, evidence=known)
-    change = partial(change_between, compared, fitted, held, verification, seed, floor)
+    change = partial(change_between, compared, fitted, held_out, verification, seed, floor)
     return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out), change)
 
 

@@ -63,7 +63,7 @@ def held_out(data: StageData, floor: StageData | None = None) -> HeldOut | None:
     if len(data.pieces) > 1:  # single rows of a verification table that are wrong do not count, as in the ledger
         rows = without_outlying(rows, piece.residual, first.rows.without(~first.good[:, 0]), first.residual)
     size, used = size_of(rows, piece.residual, (floor or data).floor)
-    counts = used & (piece.held if used.ndim == 1 else piece.held[:, None])
+    counts = used & (piece.held_out if used.ndim == 1 else piece.held_out[:, None])
     if not counts.any():
         return None
     if size.ndim == 1:

@@ -34,7 +34,7 @@ class Piece:
         ``(N, m)``, measured less predicted, SI.
     good
         ``(N, m)``: numbers that count: neither at rest nor rejected.
-    held
+    held_out
         ``(N,)``: rows that no fit saw.
     rejected
         ``(N, m)``: numbers of rows that the fit rejected as outliers.
@@ -44,7 +44,7 @@ class Piece:
     experiment: Experiment
     residual: Array
     good: Bools
-    held: Bools
+    held_out: Bools
     rejected: Bools
 
 
@@ -88,9 +88,9 @@ class StageData:
         return np.concatenate([p.rejected[:, : self.channels] for p in self.pieces])
 
     @property
-    def held(self) -> Bools:
+    def held_out(self) -> Bools:
         """Which of all rows were held out ``(N,)``."""
-        return np.concatenate([p.held for p in self.pieces])
+        return np.concatenate([p.held_out for p in self.pieces])
 
     def column(self, name: str) -> pd.Series | None:
         """A column of the campaign for all rows, or None where a table lacks it."""
@@ -156,8 +156,8 @@ def _piece(opened: ModelOnCampaign, stage: Stage, rows: Rows, verification: bool
     found = opened.experiment(stage, rows)
     rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()
     bad = np.array([key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)], dtype=bool)
-    held = rows.in_folds(opened.held(stage))
+    held_out = rows.in_folds(opened.held_out(stage))
     if opened.session is None or verification:
-        held = np.ones(len(rows), dtype=bool)
+        held_out = np.ones(len(rows), dtype=bool)
     wrong = bad[:, None]
-    return Piece(rows, found, predicted(found, model.theta), rows.used & ~wrong, held, rows.used & wrong)
+    return Piece(rows, found, predicted(found, model.theta), rows.used & ~wrong, held_out, rows.used & wrong)

@@ -165,7 +165,7 @@ def test_on_the_command_line(campaign: Campaign, tmp_path: Path):
 def test_what_was_identified_replaces_what_is_carried_over(campaign: Campaign, joint: Model):
     opened = on_campaign(joint, campaign)
     stage = joint.stages["poses"]
-    plain = fit_stage(opened.rows("poses"), opened.effects, stage.terms, {}, stage.values(), opened.held("poses"))
+    plain = fit_stage(opened.rows("poses"), opened.effects, stage.terms, {}, stage.values(), opened.held_out("poses"))
     assert (
         plain.model.std[stage.slots.index(joint.stages["clamped"].slots[0])]
         > stage.std[stage.slots.index(joint.stages["clamped"].slots[0])]
