@@ -10,7 +10,7 @@ import numpy as np
 from clampid.comparison.attained import as_sent, iso9283
 from clampid.effect import Effect
 from clampid.stages.rows import Array, Bools, Integers, Rows
-from experiments.metrics import norm_metrics, split_about
+from experiments.measures.metrics import norm_metrics, split_about
 
 __all__ = ["placing"]
 

@@ -14,7 +14,7 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
-from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
+from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
 __all__ = [
     "Floor",

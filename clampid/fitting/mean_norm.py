@@ -24,7 +24,7 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, FitError, limits_of, stage_point
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
-from experiments.metrics import norm_metrics
+from experiments.measures.metrics import norm_metrics
 
 __all__ = ["compared", "mean_norm"]
 

@@ -13,7 +13,7 @@ from clampid.diagnosis.drift import blocks_of_visits, drift_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 
 NOISE = 6e-5  # m
 

@@ -118,7 +118,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from clampid.planning.scene import read_obstacles
     from clampid.trusted import list_of_trusted, trust, trust_file
     from experiments.campaign import read_campaign
-    from experiments.check import check_campaign
+    from experiments.checks.check import check_campaign
     from experiments.foreign import import_tables, read_mapping
     from experiments.plans import cell_of, limits_of, read_plan, write_plan
     from experiments.simulate import simulate

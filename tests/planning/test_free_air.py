@@ -18,7 +18,7 @@ from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.standard_sets import STANDARD
 from experiments.campaign import read_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError, cell_of, limits_of
 from experiments.plans.limits import course_of, motion_faults
 from experiments.plans.virtual import VirtualRobot, run_virtually

@@ -27,7 +27,7 @@ from clampid.planning.tour import short_tour, tour_length
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.plan import plan as plan_verb
 from experiments.campaign import read_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError, Visit, cell_of, read_plan, write_plan
 from experiments.plans.limits import course_of
 from experiments.plans.validate import visit_course

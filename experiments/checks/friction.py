@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import t as student
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding
+from experiments.checks.moving_log import MovingLog, clear_moves, freed, weight_regressor
 from experiments.columns import joint_columns
-from experiments.finding import Finding
-from experiments.moving_log import MovingLog, clear_moves, freed, weight_regressor
 from experiments.signals.typing_ import Array, Bools, Integers
 
 __all__ = ["friction_findings"]

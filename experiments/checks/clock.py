@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding
 from experiments.columns import joint_columns
-from experiments.finding import Finding
 from experiments.signals import gaps, irregularity, stale_rows
 
 __all__ = ["clock_findings"]

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 
 from experiments.campaign import Campaign
-from experiments.check_angles import angle_findings
-from experiments.check_clock import clock_findings
-from experiments.check_distances import distance_findings
-from experiments.check_friction import friction_findings
-from experiments.check_motion import motion_findings, moved_joints, replicates
-from experiments.check_points import point_findings
-from experiments.check_signals import signal_findings
-from experiments.check_speeds import speed_findings
-from experiments.check_sweeps import sweep_findings
-from experiments.check_temperatures import temperature_findings
-from experiments.check_torques import torque_findings
+from experiments.checks.angles import angle_findings
+from experiments.checks.clock import clock_findings
+from experiments.checks.distances import distance_findings
+from experiments.checks.finding import Finding
+from experiments.checks.friction import friction_findings
+from experiments.checks.motion import motion_findings, moved_joints, replicates
+from experiments.checks.moving_log import moving_logs
+from experiments.checks.points import point_findings
+from experiments.checks.signals import signal_findings
+from experiments.checks.speeds import speed_findings
+from experiments.checks.sweeps import sweep_findings
+from experiments.checks.temperatures import temperature_findings
+from experiments.checks.torques import torque_findings
 from experiments.columns import QUATERNION, temperature_columns
-from experiments.finding import Finding
-from experiments.moving_log import moving_logs
 
 __all__ = ["Finding", "check_campaign", "holdings"]
 

@@ -11,7 +11,7 @@ and of orientations, about each axis by itself: |ā − a_c|, 3 S_a, max |ā_h �
 is called bidirectional here, after machine tools (ISO 230-2); ISO 9283 has it from one side only.
 
 Source: ISO 9283:1998, 7.2.1 (AP), 7.2.2 (RP), 7.2.3 (vAP), 7.6 (drift). The universal model's P̄, σ_P and P_max are
-mean, standard deviation and maximum of the errors' norms. :mod:`experiments.iso9283` takes them over a table.
+mean, standard deviation and maximum of the errors' norms. :mod:`experiments.measures.iso9283` takes them over a table.
 """
 
 from __future__ import annotations

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from experiments.checks.finding import Finding
 from experiments.columns import QUATERNION
-from experiments.finding import Finding
 from kinematics.screws import nearest_rotation
 
 __all__ = [

@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.campaign import Campaign, target_points
-from experiments.check_angles import joint_angles
-from experiments.check_points import CLEARLY_WRONG_M, SIGN_WRONG_M, UNITS
-from experiments.finding import Finding
-from experiments.lateration import Located, locate
-from experiments.mistakes import joint_mistakes, renaming_words, target_mistakes
-from experiments.rigid_fit import FLAT
+from experiments.checks.angles import joint_angles
+from experiments.checks.finding import Finding
+from experiments.checks.mistakes import joint_mistakes, renaming_words, target_mistakes
+from experiments.checks.points import CLEARLY_WRONG_M, SIGN_WRONG_M, UNITS
+from experiments.checks.rigid_fit import FLAT
+from experiments.measures.lateration import Located, locate
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
 

@@ -14,11 +14,10 @@ import numpy.typing as npt
 from scipy import stats
 
 from experiments.campaign import Campaign, target_points
-from experiments.check_angles import joint_angles
-from experiments.columns import POSITION, QUATERNION
-from experiments.finding import Finding
-from experiments.mistakes import joint_mistakes, renaming_words, target_mistakes
-from experiments.rigid_fit import (
+from experiments.checks.angles import joint_angles
+from experiments.checks.finding import Finding
+from experiments.checks.mistakes import joint_mistakes, renaming_words, target_mistakes
+from experiments.checks.rigid_fit import (
     FEW_ROWS,
     FLAT,
     FloatArray,
@@ -28,6 +27,7 @@ from experiments.rigid_fit import (
     orientation_findings,
     spread_of,
 )
+from experiments.columns import POSITION, QUATERNION
 from kinematics.poe import forward
 
 __all__ = ["point_findings"]

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding
 from experiments.columns import temperature_columns
-from experiments.finding import Finding
 from experiments.temperatures import COLDEST_C, END_S, GAP_S, HOTTEST_C, readings
 
 __all__ = ["temperature_findings"]

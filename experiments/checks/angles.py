@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding, joint_list
 from experiments.columns import joint_columns
-from experiments.finding import Finding, joint_list
 
 __all__ = ["angle_findings", "joint_angles"]
 

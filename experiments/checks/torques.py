@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import norm
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding
+from experiments.checks.moving_log import MovingLog, clear_moves, freed, read_log, weight_regressor
 from experiments.columns import joint_columns
-from experiments.finding import Finding
-from experiments.moving_log import MovingLog, clear_moves, freed, read_log, weight_regressor
 from experiments.signals import Shift, combine_shifts, time_shift
 from experiments.signals.typing_ import Array
 from kinematics.gravity import add_tool, gravity_parameters

@@ -11,7 +11,7 @@ standard's formula stand
   its eigenvalues, and E l² its trace; the interval is that of the trace, chi-square with Satterthwaite's degrees of
   freedom. It holds if the scatter is normal and the same at all places.
 
-Source: the formulas are in :mod:`experiments.metrics`.
+Source: the formulas are in :mod:`experiments.measures.metrics`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import integrate, stats
 
-from experiments.metrics import (
+from experiments.measures.metrics import (
     accuracy,
     angle_accuracy,
     angle_repeatability,

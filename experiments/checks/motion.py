@@ -10,10 +10,10 @@ import pandas as pd
 from scipy import stats
 
 from experiments.campaign import Campaign
-from experiments.check_angles import joint_angles
+from experiments.checks.angles import joint_angles
+from experiments.checks.finding import Finding, joint_list
 from experiments.columns import POSES, POSITION, joint_columns
-from experiments.finding import Finding, joint_list
-from experiments.returns import ENOUGH_RETURNS, SAME_TEMPERATURE_K, comparable_returns, freedom_of
+from experiments.measures.returns import ENOUGH_RETURNS, SAME_TEMPERATURE_K, comparable_returns, freedom_of
 
 __all__ = ["motion_findings", "moved_joints", "replicates", "wrist_joints"]
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding
 from experiments.columns import joint_columns
-from experiments.finding import Finding
 from experiments.signals.typing_ import Array
 
 __all__ = ["sweep_findings"]

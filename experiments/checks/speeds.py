@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from experiments.campaign import Campaign
-from experiments.check_motion import STILL_RAD, moved_joints
+from experiments.checks.finding import Finding
+from experiments.checks.motion import STILL_RAD, moved_joints
 from experiments.columns import joint_columns
-from experiments.finding import Finding
 from experiments.signals import rest_threshold, speeds
 from experiments.signals.typing_ import Array
 

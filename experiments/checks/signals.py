@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pandas as pd
 
 from experiments.campaign import Campaign
+from experiments.checks.finding import Finding, joint_list
 from experiments.columns import POSES, joint_columns, table_format, temperature_columns
-from experiments.finding import Finding, joint_list
 
 __all__ = ["signal_findings"]
 
