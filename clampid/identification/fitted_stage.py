@@ -113,10 +113,9 @@ def fit_stage(
     rows: Rows,
     effects: Mapping[str, Effect],
     terms: Sequence[Term],
-    before: Mapping[Stage, StageModel],
+    others: Mapping[Stage, StageModel] | Prior,
     start: Mapping[Slot, float] | None = None,
     held: Sequence[Sequence[int]] = (),
-    carried_prior: Prior | None = None,
     cost: Cost = "least-squares",
     last: Estimate | None = None,
 ) -> FittedStage:
@@ -124,10 +123,9 @@ def fit_stage(
 
     Parameters
     ----------
-    before
-        The stages already fitted, whose values this one takes over.
-    carried_prior
-        What all other rows say, where a joint fit knows: taken instead.
+    others
+        The stages already fitted, whose values this one takes over; or, where a joint fit knows, what all other rows
+        say.
     cost
         ``mean-norm``, of ``poses`` only: see :mod:`clampid.fitting.mean_norm`.
     last
@@ -140,6 +138,7 @@ def fit_stage(
     FitError
         The rows have no more numbers than the parameters that they determine.
     """
+    carried_prior, before = (others, {}) if isinstance(others, Prior) else (None, others)
     if carried_prior is None and not start and open_turns(rows):
         trial = experiment(rows, effects, active_slots(rows, effects, terms))
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])

@@ -103,7 +103,7 @@ class ModelOnCampaign:
         model = self.stages[stage]
         rows = self.rows(stage) if rows is None else rows
         start, held_out = model.values(), self.held_out(stage)
-        return fit_stage(rows, self.effects, model.terms, before, start, held_out, model.carried_prior)
+        return fit_stage(rows, self.effects, model.terms, model.carried_prior or before, start, held_out)
 
 
 def on_campaign(

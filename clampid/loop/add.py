@@ -244,7 +244,7 @@ def _stage_with(
             resting=kind[1],
             anchors=opened.anchors,
         )
-        fitted = fit_stage(rows, effects, known.terms, before, known.values(), held_out, carried_prior)
+        fitted = fit_stage(rows, effects, known.terms, carried_prior or before, known.values(), held_out)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
 
@@ -269,7 +269,7 @@ def _stage_with(
         old, worse = fitted.model, errors
         every = (*old.terms, *new_terms)
         start, last = {**shapes, **old.values()}, fitted.estimate
-        fitted = fit_stage(fitted.rows, effects, every, before, start, held_out, carried_prior, last=last)
+        fitted = fit_stage(fitted.rows, effects, every, carried_prior or before, start, held_out, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and stage == "free_air":

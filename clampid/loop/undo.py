@@ -64,7 +64,7 @@ def undo(
         moves, rests = has_inertia(terms, effects), has_friction_state(terms, effects)
         rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests, anchors=opened.anchors)
         others = {s: m for s, m in mended.items() if s != stage}
-        fitted = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.carried_prior)
+        fitted = fit_stage(rows, effects, terms, old.carried_prior or others, old.values(), old.held_out)
         mended[stage] = fitted.with_best_weights(model.seed).model
     own = _still_used(mended, effects)
     chosen = model.user_effects if user_effects is None else str(user_effects)

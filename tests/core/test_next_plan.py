@@ -195,7 +195,7 @@ def test_what_an_alternative_would_bring_is_what_its_fit_brings(simulated: Calla
     assert along is not None
     terms, values = [*fitted.model.terms, *s.candidate.terms], fitted.model.values()
     model = opened.stages["poses"]
-    whole = fit_stage(rows, opened.effects, terms, {}, values, opened.held_out("poses"), model.carried_prior)
+    whole = fit_stage(rows, opened.effects, terms, model.carried_prior or {}, values, opened.held_out("poses"))
     before, said, found = (held_out(e, None, floor, 0).rms for e in (estimate, along, whole.estimate))
     assert found < 0.8 * before
     assert said == pytest.approx(found, rel=0.05)
