@@ -36,11 +36,8 @@ STRONG = float(np.log(150.0))
 STEPS_PER_TURN = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
 PEAKS = 10  # of the correlation, a sense: where curves overlap little, the right one is not the highest
 NEAR = np.pi / 360.0  # rad: a turn is refined within half a degree
-START, MIN_SIZE, MAX_SIZE = (
-    0.3,
-    0.01,
-    0.999,
-)  # of the curves' size: deviations with which joints are looked for, and tried
+# Of the curves' size: deviations with which joints are looked for, and tried.
+START, MIN_SIZE, MAX_SIZE = 0.3, 0.01, 0.999
 SIZES = (float(np.log(1e-6)), float(np.log(1e-2)))  # rad: curves' sizes
 
 

@@ -17,14 +17,8 @@ from clampid.stages.rows import Array, Bools, Integers
 __all__ = ["ABSORBED", "Space", "space_of"]
 
 ABSORBED = 1e-6
-
-
 HELD_OPEN = 4.0  # an error twice as large as the prior: it was held, and is open
-
-
 SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
-
-
 ORTHOGONAL = 1e-3  # how near to the identity the second factor must be, for its columns to be exact
 
 
