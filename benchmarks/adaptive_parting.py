@@ -37,9 +37,10 @@ from clampid.diagnosis.next_plan import parting_plan
 from clampid.diagnosis.next_poses import _choices
 from clampid.effect import Effect
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from experiments.campaign import Campaign
@@ -180,7 +181,7 @@ class Judge:
     def __init__(self, pair: Pair, campaign: Campaign) -> None:
         self.campaign = campaign
         model = identify(campaign, list(pair.model))
-        self.estimate = reopen(model, campaign).refit("poses").estimate
+        self.estimate = on_campaign(model, campaign).refit("poses").estimate
         self.space = space_of(self.estimate)
         names = [name.split("@") for name in pair.names]
         effects = {name: _always_searched(catalogue()[name]) for name, _ in names}

@@ -27,12 +27,13 @@ from ik_arms import CELL, drawn_model
 from experiments.links.address import open_link
 from experiments.links.connection import Connection
 from kinematics.description import load_robot
-from offline_ik.cell import read_cell
-from offline_ik.detector import Detector, open_detector
-from offline_ik.link import LinkedRobot
-from offline_ik.protocol import Session, Speaker
-from offline_ik.server import Server, settle
-from offline_ik.simulation import simulate_move
+from offline_ik.cell.cell import read_cell
+from offline_ik.exchange.link import LinkedRobot
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
+from offline_ik.motion.simulation import Position, simulate_move
+from offline_ik.server.protocol import Session, Speaker
+from offline_ik.server.server import Server, settle
 
 START = np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0])
 TURNS, EACH = 100, 25
@@ -125,7 +126,7 @@ async def over_ethernetkrl(detector: Detector) -> None:
             gamma = 0.30 + 0.005 * (k % 2)
             here = robot.posture()
             begun = perf_counter()
-            simulate_move(detector, gamma, 0.2, 0.8, start=here)
+            simulate_move(detector, Position(gamma, 0.2, 0.8), start=here)
             check.append(1e3 * (perf_counter() - begun))
             begun = perf_counter()
             answer = json.loads(await ours.ask(b"move gamma=%r delta=0.2 r=0.8 wait=yes" % gamma))
@@ -150,7 +151,7 @@ async def to_the_link(ours: Line, detector: Detector, link: Link) -> None:
     for k in range(MOVES):
         gamma = 0.30 + 0.05 * (k % 2)
         begun = perf_counter()
-        simulate_move(twin, gamma, 0.2, 0.8, start=link.q)
+        simulate_move(twin, Position(gamma, 0.2, 0.8), start=link.q)
         check.append(perf_counter() - begun)
         begun = perf_counter()
         assert json.loads(await ours.ask(b"move gamma=%r delta=0.2 r=0.8" % gamma))["moving"]

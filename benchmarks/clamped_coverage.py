@@ -110,7 +110,7 @@ def covered(trials: Sequence[Trial]) -> np.ndarray:
 
 def told(trials: Sequence[Trial]) -> tuple[np.ndarray, np.ndarray]:
     """Whether clearances below `SMALL` and at `LARGE` times the limit were told from zero, one entry each."""
-    seen = np.array([t.drives.told for t in trials])
+    seen = np.array([t.drives.gap_identified for t in trials])
     size = np.array([multiples(t.seed) for t in trials])
     return seen[size <= SMALL], seen[size >= LARGE]
 
@@ -162,7 +162,7 @@ def show_naive(seeds: Sequence[int]) -> None:
     signs = np.array([np.sign(t.found[18:]) == np.sign(t.true[18:]) for t in trials])
     print(f"T read as θ_motor = T·θ_joint, {len(trials)} seeds:")
     print(f"cross terms covered: {covered(trials)[18:].mean():.1%}, of the right sign: {signs.mean():.1%}")
-    print(f"clearances told from zero: {np.mean([t.drives.told for t in trials]):.1%}")
+    print(f"clearances told from zero: {np.mean([t.drives.gap_identified for t in trials]):.1%}")
 
 
 def main() -> None:

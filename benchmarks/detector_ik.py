@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from clampid.chain.compiled import compiler
 from kinematics.description import load_robot
 from kinematics.robot import RobotDescription
-from offline_ik.arm import nominal_arm
-from offline_ik.ortho import SIGNS
-from offline_ik.solver import Solver
+from offline_ik.arm.identified import nominal_arm
+from offline_ik.inverse.ortho import SIGNS
+from offline_ik.inverse.solver import Solver
 
 
 def median(call: Callable[[], object], runs: int = 15) -> float:

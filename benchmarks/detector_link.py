@@ -36,8 +36,8 @@ from clampid.identification.identify import identify
 from clampid.models.model import Model, save_model
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate
-from offline_ik.cell import default_cell
-from offline_ik.detector import open_detector
+from offline_ik.cell.cell import default_cell
+from offline_ik.inverse.opening import open_detector
 
 POINTS = 25  # of the instrument, averaged
 QUICK = 1000  # simulated seconds in a second, while the arm only warms up

@@ -20,10 +20,10 @@ from ik_arms import CELL, drawn_model
 from server_lines import GOOD, rubbish
 
 from kinematics.description import load_robot
-from offline_ik.cell import read_cell
-from offline_ik.detector import open_detector
-from offline_ik.protocol import Session, Speaker
-from offline_ik.server import Limits, Server, settle
+from offline_ik.cell.cell import read_cell
+from offline_ik.inverse.opening import open_detector
+from offline_ik.server.protocol import Session, Speaker
+from offline_ik.server.server import Limits, Server, settle
 
 PATIENCE = 2.0  # s for a line, so that slow ones are found out within the run
 SLOW = 50  # clients that never end a line

@@ -31,10 +31,11 @@ from experiments.virtual_robot.bodies import Bodies
 from experiments.virtual_robot.drive import arm_at_rest
 from experiments.virtual_robot.pose_tables import tracked_points
 from kinematics.description import load_robot
-from offline_ik.arm import IdentifiedArm
-from offline_ik.cell import Cell, default_cell
-from offline_ik.detector import Detector, open_detector
-from offline_ik.uncertainty import Uncertainty
+from offline_ik.arm.identified import IdentifiedArm
+from offline_ik.cell.cell import Cell, default_cell
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
+from offline_ik.inverse.uncertainty import Uncertainty
 
 ROBOT = "kuka_kr20_r1810"
 EFFECTS = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction", "thermal_expansion")

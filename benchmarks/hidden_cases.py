@@ -19,7 +19,7 @@ import numpy as np
 from clampid.effect import Stage
 from clampid.fitting.solve import Estimate
 from clampid.identification.identify import identify, standard_effects
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import hidden_file, simulate
@@ -213,7 +213,7 @@ class Bench:
         if key not in _WITHOUT:
             _WITHOUT.clear()
             campaign = self.campaign([0.0] * len(self.case.hidden))
-            estimate = reopen(start_model(self.case, campaign), campaign).refit(self.case.stage).estimate
+            estimate = on_campaign(start_model(self.case, campaign), campaign).refit(self.case.stage).estimate
             _WITHOUT[key] = estimate, self.measured(self.case.hidden[0], 0.0)
         return _WITHOUT[key]
 

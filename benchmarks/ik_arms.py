@@ -12,7 +12,7 @@ from clampid.models.model import Model, Session, StageModel
 from clampid.slots import Layout, Term, slots_of_terms
 from clampid.stages.experiment import parameter_of
 from kinematics.description import load_robot
-from offline_ik.arm import Conditions, IdentifiedArm, arm_of
+from offline_ik.arm.identified import Conditions, IdentifiedArm, arm_of
 
 STANDARD = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction", "thermal_expansion")
 CELL = """

@@ -22,7 +22,7 @@ from coverage_table import TWO_SIDED_95
 from clampid.effect import Stage
 from clampid.fitting.accuracy import noise_floor, predicted, size_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from clampid.stages.experiment import experiment
 from experiments.campaign import Campaign
@@ -58,10 +58,10 @@ class Paired:
 
 def unit_errors(model: Model, campaign: Campaign, stage: Stage) -> tuple[np.ndarray, np.ndarray]:
     """Mean squared error ``(k,)`` of each held-out unit, in units of the noise, and the units' numbers."""
-    opened = reopen(model, campaign)
+    opened = on_campaign(model, campaign)
     rows = opened.rows(stage)
     part = opened.stages[stage]
-    held = np.flatnonzero(rows.in_folds(opened.held(stage)))
+    held = np.flatnonzero(rows.in_folds(opened.held_out(stage)))
     floor = noise_floor(rows, predicted(experiment(rows, opened.effects, part.slots), part.theta))
     test = rows.take(held)
     residual = predicted(experiment(test, opened.effects, part.slots), part.theta)

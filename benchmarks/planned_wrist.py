@@ -28,6 +28,7 @@ from coverage_table import TWO_SIDED_95
 from clampid.identification.identify import identify
 from clampid.models.model import StageModel
 from clampid.planning.logs import torque_noise_of
+from clampid.planning.program import LogWishes
 from clampid.planning.wrist import plan_wrist
 from experiments.campaign import read_campaign
 from experiments.plans import Plan, cell_of, limits_of, read_plan, write_plan
@@ -79,7 +80,7 @@ def main() -> None:
 def planned(time: float = 600.0) -> Plan:
     """The plan, with the noise and the speeds that `clampid plan wrist` takes by itself."""
     cell = cell_of(ROBOT)[0]
-    return plan_wrist(cell, limits_of(cell.robot)[0], torque_noise_of(cell, None, None)[0], time=time)
+    return plan_wrist(cell, limits_of(cell.robot)[0], torque_noise_of(cell, None, None)[0], LogWishes(time=time))
 
 
 def promised(plan: Plan) -> npt.NDArray[np.float64]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from offline_ik.requests import WORDS
-from offline_ik.server import LINE_BYTES
+from offline_ik.exchange.requests import WORDS
+from offline_ik.server.server import LINE_BYTES
 
 GOOD = b"where gamma=0.3 delta=0.2 r=0.8"
 

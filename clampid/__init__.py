@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from clampid.models.calibrated import calibrated_chain
     from clampid.models.model import Model, load_model, save_model
     from experiments.campaign import read_campaign
-    from experiments.check import check_campaign
+    from experiments.checks.check import check_campaign
     from experiments.simulate import simulate
 
 __all__ = [
@@ -53,7 +53,7 @@ _HOME = {
     "add": "clampid.loop.add",
     "auto": "clampid.loop.auto",
     "calibrated_chain": "clampid.models.calibrated",
-    "check_campaign": "experiments.check",
+    "check_campaign": "experiments.checks.check",
     "compare": "clampid.comparison.compare",
     "dh_export": "clampid.exports.dh_export",
     "dh_table": "clampid.exports.dh_export",

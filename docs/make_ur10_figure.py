@@ -17,7 +17,7 @@ import matplotlib.pyplot as plt
 
 from clampid.catalogue import catalogue
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model
 from clampid.report.angle_curves import points_on
@@ -28,15 +28,15 @@ IMAGE = Path(__file__).parent / "images" / "ur10_angle_curves.png"
 EFFECTS = ("geometry", "joint_compliance", "shared_angle_curve")
 BLUE, GREY = "#0072B2", "#b0b0b0"
 COLOURS = ("#56B4E9", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-STEPS = 720
+CURVE_POINTS = 720
 
 
 def draw(model: Model, campaigns: Sequence[Campaign]) -> None:
     """Each joint's error by itself, and the one curve with what the poses of all joints say of it."""
     stage = model.stages["poses"]
-    angle = np.linspace(-np.pi, np.pi, STEPS + 1)
+    angle = np.linspace(-np.pi, np.pi, CURVE_POINTS + 1)
     found = angle_errors(stage, catalogue(), model.layout, campaigns[0].robot, np.tile(angle[:, None], (1, 6)))
-    one = shared_curve(stage, catalogue(), np.linspace(0.0, 2 * np.pi, 2 * STEPS + 1))
+    one = shared_curve(stage, catalogue(), np.linspace(0.0, 2 * np.pi, 2 * CURVE_POINTS + 1))
     if one is None:
         raise SystemExit("no two joints share a curve")
     figure = plt.figure(figsize=(10, 8.4), layout="constrained")
@@ -52,7 +52,7 @@ def draw(model: Model, campaigns: Sequence[Campaign]) -> None:
             axes.set_ylabel("arm less controller, µrad")
     axes = panels["all"]
     for session, campaign in enumerate(campaigns):
-        for j, on, value in points_on(one, stage_data(reopen(model, campaign)).get("poses")):
+        for j, on, value in points_on(one, stage_data(on_campaign(model, campaign)).get("poses")):
             label = f"joint {j + 1}{', mirrored' if one.sense[one.joints.index(j)] < 0 else ''}"
             label = label if session == 0 else "_" + label
             axes.plot(np.degrees(on), 1e6 * value, ".", ms=3, color=COLOURS[j], label=label)

@@ -2,7 +2,7 @@
 
 The contract is ``CAMPAIGN_FORMAT.md``. A folder that follows it is read; one that does not raises `CampaignError`,
 which names the file, the row and column, what was expected and what was found. What is allowed but improbable
-(degrees for radians, a joint that never moves) is for `experiments.check`.
+(degrees for radians, a joint that never moves) is for `experiments.checks.check`.
 """
 
 from __future__ import annotations

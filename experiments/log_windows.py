@@ -42,7 +42,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """A table ``free_air`` or ``wrist``: held, or in a Parquet file that is read, and checked, as it is needed.
+    """A table ``free_air`` or ``wrist``: in memory, or in a Parquet file that is read, and checked, as it is needed.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class LogTable:
 
     @staticmethod
     def of(source: pd.DataFrame | Path) -> LogTable:
-        """A table held and checked, or a Parquet file, whose rows are not read yet.
+        """A table in memory and checked, or a Parquet file, whose rows are not read yet.
 
         Raises
         ------
@@ -77,11 +77,11 @@ class LogTable:
             raise fault(source, expected="a whole Parquet file", found=f"none that can be read ({reason})") from error
 
     def frame(self, names: Sequence[str]) -> pd.DataFrame:
-        """Columns of all of its rows, held."""
+        """Columns of all of its rows, in memory."""
         return pd.concat([pd.DataFrame(dict(c)) for c in self.chunks(names)], ignore_index=True)
 
     def chunks(self, names: Sequence[str]) -> Iterator[Columns]:
-        """Columns in pieces, one after the other: all at once if the table is held."""
+        """Columns in pieces, one after the other: all at once if the table is in memory."""
         if isinstance(self.source, pd.DataFrame):
             yield {name: self.source[name].to_numpy(np.float64) for name in names}
             return
@@ -118,7 +118,7 @@ class LogTable:
 
 
 def batches(file: pa_parquet.ParquetFile, names: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    """Rows of a Parquet file in pieces; what one of its row groups held is let go before the next is read.
+    """Rows of a Parquet file in pieces; what one of its row groups took is let go before the next is read.
 
     Asked for all row groups at once, pyarrow keeps what it has decoded until the end.
     """
@@ -138,22 +138,22 @@ def windows(table: LogTable, names: Sequence[str], rows: int, halo: int) -> Iter
     names
         Which columns; ``run`` among them.
     """
-    held: dict[str, npt.NDArray[np.float64]] = {}
-    first = own = 0  # the log's row that is held[0], and the held row that the next window starts with
+    buffered: dict[str, npt.NDArray[np.float64]] = {}
+    first = own = 0  # the log's row that is buffered[0], and the buffered row that the next window starts with
     for chunk in table.chunks(names):
-        held = {n: np.concatenate([held[n], v]) for n, v in chunk.items()} if held else dict(chunk)
-        while len(held["run"]) - own >= rows + halo:
-            stop = _end(held["run"], own, own + rows)
+        buffered = {n: np.concatenate([buffered[n], v]) for n, v in chunk.items()} if buffered else dict(chunk)
+        while len(buffered["run"]) - own >= rows + halo:
+            stop = _end(buffered["run"], own, own + rows)
             start = max(own - halo, 0)
-            part = {n: v[start : stop + halo] for n, v in held.items()}
+            part = {n: v[start : stop + halo] for n, v in buffered.items()}
             yield Window(part, first + start, own - start, stop - start)
             own = stop
         keep = max(own - halo, 0)
-        held, first, own = {n: v[keep:] for n, v in held.items()}, first + keep, own - keep
-    while held and own < len(held["run"]):
-        stop = _end(held["run"], own, own + rows) if len(held["run"]) - own > rows else len(held["run"])
+        buffered, first, own = {n: v[keep:] for n, v in buffered.items()}, first + keep, own - keep
+    while buffered and own < len(buffered["run"]):
+        stop = _end(buffered["run"], own, own + rows) if len(buffered["run"]) - own > rows else len(buffered["run"])
         start = max(own - halo, 0)
-        yield Window({n: v[start : stop + halo] for n, v in held.items()}, first + start, own - start, stop - start)
+        yield Window({n: v[start : stop + halo] for n, v in buffered.items()}, first + start, own - start, stop - start)
         own = stop
 
 

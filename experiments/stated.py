@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.screws import rotation_of
+from kinematics.fixed_angles import rotation_of
 from kinematics.section import Section, shown
 from kinematics.typing_ import frozen_array
 

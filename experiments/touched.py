@@ -47,7 +47,7 @@ from experiments.header import LONGEST_PATH, header_in
 from experiments.tables import TableFile, read_table
 from experiments.toml_file import read_toml
 from experiments.validate import validate_table
-from kinematics.screws import rotation_of
+from kinematics.fixed_angles import rotation_of
 from kinematics.section import Section
 
 __all__ = ["FORMAT", "Feature", "Kind", "Touched", "read_touched"]

@@ -27,7 +27,7 @@ __all__ = ["DescriptionError", "Joint", "Link", "RobotDescription", "load_robot"
 
 _FORMAT = "clampid-robot/1"
 KINDS = ("revolute", "prismatic", "helical")
-FAR, HEAVY = 100.0, 1e5  # m and kg, of a robot's parts: beyond, millimetres or grams
+MAX_LENGTH, MAX_MASS = 100.0, 1e5  # m and kg, of a robot's parts: beyond, millimetres or grams
 MOST_TURNED = 1e4  # rad, or rad/s: a wrist of 255 turns is 1602
 LONGEST_SOURCE = 2000  # characters
 
@@ -157,7 +157,11 @@ def _joint(at: Section, home: _Home | None) -> Joint:
     """Read a joint; what it does not say of its axis, the DH table does, if there is one."""
     kind = at.text("kind", KINDS, "prismatic" if home is not None and home.prismatic else "revolute")
     turns = kind != "prismatic"
-    limits = _angle(at, "limits", length=2) if turns else at.vector("limits_m", 2, -FAR, FAR, "m", infinite=True)
+    limits = (
+        _angle(at, "limits", length=2)
+        if turns
+        else at.vector("limits_m", 2, -MAX_LENGTH, MAX_LENGTH, "m", infinite=True)
+    )
     if limits is None:
         raise at.fault("", "limits_deg or limits_rad", "neither")
     speed = _angle(at, "max_speed", per="_s") if turns else at.number("max_speed_m_s", default=None)
@@ -165,8 +169,10 @@ def _joint(at: Section, home: _Home | None) -> Joint:
         name=at.text("name"),
         kind=kind,
         axis=at.vector("axis") if home is None or at.has("axis") else home.axis,
-        point=at.vector("point_m", 3, -FAR, FAR, "m") if home is None or at.has("point_m") else home.point,
-        pitch=at.number("pitch_m_rad", -FAR, FAR, default=0.0) if kind == "helical" else 0.0,
+        point=at.vector("point_m", 3, -MAX_LENGTH, MAX_LENGTH, "m")
+        if home is None or at.has("point_m")
+        else home.point,
+        pitch=at.number("pitch_m_rad", -MAX_LENGTH, MAX_LENGTH, default=0.0) if kind == "helical" else 0.0,
         lower=float(limits[0]),
         upper=float(limits[1]),
         max_speed=None if speed is None else float(speed),
@@ -191,8 +197,8 @@ def _homes(dh: DHTable | None, n: int) -> tuple[list[_Home | None], Array | None
 def _link(at: Section) -> Link:
     inertia = at.rows("inertia_kg_m2", ())
     link = Link(
-        at.number("mass_kg", 0.0, HEAVY, "kg"),
-        at.vector("com_m", 3, -FAR, FAR, "m"),
+        at.number("mass_kg", 0.0, MAX_MASS, "kg"),
+        at.vector("com_m", 3, -MAX_LENGTH, MAX_LENGTH, "m"),
         inertia if at.has("inertia_kg_m2") else None,
     )
     at.done()
@@ -202,7 +208,7 @@ def _link(at: Section) -> Link:
 def _frame(at: Section) -> Array:
     """Build the pose from position, x and z; y follows, so that nothing is said twice."""
     x, z = at.vector("x"), at.vector("z")
-    place = at.vector("position_m", 3, -FAR, FAR, "m")
+    place = at.vector("position_m", 3, -MAX_LENGTH, MAX_LENGTH, "m")
     at.done()
     return transform(np.stack([x, np.cross(z, x), z], axis=-1), place)
 
@@ -214,8 +220,8 @@ def _dh(at: Section) -> DHTable:
             DHRow(
                 sign=row.integer("sign", -1, 1, 1),
                 theta_offset=float(_angle(row, "theta_offset", 0.0)),
-                d=row.number("d_m", -FAR, FAR, "m"),
-                a=row.number("a_m", -FAR, FAR, "m"),
+                d=row.number("d_m", -MAX_LENGTH, MAX_LENGTH, "m"),
+                a=row.number("a_m", -MAX_LENGTH, MAX_LENGTH, "m"),
                 alpha=float(_angle(row, "alpha", 0.0)),
                 beta=float(_angle(row, "beta", 0.0)),
                 prismatic=row.flag("prismatic", False),

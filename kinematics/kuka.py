@@ -20,8 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from kinematics.fixed_angles import roll_pitch_yaw, rotation_of
 from kinematics.robot import RobotDescription
-from kinematics.screws import inverse, roll_pitch_yaw, rotation_of, transform
+from kinematics.screws import inverse, transform
 from kinematics.typing_ import Array, frozen_array
 
 __all__ = [

@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from kinematics.checks import validate
+from kinematics.fixed_angles import roll_pitch_yaw
 from kinematics.reading import read_text
 from kinematics.robot import DescriptionError, Joint, JointKind, Link, RobotDescription
-from kinematics.screws import roll_pitch_yaw
 from kinematics.typing_ import Array
 
 __all__ = ["read_urdf", "write_urdf"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from clampid.verbs.errors import CallError
+from clampid.wrong_call import CallError
 
 __all__ = ["CellError", "DetectorError", "TargetError"]
 

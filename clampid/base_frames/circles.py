@@ -27,11 +27,11 @@ from kinematics.screws import exp_se3, exp_so3, inverse
 
 __all__ = ["Circle", "CircleFit", "circles_of", "fit_circles"]
 
-FEWEST = 5  # angles on a circle: three define it, and two more say how well
+MIN_ANGLES = 5  # angles on a circle: three define it, and two more say how well
 SAME = 1e-4  # rad: other joints that are closer than this stand still
 SMALLEST = 0.01  # m: a point nearer to the axis says nothing about where it is
 PARALLEL = 1e-6  # sine of the angle between axes that have no common normal
-FAR = 6.0  # robust standard deviations beyond which a point is wrong
+OUTLIER_DEVIATIONS = 6.0  # robust standard deviations beyond which a point is wrong
 ROUNDS, SETTLED = 10, 1e-7  # rad and m: a base that moves less has been found
 MAX_STEPS = 60  # of one fit; ten are usual
 FARTHEST_OFF = 0.05  # m, rms: the deflection of the softest arm is a tenth of it
@@ -118,13 +118,13 @@ def circles_of(rows: Rows) -> tuple[Circle, ...]:
         for k in range(int(group.max()) + 1):
             here = np.flatnonzero((group == k) & rows.used[:, 0])
             angles = np.unique(np.round(q[here, joint] / SAME))
-            if len(angles) >= FEWEST and radius[here[0]] > SMALLEST:
+            if len(angles) >= MIN_ANGLES and radius[here[0]] > SMALLEST:
                 found.append(Circle(joint, _target(rows, here[0]), here, float(np.ptp(q[here, joint]))))
     missing = [f"joint {j + 1}" for j in (0, 1) if not any(c.joint == j for c in found)]
     if missing:
         raise CampaignError(
-            f"expected circles of joints 1 and 2, each of {FEWEST} poses or more between which only that joint moves; "
-            f"found none of {' and '.join(missing)}"
+            f"expected circles of joints 1 and 2, each of {MIN_ANGLES} poses or more between which only that joint "
+            f"moves; found none of {' and '.join(missing)}"
         )
     return tuple(sorted(found, key=lambda c: (c.joint, int(c.rows[0]))))
 
@@ -165,7 +165,9 @@ def _without_outliers(rows: Rows, circles: Sequence[Circle], points: Array, star
         size = np.zeros(len(rows))
         np.maximum.at(size, found.point, np.abs(found.misfit))
         # The worst first: it has drawn the circles of others away from them.
-        limit = max(FAR * NORMAL * float(np.median(np.abs(found.misfit))) + 1e-12, 0.5 * float(size.max()))
+        limit = max(
+            OUTLIER_DEVIATIONS * NORMAL * float(np.median(np.abs(found.misfit))) + 1e-12, 0.5 * float(size.max())
+        )
         left = found.used & (size <= limit)
         if np.array_equal(left, found.used):
             return found

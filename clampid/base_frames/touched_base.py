@@ -33,7 +33,7 @@ from kinematics.screws import inverse, log_se3
 
 __all__ = ["TouchedFrame", "base_from_touches"]
 
-FAR = 6.0  # robust standard deviations beyond which a touch is wrong
+OUTLIER_DEVIATIONS = 6.0  # robust standard deviations beyond which a touch is wrong
 MOST_WRONG = 0.1  # of the touches: more are no errors of single ones, and none is left out
 ROUNDS = 3  # how errors are weighed depends on the base a little
 
@@ -229,7 +229,7 @@ def _fitted(touches: Touches, shared: _Shared, start: Array | None) -> tuple[_Fi
     while True:
         spread = np.sqrt(np.diag(sum(shared.parts(fitted.touches, *_lines(fitted), kept).values())))
         size = np.abs(fitted.misfit) / spread
-        limit = FAR * max(NORMAL * float(np.median(size)), 1.0)
+        limit = OUTLIER_DEVIATIONS * max(NORMAL * float(np.median(size)), 1.0)
         worst = int(np.argmax(size))
         if size[worst] <= limit:
             return fitted, kept

@@ -28,7 +28,7 @@ from kinematics.screws import exp_se3, hat3, inverse, log_se3
 
 __all__ = ["Touches", "descend", "starts_of", "touches_of", "undetermined"]
 
-STEPS, SETTLED = 200, 1e-11  # rad and m: a base that moves less has been found
+MAX_STEPS, SETTLED = 200, 1e-11  # rad and m: a base that moves less has been found
 BLIND = 1e-4  # of the best determined motion: below that share of it a motion is not determined by the touches
 ALIKE = 2.0  # of the best rms: a base that fits no worse than this is another that might be meant
 APART = 1e-3  # rad and m between bases that are not one
@@ -113,7 +113,7 @@ def descend(touches: Touches, base: Array, covariance: Array | None = None) -> t
 
     damping = 1e-3
     misfit, J = whitened(base)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
         A = J / scale
         step = np.linalg.solve(A.T @ A + damping * np.eye(6), -A.T @ misfit) / scale

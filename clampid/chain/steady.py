@@ -27,15 +27,15 @@ KEPT = 3  # sets of columns, of all chains together: a diagnosis remembers dozen
 
 
 class Steady:
-    """Columns of a chain's partials that depend on recorded signals and held parameters alone.
+    """Columns of a chain's partials that depend on recorded signals and fixed parameters alone.
 
     Parameters
     ----------
     function
-        (held parameters, row) → the columns.
+        (fixed parameters, row) → the columns.
     signals
         Names and widths of the signals that it reads.
-    held
+    fixed
         Numbers of the parameters that it reads.
     columns, others
         Numbers ``(k,)``, ``(r,)`` of the steady columns, and of the rest, among the chain's partials.
@@ -47,19 +47,19 @@ class Steady:
         self,
         function: Blocks,
         signals: Sequence[tuple[str, int]],
-        held: Integers,
+        fixed: Integers,
         columns: Integers,
         others: Integers,
         station: Integers,
         parameter: Integers,
     ) -> None:
-        self.function, self.signals, self.held = function, tuple(signals), held
+        self.function, self.signals, self.fixed = function, tuple(signals), fixed
         self.parameter, self.count = parameter, len(columns) + len(others)
         self._stations = [(int(station[run.start]), run) for run, _ in _runs(station, np.zeros_like(station))]
         self._places = _runs(np.zeros_like(columns), columns), _runs(np.zeros_like(others), others)
 
     def partials(self, theta: Array, read: tuple[Array, ...]) -> Array:
-        """The steady columns ``(N, k)``, as they were found before where rows and held parameters are the same.
+        """The steady columns ``(N, k)``, as they were found before where rows and fixed parameters are the same.
 
         Parameters
         ----------
@@ -68,14 +68,14 @@ class Steady:
         read
             The signals, in their order, ``(N, …)`` each; the same arrays for the same rows.
         """
-        held = theta[self.held]
+        fixed = theta[self.fixed]
         for owner, key, arrays, found in _KNOWN:
-            if owner is self and key == held.tobytes() and all(a is b for a, b in zip(arrays, read, strict=True)):
+            if owner is self and key == fixed.tobytes() and all(a is b for a, b in zip(arrays, read, strict=True)):
                 return found
         found = self.function(
-            held, *(np.reshape(a, (len(a), w)) for a, (_, w) in zip(read, self.signals, strict=True))
+            fixed, *(np.reshape(a, (len(a), w)) for a, (_, w) in zip(read, self.signals, strict=True))
         )[0]
-        _KNOWN.appendleft((self, held.tobytes(), read, found))
+        _KNOWN.appendleft((self, fixed.tobytes(), read, found))
         return found
 
     def add(self, values: Array, partials: Array, theta: Array, first: int = 0) -> None:
@@ -94,7 +94,7 @@ class Steady:
 
 
 _KNOWN: deque[tuple[Steady, bytes, tuple[Array, ...], Array]] = deque(maxlen=KEPT)
-"""The columns found last, with whose they are, the held parameters and the signals that they are of."""
+"""The columns found last, with whose they are, the fixed parameters and the signals that they are of."""
 
 
 class Parted(NamedTuple):
@@ -142,12 +142,12 @@ def parted(
     without[chosen.tolist()] = 0.0
     kept = partials[others.tolist()] if len(others) else ca.SX(0, 1)
     values, kept = ca.substitute([values, kept], [theta], [without])
-    held = np.setdiff1d(np.arange(theta.shape[0]), free)
+    fixed = np.setdiff1d(np.arange(theta.shape[0]), free)
     own = partials[columns.tolist()]
     read = {name: flat for name, flat in flats.items() if ca.depends_on(own, flat)}
-    function = ca.Function("steady", [theta[held.tolist()], ca.vertcat(*read.values())], [own])
+    function = ca.Function("steady", [theta[fixed.tolist()], ca.vertcat(*read.values())], [own])
     signals = [(name, flat.shape[0]) for name, flat in read.items()]
-    steady = Steady(Blocks(function), signals, held, columns, others, station[columns], parameter[columns])
+    steady = Steady(Blocks(function), signals, fixed, columns, others, station[columns], parameter[columns])
     return Parted(values, kept, steady)
 
 

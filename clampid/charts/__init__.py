@@ -4,22 +4,8 @@ A figure of the report is a :class:`Chart`. :func:`clampid.charts.svg.svg` draws
 :data:`clampid.charts.style.STYLE` gives each a value for light and for dark pages, so that a figure follows the page.
 """
 
-from clampid.charts.marks import (
-    Axis,
-    Band,
-    Bars,
-    Cells,
-    Chart,
-    Label,
-    Level,
-    Line,
-    Mark,
-    Panel,
-    Points,
-    Segments,
-    Span,
-    thin,
-)
+from clampid.charts.chart import Chart
+from clampid.charts.marks import Axis, Band, Bars, Cells, Label, Level, Line, Mark, Panel, Points, Segments, Span, thin
 
 __all__ = [
     "Axis",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,6 @@ __all__ = [
     "Band",
     "Bars",
     "Cells",
-    "Chart",
     "Label",
     "Level",
     "Line",
@@ -25,6 +24,7 @@ __all__ = [
     "Span",
     "thin",
 ]
+
 
 Array = npt.NDArray[np.float64]
 
@@ -188,47 +188,6 @@ class Panel:
     def named(self, name: str) -> list[Mark]:
         """The marks of a name."""
         return [m for m in self.marks if getattr(m, "name", None) == name]
-
-
-@dataclass(frozen=True)
-class Chart:
-    """Panels, row by row.
-
-    Attributes
-    ----------
-    across
-        Panels in a row; 0 is three at most.
-    height
-        Of the whole, for a width of 1080.
-    heights
-        Of the rows, relative to each other; empty is all alike.
-    left
-        Room for the texts left of each row.
-    below
-        A title of the x axis under all panels.
-    """
-
-    panels: tuple[Panel, ...]
-    height: float = 420
-    across: int = 0
-    heights: tuple[float, ...] = field(default=())
-    left: float = 64
-    below: str = ""
-
-    @property
-    def columns(self) -> int:
-        """Panels in a row."""
-        return self.across or min(3, max(1, len(self.panels)))
-
-    def named(self, name: str) -> list[Mark]:
-        """The marks of a name in all panels."""
-        return [m for panel in self.panels for m in panel.named(name)]
-
-    def _repr_svg_(self) -> str:
-        """Itself, for a notebook."""
-        from clampid.charts.svg import standalone
-
-        return standalone(self)
 
 
 def thin(count: int, limit: int) -> npt.NDArray[np.int64]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from typing import TYPE_CHECKING
 
 from clampid.charts.draw import drawn, key_of
-from clampid.charts.marks import Chart, Line, Mark, Panel, Points
+from clampid.charts.marks import Line, Mark, Panel, Points
 from clampid.charts.scale import APART_X, APART_Y, Box, Scale, scales
 from clampid.charts.style import STYLE
+
+if TYPE_CHECKING:
+    from clampid.charts.chart import Chart
 
 __all__ = ["WIDTH", "boxes", "local", "over", "parts", "placed", "standalone", "svg", "x_frame"]
 

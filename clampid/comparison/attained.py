@@ -18,7 +18,7 @@ from clampid.fitting.fit import fit
 from clampid.role_slots import slot_of
 from clampid.stages.experiment import experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows
-from experiments.iso9283 import WANTED, expected_repeatability, pose_metrics
+from experiments.measures.iso9283 import WANTED, expected_repeatability, pose_metrics
 from kinematics.screws import log_so3, nearest_rotation
 
 __all__ = ["Attained", "as_sent", "iso9283"]
@@ -76,8 +76,9 @@ def iso9283(rows: Rows, residual: Array) -> dict[str, Any]:
     -------
     dict
         ``returns_wanted``, ``position`` and, where orientations were measured or follow from three targets or more of
-        one visit, ``orientation``; both as :class:`experiments.iso9283.PoseMetrics` says them. ``RP_by_instrument`` of
-        positions is what thirty returns of a perfect robot would show with the instrument's stated noise.
+        one visit, ``orientation``; both as :class:`experiments.measures.iso9283.PoseMetrics` says them.
+        ``RP_by_instrument`` of positions is what thirty returns of a perfect robot would show with the instrument's
+        stated noise.
     """
     used = np.flatnonzero(rows.used[:, 0])
     frame = rows.constants["base_reference"][:, :3, :3]

@@ -17,7 +17,7 @@ from clampid.fitting.accuracy import Floor, cross_validated, noise_floor, predic
 from clampid.fitting.fit import fit, without_outlying
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import TABLES_OF, held_out_folds
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, ModelError, StageModel
@@ -127,7 +127,7 @@ def compare(
             raise ValueError(f"refit: expected base or tool, found {part!r}")
     if refit and not 0.0 < refit_fraction < 1.0:
         raise ValueError(f"refit_fraction: expected a share between 0 and 1, found {refit_fraction}")
-    opened = reopen(model, campaign, user_effects)
+    opened = on_campaign(model, campaign, user_effects)
     tables: dict[str, dict[str, Any]] = {}
     for stage in in_parts(opened.stages, str):
         if not any(t in campaign.tables for t in TABLES_OF[stage]):
@@ -152,7 +152,7 @@ def compare(
     return Comparison(model.robot, campaign.name, tables, drives, drives_p, compensation_of(opened), units)
 
 
-def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | None:
+def _independent_drives(opened: ModelOnCampaign) -> tuple[StageModel, StageModel] | None:
     """The clamped stage and the poses, fitted so that neither knows of the other; None where one of them is missing."""
     here = {"clamped", "poses"} <= set(opened.campaign.tables) & set(opened.stages)
     if not here or opened.session is None:
@@ -163,15 +163,17 @@ def _independent_drives(opened: Reopened) -> tuple[StageModel, StageModel] | Non
     before = {name: stage for name, stage in opened.stages.items() if name not in ("clamped", "poses")}
     alone = []
     for stage in (clamped, poses):
-        if stage is clamped and stage.told is None:  # stage by stage it knows nothing of the poses anyway
+        if stage is clamped and stage.carried_prior is None:  # stage by stage it knows nothing of the poses anyway
             alone.append(stage)
             continue
-        rows, held = opened.rows(stage.stage), opened.held(stage.stage)
-        alone.append(fit_stage(rows, opened.effects, stage.terms, before, stage.values(), held).model)
+        rows, held_out = opened.rows(stage.stage), opened.held_out(stage.stage)
+        alone.append(fit_stage(rows, opened.effects, stage.terms, before, stage.values(), held_out).model)
     return alone[0], alone[1]
 
 
-def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float] | None) -> dict[str, dict[str, Any]]:
+def _as_fitted(
+    opened: ModelOnCampaign, stage: Stage, seed: int, sample: Sequence[float] | None
+) -> dict[str, dict[str, Any]]:
     """Every table of a stage at the model's own values."""
     model = opened.stages[stage]
     rows = opened.rows(stage)
@@ -182,14 +184,14 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
     trial = opened.experiment(stage, rows)
     residual = predicted(trial, model.theta)
     floor = noise_floor(rows, residual)
-    held = opened.held(stage)
-    fitted = ~rows.in_folds(held) if opened.session is not None else np.zeros(len(rows), dtype=bool)
+    held_out = opened.held_out(stage)
+    fitted = ~rows.in_folds(held_out) if opened.session is not None else np.zeros(len(rows), dtype=bool)
     verification = opened.verification() if stage == "poses" else None
 
     @cache
     def kept_out() -> tuple[Rows, Array, Bools]:
         """Rows of these tables that no fit has seen, or each predicted by a fit without it."""
-        if opened.session is None or any(held):
+        if opened.session is None or any(held_out):
             return rows, residual, ~fitted
         estimate = opened.refit(stage).with_best_weights(seed).estimate
         test, left = cross_validated(estimate, estimate.experiment.rows, seed)
@@ -219,7 +221,7 @@ def _as_fitted(opened: Reopened, stage: Stage, seed: int, sample: Sequence[float
 
 
 def _placed(
-    opened: Reopened,
+    opened: ModelOnCampaign,
     rows: Rows,
     residual: Array,
     test: Rows,
@@ -297,12 +299,12 @@ def _motor(rows: Rows, residual: Array, chosen: Bools, motor: int) -> dict[str, 
 
 
 def _refitted(
-    opened: Reopened, refit: Sequence[str], share: float, seed: int, sample: Sequence[float] | None
+    opened: ModelOnCampaign, refit: Sequence[str], share: float, seed: int, sample: Sequence[float] | None
 ) -> dict[str, dict[str, Any]]:
     """The poses with only base, tool or both fitted anew on a share of whole poses; the rest is held out."""
     model, rows = opened.stages["poses"], opened.rows("poses")
-    held = held_out_folds(rows, 1.0 - share, seed)
-    out = rows.in_folds(held)
+    held_out = held_out_folds(rows, 1.0 - share, seed)
+    out = rows.in_folds(held_out)
     if not (~out).any() or not out.any():
         raise ModelError(f"{opened.campaign.name}: too few poses to refit on a share of {share:g} of them")
     moved = _moved_slots(opened, rows, refit)
@@ -327,7 +329,7 @@ def _refitted(
     return found
 
 
-def _beyond(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]:
+def _beyond(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any]:
     """How many of the held-out rows ask the model for what it was not identified on, and for what.
 
     Nothing of ranges that the model file does not have, nor of curves that the model does not have.
@@ -342,7 +344,7 @@ def _beyond(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]:
     return entry
 
 
-def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
+def _extrapolated(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any] | None:
     """Which share of the held-out rows, joint by joint, stands at angles that no pose of the fit came near.
 
     Of joints on one curve a pose of any counts for all.
@@ -360,7 +362,7 @@ def _extrapolated(opened: Reopened, rows: Rows, chosen: Bools) -> dict[str, Any]
     return {"share": float(far.any(axis=1).mean()), "joints": joints, **together}
 
 
-def _moved_slots(opened: Reopened, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:
+def _moved_slots(opened: ModelOnCampaign, rows: Rows, refit: Sequence[str]) -> tuple[Slot, ...]:
     """The slots of base and tool in this campaign."""
     found: list[Slot] = []
     session = opened.layout.sessions[0]

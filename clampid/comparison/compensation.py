@@ -24,7 +24,7 @@ from scipy import stats
 from clampid.chain.chain import Deviations
 from clampid.display import with_error
 from clampid.fitting.noise import NORMAL
-from clampid.identification.reopen import Reopened
+from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.role_slots import any_of_role, numbers_of_role
 from clampid.roles import WEIGHTS
 from clampid.stages import poses
@@ -33,7 +33,7 @@ from clampid.stages.rows import Array, Bools, Rows
 
 __all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
 
-STEPS = 12
+MAX_NEWTON_STEPS = 12
 SETTLED = 1e-7  # of a factor, m or rad
 ELSEWHERE = 1e-6  # rad: where a robot is sent closer than this, it gives way as it would here
 WEIGHT = ("gravity_torque", "sag_torque", "regressor", "tool_regressor")
@@ -41,7 +41,7 @@ _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
 LEVEL = 1e-3  # chance that a true explanation is not accepted
 ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
 KNOWN = 0.25  # standard error of a factor beyond which these poses cannot determine it
-FAR = 6.0  # robust standard deviations: wrong rows
+OUTLIER_DEVIATIONS = 6.0  # robust standard deviations: wrong rows
 DEGREES = 180.0 / np.pi
 AMPLIFIED = 5.0  # times the deflections: what is then left of the model's own small errors shows among the noise
 EXPLANATIONS: tuple[tuple[float, float, str], ...] = (
@@ -109,7 +109,7 @@ def sent_elsewhere(found: Compensation) -> str:
     return said
 
 
-def compensation_of(opened: Reopened) -> Compensation | None:
+def compensation_of(opened: ModelOnCampaign) -> Compensation | None:
     """Look for a compensation, and for mistakes in it, in a campaign's poses.
 
     Returns
@@ -151,7 +151,7 @@ def compensation_of(opened: Reopened) -> Compensation | None:
     return Compensation(factors, spread, base, base_std, wrong, said, explained)
 
 
-def put_right(opened: Reopened, found: Compensation) -> Reopened | None:
+def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign | None:
     """The campaign with the joint values to which its compensation sent the robot, instead of those asked for.
 
     With the factors that the explanation has, so that a mistake is taken for what it is called, and springs within what
@@ -192,11 +192,11 @@ class _Bending:
     covariance: Array
 
 
-def _bending(opened: Reopened, trial: Experiment) -> _Bending:
+def _bending(opened: ModelOnCampaign, trial: Experiment) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
     springs = numbers_of_role(model.slots, "compliance")
-    held = trial.with_flanks(model.theta).rows.signals
+    at_flanks = trial.with_flanks(model.theta).rows.signals
     angle = trial.chain.offsets["joint_angle"]
     stiff = model.theta.copy()
     stiff[springs] = 0.0
@@ -214,9 +214,12 @@ def _bending(opened: Reopened, trial: Experiment) -> _Bending:
         return each
 
     declared = opened.campaign.tool.mass * np.r_[1.0, opened.campaign.tool.com]
-    bare = {**held, "gravity_torque": held["gravity_torque"] - held["tool_regressor"] @ declared}
-    weightless = {**held, **{name: np.zeros_like(held[name]) for name in WEIGHT}}  # dry friction still winds up springs
-    whole, arm, rest = (through_each(signals) for signals in (held, bare, weightless))
+    bare = {**at_flanks, "gravity_torque": at_flanks["gravity_torque"] - at_flanks["tool_regressor"] @ declared}
+    weightless = {
+        **at_flanks,
+        **{name: np.zeros_like(at_flanks[name]) for name in WEIGHT},
+    }  # dry friction still winds up springs
+    whole, arm, rest = (through_each(signals) for signals in (at_flanks, bare, weightless))
     size = np.where(model.theta[springs] != 0.0, model.theta[springs], np.inf)
     covariance = model.covariance[np.ix_(springs, springs)] / np.outer(size, size)
     return _Bending(np.array([arm - rest, whole - arm]), covariance)
@@ -257,7 +260,7 @@ class _Search:
 
 
 def _search(
-    opened: Reopened, trial: Experiment, parts: Array, mean: Array | None = None, spread: Array | None = None
+    opened: ModelOnCampaign, trial: Experiment, parts: Array, mean: Array | None = None, spread: Array | None = None
 ) -> _Search:
     """Gauss-Newton on factors of deflections ``(F, N, n)``; where a compensation sends the robot, it gives way anew.
 
@@ -267,7 +270,7 @@ def _search(
     theta, sent = np.zeros(count + 6 + 3 * targets.shape[1]), np.zeros_like(parts[0])
     theta[:count] = 0.0 if mean is None else mean
     rows, at = trial.rows, _values(trial, opened)
-    for _ in range(STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         shift = np.einsum("p,pni->ni", theta[:count], parts)
         if np.abs(shift - sent).max() > ELSEWHERE:
             moved = trial.with_rows(_sent(opened, trial.rows, shift))
@@ -285,7 +288,7 @@ def _search(
         columns = np.concatenate([np.stack(factors, axis=2), S[:, :, n : n + 6], shifts], axis=2)
         residual = rows.measured[:, :3] - position
         size = np.linalg.norm(residual, axis=1)
-        used = rows.used[:, 0] & (size <= FAR * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
+        used = rows.used[:, 0] & (size <= OUTLIER_DEVIATIONS * NORMAL * np.median(size[rows.used[:, 0]]) + 1e-12)
         J, r = columns[used].reshape(-1, len(theta)), residual[used].ravel()
         scale = np.linalg.norm(J, axis=0)
         scale[scale == 0.0] = 1.0
@@ -302,7 +305,7 @@ def _search(
     return _Search(theta, rows, used, S[:, :, :n], columns, r, step)
 
 
-def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
+def _fit(opened: ModelOnCampaign, trial: Experiment, bent: _Bending) -> _Fit:
     """Factors on what the arm's own weight and the tool bend, and their covariance."""
     found = _search(opened, trial, bent.parts.sum(axis=1))
     theta, used, r = found.theta, found.used, found.residual
@@ -322,7 +325,7 @@ def _fit(opened: Reopened, trial: Experiment, bent: _Bending) -> _Fit:
     return _Fit(theta, covariance, found.columns[used])
 
 
-def _sent(opened: Reopened, rows: Rows, shift: Array) -> Rows:
+def _sent(opened: ModelOnCampaign, rows: Rows, shift: Array) -> Rows:
     """The rows at joint values shifted by ``(N, n)``, seen from the same base."""
     table = _shifted(opened.campaign.tables["poses"], shift)
     campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
@@ -335,7 +338,7 @@ def _shifted(table: pd.DataFrame, shift: Array) -> pd.DataFrame:
     return table.assign(**dict(zip(names, (table[names].to_numpy(float) + shift).T, strict=True)))
 
 
-def _values(trial: Experiment, opened: Reopened) -> Array:
+def _values(trial: Experiment, opened: ModelOnCampaign) -> Array:
     """The model's station values ``(N, S)``."""
     theta = opened.stages["poses"].theta
     return trial.chain.evaluate(theta, trial.with_flanks(theta).rows.signals).values

@@ -11,7 +11,7 @@ from clampid.comparison.attained import as_sent
 from clampid.effect import Effect, Stage
 from clampid.fitting.accuracy import noise_floor, predicted, rms_of
 from clampid.identification.identify import TABLES_OF
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.model import Model
 from clampid.stages.rows import Bools, Rows
 from experiments.campaign import Campaign
@@ -42,7 +42,7 @@ def nominal_errors(
     several = [campaigns] if isinstance(campaigns, Campaign) else list(campaigns)
     squares: dict[Stage, list[tuple[float, int]]] = {}
     for campaign in several:
-        opened = reopen(model, campaign, user_effects)
+        opened = on_campaign(model, campaign, user_effects)
         for stage in opened.stages:
             if stage != "clamped" and opened.has(TABLES_OF[stage]) and not campaign.long:
                 error = _points(opened) if stage == "poses" else _torques(opened)
@@ -54,7 +54,7 @@ def nominal_errors(
     }
 
 
-def _points(opened: Reopened) -> tuple[float, int] | None:
+def _points(opened: ModelOnCampaign) -> tuple[float, int] | None:
     """Root mean square and number of points; None where distances were measured instead."""
     if "poses" not in opened.campaign.tables:
         return None
@@ -76,7 +76,7 @@ def nominal_points(rows: Rows, effects: Mapping[str, Effect], good: Bools) -> fl
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
-def _torques(opened: Reopened) -> tuple[float, int]:
+def _torques(opened: ModelOnCampaign) -> tuple[float, int]:
     """Root mean square in units of the motors' noise, and number of rows."""
     rows = opened.rows("free_air")
     found = opened.experiment("free_air", rows)

@@ -10,7 +10,7 @@ import numpy as np
 from clampid.comparison.attained import as_sent, iso9283
 from clampid.effect import Effect
 from clampid.stages.rows import Array, Bools, Integers, Rows
-from experiments.metrics import norm_metrics, split_about
+from experiments.measures.metrics import norm_metrics, split_about
 
 __all__ = ["placing"]
 
@@ -47,9 +47,9 @@ def placing(
         ``rows``, ``universal`` and ``sample`` of the robot as its controller has it.
     """
     sent = as_sent(rows, effects)
-    held = test.take(chosen)
-    returned = _returned(held)
-    compensated = iso9283(held, test_residual[chosen]) if returned else iso9283(rows, residual)
+    held_out = test.take(chosen)
+    returned = _returned(held_out)
+    compensated = iso9283(held_out, test_residual[chosen]) if returned else iso9283(rows, residual)
     out: dict[str, Any] = {
         "iso9283": {
             "robot": iso9283(rows, sent.residual),

@@ -45,7 +45,7 @@ class Confirmed:
 
     def step(self, entry: dict[str, Any]) -> Step:
         """For the ledger."""
-        return Step(tuple(self.tried.kept), evidence_of(entry, self.tried.best, self.tried.look, self.refused))
+        return Step(tuple(self.tried.kept), evidence_of(entry, self.tried.best, self.tried.scores, self.refused))
 
 
 def with_needed_only(bench: Bench, steps: Sequence[Confirmed], again: set[str]) -> list[Confirmed]:

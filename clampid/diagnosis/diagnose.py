@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from clampid.comparison.compensation import Compensation, compensation_of, put_right, sent_elsewhere
+from clampid.diagnosis.candidate_scores import refuse_few_flips
 from clampid.diagnosis.few_rows import refuse_unjudged
 from clampid.diagnosis.headline import headline, notes
-from clampid.diagnosis.look import refuse_few_flips
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan, weak_ones
 from clampid.diagnosis.omission import exported_shift, shift_in_words
@@ -24,7 +24,7 @@ from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import TABLES_OF, session_of
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.shown import Shown
@@ -116,9 +116,9 @@ def diagnose(
         There are fewer flips than the level of the test needs: nothing could be found to be missing.
     """
     refuse_few_flips(flips)
-    opened = mending = reopen(model, campaigns, user_effects)
+    opened = mending = on_campaign(model, campaigns, user_effects)
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own
-    alone = [reopen(model, c, user_effects) for c in opened.campaigns] if several else [opened]
+    alone = [on_campaign(model, c, user_effects) for c in opened.campaigns] if several else [opened]
     compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
     posed = "poses" in opened.stages and (stages is None or "poses" in stages)
     right = None if several or compensation is None or not posed else put_right(opened, compensation)
@@ -140,7 +140,7 @@ def diagnose(
 
 
 def _one(
-    opened: Reopened, stage: Stage, seed: int, flips: int, plan_for: Sequence[str] | None = None
+    opened: ModelOnCampaign, stage: Stage, seed: int, flips: int, plan_for: Sequence[str] | None = None
 ) -> StageDiagnosis:
     rows = opened.rows(stage)
     fitted = opened.refit(stage, rows)
@@ -149,18 +149,19 @@ def _one(
     done: dict[tuple[object, ...], FittedStage] = {}
 
     def refit(terms: Sequence[Term], last: FittedStage, start: Mapping[Slot, float]) -> FittedStage:
-        known, held, told = {**last.model.values(), **start}, opened.held(stage), opened.stages[stage].told
+        known, held = {**last.model.values(), **start}, opened.held_out(stage)
+        others = opened.stages[stage].carried_prior or before
         # Poses may be looked through twice, and then most of what is fitted is the same. A fit of a log is too large.
         key = (tuple(terms), tuple(known.items()), float(last.estimate.noise.sigma.sum()))
         found = done.get(key)
         if found is None:
-            found = fit_stage(rows, opened.effects, terms, before, known, held, told, last=last.estimate)
+            found = fit_stage(rows, opened.effects, terms, others, known, held, last=last.estimate)
             if stage == "poses":
                 done[key] = found
         return found
 
     verification = opened.verification(fitted.base_reference) if stage == "poses" else None
-    if opened.stages[stage].told is None:  # else the model knows more than these rows
+    if opened.stages[stage].carried_prior is None:  # else the model knows more than these rows
         refuse_unjudged(fitted, verification is not None)
 
     refused: list[str] = []
@@ -200,30 +201,30 @@ def _one(
 
 
 def _test_too(
-    opened: Reopened, found: StageDiagnosis, effects: dict[str, Effect], names: Sequence[str], seed: int
+    opened: ModelOnCampaign, found: StageDiagnosis, effects: dict[str, Effect], names: Sequence[str], seed: int
 ) -> None:
     """Plan what tests better what the rows of a stage test too weakly."""
-    if found.look is None or found.fitted is None:
+    if found.scores is None or found.fitted is None:
         return
     estimate = found.fitted.estimate
     here = [n for n in names if found.stage in getattr(effects.get(n.partition("@")[0]), "stages", (found.stage,))]
     if names and not here:
         return
-    weak = weak_ones(found.look, estimate, effects, here)
+    weak = weak_ones(found.scores, estimate, effects, here)
     try:
-        found.next_plan = showing_plan(opened.campaign, estimate, weak, found.look.space.scale, seed)
+        found.next_plan = showing_plan(opened.campaign, estimate, weak, found.scores.space.scale, seed)
     except PlanError as error:
         found.warnings.append(f"No plan can be made: {error}.")
 
 
-def _alone(opened: Reopened, poses: FittedStage) -> Model:
+def _alone(opened: ModelOnCampaign, poses: FittedStage) -> Model:
     """A model of the poses of these campaigns alone."""
     seen, anchors = poses.base_reference, poses.anchors
     sessions = tuple(session_of(c, seen.get(s), anchors.get(s)) for s, c in enumerate(opened.campaigns))
     return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=sessions)
 
 
-def _called_for(opened: Reopened, stage: Stage) -> frozenset[Term]:
+def _called_for(opened: ModelOnCampaign, stage: Stage) -> frozenset[Term]:
     """What the torque log has shown to act at the joints, where this is the stage of poses."""
     if stage != "poses" or "free_air" not in opened.stages:
         return frozenset()
@@ -231,7 +232,7 @@ def _called_for(opened: Reopened, stage: Stage) -> frozenset[Term]:
     return frozenset(t for t in known if set(opened.effects[t.effect].acts) == {"joint_torque"})
 
 
-def _effects_for(opened: Reopened, stage: Stage) -> dict[str, Effect]:
+def _effects_for(opened: ModelOnCampaign, stage: Stage) -> dict[str, Effect]:
     """The effects that a stage looks for.
 
     What acts as a torque at a joint shows in torque logs directly. Where there are such logs, poses do not blame one

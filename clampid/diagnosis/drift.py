@@ -20,7 +20,7 @@ __all__ = ["Drift", "blocks_of_visits", "drift_of"]
 
 LAGS = 10
 RATE = 0.01  # chance of a warning where visits are independent
-FEWEST = 20  # blocks: of fewer, flips of signs say little
+MIN_BLOCKS = 20  # blocks: of fewer, flips of signs say little
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,12 @@ def drift_of(estimate: Estimate) -> Drift | None:
     for means in parts:
         n = len(means)
         total = np.sum(means**2, axis=0)
-        told = total > 0.0
-        lagged = np.array([np.sum(means[k:] * means[:-k], axis=0) for k in range(1, LAGS + 1)])[:, told]
-        rho = lagged / total[told]
+        varying = total > 0.0
+        lagged = np.array([np.sum(means[k:] * means[:-k], axis=0) for k in range(1, LAGS + 1)])[:, varying]
+        rho = lagged / total[varying]
         products += n * np.sum(rho, axis=1)
         variance += rho.shape[1] * n * (n - lag) / (n + 2)  # of independent visits rho has (n - k) / n (n + 2)
-        count += n * int(told.sum())
+        count += n * int(varying.sum())
     if not count:
         return None
     correlation, z = products / count, products / np.sqrt(variance)
@@ -90,7 +90,7 @@ def drift_of(estimate: Estimate) -> Drift | None:
     visits, first = sum(map(len, parts)), float(np.clip(correlation[0], 0.0, 0.99))
     lasts = max(int(np.ceil((1.0 + first) / (1.0 - first))), best + 1)
     clocked = not all(_counts(rows, s) for s in np.unique(rows.session))
-    return Drift(p, float(correlation[best]), max(1, min(lasts, visits // FEWEST)), best + 1, clocked)
+    return Drift(p, float(correlation[best]), max(1, min(lasts, visits // MIN_BLOCKS)), best + 1, clocked)
 
 
 def _counts(rows: Rows, session: int) -> bool:

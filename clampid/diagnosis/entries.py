@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.look import ALIASED, CONFUSABLE, RATE, Look
+from clampid.diagnosis.candidate_scores import ALIASED, CONFUSABLE, RATE, CandidateScores
 from clampid.effect import WEAK, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical
@@ -24,8 +24,7 @@ def entry_of(
     s: Scored,
     null: Flips,
     effects: dict[str, Effect],
-    before: float,
-    after: float | None,
+    rms: tuple[float, float | None],
     estimate: Estimate | None = None,
     kept: Sequence[Term] | None = None,
     rivals: Sequence[Scored] = (),
@@ -35,7 +34,7 @@ def entry_of(
 
     Parameters
     ----------
-    before, after
+    rms
         Held-out rms without it and with it, in the stage's unit; None where it was not fitted.
     estimate
         The fit with it, for its parameters; without, the score's own estimate, one step from zero.
@@ -56,8 +55,8 @@ def entry_of(
         "alternative": False,
         "p_value": float(np.exp(max(s.log_p, -690.0))),
         "p_familywise": null.p_familywise(s.log_p),
-        "heldout_rms_before": before,
-        "heldout_rms_after": after,
+        "heldout_rms_before": rms[0],
+        "heldout_rms_after": rms[1],
         "parameters": _parameters(s, effects, estimate, scale),
         "confusable_with": confusable_with(rivals, s) if rivals else [],
         "explained": s.explained,
@@ -163,10 +162,10 @@ def considered_of(scored: Sequence[Scored], null: Flips, most: int = LISTED) -> 
     ]
 
 
-def with_stand_ins(considered: list[dict[str, Any]], look: Look) -> list[dict[str, Any]]:
+def with_stand_ins(considered: list[dict[str, Any]], scores: CandidateScores) -> list[dict[str, Any]]:
     """Mark names that merely absorb a part of what the best probe explains."""
-    whole = look.probe.explained if look.probe is not None else 0.0
-    share = {s.candidate.label: s.explained / whole for s in look.named if s.freedom and whole > 0}
+    whole = scores.probe.explained if scores.probe is not None else 0.0
+    share = {s.candidate.label: s.explained / whole for s in scores.named if s.freedom and whole > 0}
     for entry in considered:
         part = share.get(label_of(entry["name"], entry["where"]), 0.0)
         if part > 0.2:
@@ -174,14 +173,14 @@ def with_stand_ins(considered: list[dict[str, Any]], look: Look) -> list[dict[st
     return considered
 
 
-def variables_of(look: Look) -> list[str]:
+def variables_of(scores: CandidateScores) -> list[str]:
     """The variables of the best probe, and of others at the same place that fire nearly as strongly."""
-    if look.probe is None:
+    if scores.probe is None:
         return []
-    names = dict.fromkeys(look.probe.candidate.depends_on)
-    for s in sorted(look.free, key=lambda s: -s.bic):
-        close = s.bic > 0.8 * look.probe.bic and s.candidate.places == look.probe.candidate.places
-        if close and look.free_null.p_familywise(s.log_p) <= RATE:
+    names = dict.fromkeys(scores.probe.candidate.depends_on)
+    for s in sorted(scores.free, key=lambda s: -s.bic):
+        close = s.bic > 0.8 * scores.probe.bic and s.candidate.places == scores.probe.candidate.places
+        if close and scores.free_null.p_familywise(s.log_p) <= RATE:
             names |= dict.fromkeys(s.candidate.depends_on)
     return list(names)
 

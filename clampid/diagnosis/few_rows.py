@@ -22,9 +22,9 @@ NOTABLE = 1.3  # from this factor on the error of the estimates is a part of wha
 
 def _factor(estimate: Estimate) -> float:
     """How many times the noise the error of held-out poses is, under a right model; infinite where none can be told."""
-    numbers, told = freedom_of(estimate)
-    left = FITTED * numbers - told - 1.0
-    return float(np.sqrt(1.0 + told / left)) if left > 0.0 else float("inf")
+    numbers, determined = freedom_of(estimate)
+    left = FITTED * numbers - determined - 1.0
+    return float(np.sqrt(1.0 + determined / left)) if left > 0.0 else float("inf")
 
 
 def estimates_share(estimate: Estimate, verified: bool) -> float:
@@ -52,9 +52,9 @@ def refuse_unjudged(fitted: FittedStage, verified: bool) -> None:
     estimate = fitted.estimate
     if verified or estimate.experiment.stage != "poses" or np.isfinite(_factor(estimate)):
         return
-    numbers, told = freedom_of(estimate)
+    numbers, determined = freedom_of(estimate)
     raise FitError(
         "poses: expected measured numbers of which four fifths are more than the parameters that they determine, "
-        f"found {numbers} and {told}: too few degrees of freedom are left to separate a missing effect from the "
+        f"found {numbers} and {determined}: too few degrees of freedom are left to separate a missing effect from the "
         "error of the fit; measure more poses, or a table verification"
     )

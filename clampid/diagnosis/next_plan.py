@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from clampid.diagnosis.look import Look
+from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.next_measurement import STATES, NextPlan
 from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
 from clampid.diagnosis.testability import noncentrality
@@ -74,12 +74,14 @@ def _pool_of(campaign: Campaign, estimate: Estimate, seed: int) -> PoolOf:
     return partial(sweeps_to_choose, campaign, estimate, seed=seed)
 
 
-def weak_ones(look: Look, estimate: Estimate, effects: Mapping[str, Effect], names: Sequence[str] = ()) -> list[Weak]:
+def weak_ones(
+    scores: CandidateScores, estimate: Estimate, effects: Mapping[str, Effect], names: Sequence[str] = ()
+) -> list[Weak]:
     """Parameters of which these rows would not find the usual size with 90 % probability.
 
     Parameters
     ----------
-    look
+    scores
         What was seen of the candidates, with the null that decides.
     names
         ``effect`` or ``effect@joint3``: these only, whether a usual size would be found or not; then half of the
@@ -90,11 +92,11 @@ def weak_ones(look: Look, estimate: Estimate, effects: Mapping[str, Effect], nam
     EffectError
         A name is no effect, or none that could be added in this stage.
     """
-    wanted = [_asked(name, look, effects) for name in names]
+    wanted = [_asked(name, scores, effects) for name in names]
     factor: dict[int, float] = {}
     out: dict[Slot, Weak] = {}
     shapes: dict[str, Mapping[Slot, float]] = {}
-    for s in sorted(look.named, key=lambda s: len(s.candidate.terms)):
+    for s in sorted(scores.named, key=lambda s: len(s.candidate.terms)):
         c = s.candidate
         if c.prior is not None or effects[c.name].event is not None:
             continue
@@ -104,7 +106,7 @@ def weak_ones(look: Look, estimate: Estimate, effects: Mapping[str, Effect], nam
             continue  # the same at other values of its shapes
         freedom = max(s.freedom, 1)
         if freedom not in factor:
-            factor[freedom] = noncentrality(freedom, look.named_null)
+            factor[freedom] = noncentrality(freedom, scores.named_null)
         for k, slot in enumerate(c.slots):
             parameter = parameter_of(slot, effects, estimate.experiment.rows.robot)
             limit = float(s.unit_limit[k] * np.sqrt(factor[freedom]))
@@ -116,17 +118,17 @@ def weak_ones(look: Look, estimate: Estimate, effects: Mapping[str, Effect], nam
     return list(out.values())
 
 
-def _asked(name: str, look: Look, effects: Mapping[str, Effect]) -> tuple[str, str]:
+def _asked(name: str, scores: CandidateScores, effects: Mapping[str, Effect]) -> tuple[str, str]:
     """Effect, and place or nothing."""
     effect, _, place = name.partition("@")
-    known = {s.candidate.name for s in look.named}
+    known = {s.candidate.name for s in scores.named}
     if effect not in known:
         also = "it is in the model already, or does not act here" if effect in effects else "there is no such effect"
         raise EffectError(
             f"{name}: expected an effect that could be added, found none: {also}; there are {', '.join(sorted(known))}"
         )
-    if not any(_matches(s, effect, place) for s in look.named):
-        places = sorted({p for s in look.named if effect == s.candidate.name for p in s.candidate.places})
+    if not any(_matches(s, effect, place) for s in scores.named):
+        places = sorted({p for s in scores.named if effect == s.candidate.name for p in s.candidate.places})
         raise EffectError(f"{name}: expected one of its places, {', '.join(places)}, found {place!r}")
     return effect, place
 

@@ -28,7 +28,7 @@ from experiments.plans.validate import validate_plan
 
 __all__ = ["next_poses", "plan_of", "poses_of", "poses_to_choose"]
 
-POOL, BATCH, MOST = 200, 5, 40
+POOL, BATCH, MAX_POSES = 200, 5, 40
 APPROACH = 0.05  # rad (m): the last move of every joint to a pose
 MEASURE_TIME = 3.0  # s for each point
 
@@ -70,7 +70,7 @@ def poses_to_choose(
         spans = (f"q{j + 1} {a:.0f} to {b:.0f}" for j, (a, b) in enumerate(np.degrees([mine.min(0), mine.max(0)]).T))
         return f"{', '.join(spans)} degrees; {TEMPERATURES[state]}"
 
-    return Pool(nuisance, tuple(columns), np.ones(len(q)), ("pose", "poses"), BATCH, MOST, words, plan)
+    return Pool(nuisance, tuple(columns), np.ones(len(q)), ("pose", "poses"), BATCH, MAX_POSES, words, plan)
 
 
 def _choices(campaign: Campaign, seed: int) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from clampid.diagnosis.next_measurement import TEMPERATURES
-from clampid.diagnosis.pools import Pool, cell_of, joined, told_by
+from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
@@ -40,7 +40,7 @@ PATHS = 2  # of each speed
 ALONE = 2  # of the speeds, the fastest ones, at which one joint goes alone
 STOPS = 200  # configurations to go through
 CHUNK = 4  # runs looked at together
-MOST = 10
+MAX_RUNS = 10
 REST = 60.0  # s, between runs in the sum of what they cost
 
 
@@ -78,12 +78,12 @@ def runs_to_choose(
     # Of a dense log several rows are one number to the noise: one row is imagined for each of these.
     noise = estimate.noise
     sparse = replace(estimate, noise=replace(noise, together=1))
-    told: list[Array] = []
+    information: list[Array] = []
     for start in range(0, len(kinds), CHUNK):
         few = [kind.course for kind in kinds[start : start + CHUNK]]
         rows = _imagined_rows(campaign, estimate, cell, few, rate / noise.together, state, fastest)
-        told += told_by(sparse, candidates, rows, rows.constants["run"])
-    nuisance, columns = joined(told, candidates, len(estimate.slots))
+        information += columns_seen_by(sparse, candidates, rows, rows.constants["run"])
+    nuisance, columns = joined(information, candidates, len(estimate.slots))
     assumed = (*assumed, f"the robot is {TEMPERATURES[state]}", "the floor is the only obstacle")
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
@@ -107,7 +107,7 @@ def runs_to_choose(
         return f"{'; '.join(f'{n} × {said}' for said, n in counts.items())}; {TEMPERATURES[state]}"
 
     cost = np.array([kind.course.length + REST for kind in kinds])
-    return Pool(nuisance, columns, cost, ("run", "runs"), 1, MOST, words, plan)
+    return Pool(nuisance, columns, cost, ("run", "runs"), 1, MAX_RUNS, words, plan)
 
 
 def _fastest(estimate: Estimate, limits: Limits) -> float:

@@ -10,19 +10,12 @@ import numpy as np
 import pandas as pd
 
 from clampid.diagnosis.next_measurement import TEMPERATURES
-from clampid.diagnosis.pools import Pool, cell_of, joined, told_by
+from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
-from clampid.planning.clamping import (
-    PAUSE_S,
-    Press,
-    careful_limits,
-    in_order,
-    planned_sweep,
-    postures_for,
-    press_limits,
-    stiffness_of,
-)
+from clampid.planning.clamping import careful_limits, in_order, planned_sweep, postures_for
+from clampid.planning.clamping_bench import PAUSE_S
+from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
 from clampid.stages.clamped import standing_angles
 from clampid.stages.clamped_rows import clamped_rows
@@ -36,12 +29,12 @@ from experiments.plans.validate import sweep_fault, validate_plan
 __all__ = ["sweeps_to_choose"]
 
 AMPLITUDES = (0.05, 0.2, 0.4)  # of the rated motor torques
-STEPS = 8  # in a quarter of a sweep
+STEPS_PER_QUARTER = 8  # in a quarter of a sweep
 NEW, USED = 3, 2  # postures: such as nobody has clamped the flange in, and of the campaign
 ALIKE = 0.02  # rad: two sweeps closer than this were one clamping
 MARGIN = 1.3  # by how much stiffer drives may be than they have been found
 CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
-MOST = 16
+MAX_SWEEPS = 16
 CLAMPING = 600.0  # s, to clamp the flange
 
 
@@ -62,7 +55,7 @@ def sweeps_to_choose(
     limits = press_limits(free, rated)
     blank = Plan("clamping", cell, limits, 0.0, stiffness=MARGIN * press.stiffness)
     sweeps, shares = _sweeps(blank, press, _places(estimate, cell, limits, seed))
-    told: list[Array] = []
+    information: list[Array] = []
     for start in range(0, len(sweeps), CHUNK):
         few = sweeps[start : start + CHUNK]
         rows = _imagined_rows(campaign, estimate, cell, few, press, state)
@@ -70,8 +63,8 @@ def sweeps_to_choose(
         def standing(theta: Array, rows: Rows = rows, few: Sequence[Sweep] = few) -> Array:
             return _standing(estimate, candidates, cell, rows, few, theta)
 
-        told += told_by(estimate, candidates, rows, rows.constants["run"], standing)
-    nuisance, columns = joined(told, candidates, len(estimate.slots))
+        information += columns_seen_by(estimate, candidates, rows, rows.constants["run"], standing)
+    nuisance, columns = joined(information, candidates, len(estimate.slots))
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
         mine = in_order([sweeps[k] for k in chosen])
@@ -103,7 +96,7 @@ def sweeps_to_choose(
         return f"{counts}; in {many}; {TEMPERATURES[state]}"
 
     cost = np.array([len(s.offset) * s.dwell + PAUSE_S for s in sweeps])
-    return Pool(nuisance, columns, cost, ("sweep", "sweeps"), 1, MOST, words, plan)
+    return Pool(nuisance, columns, cost, ("sweep", "sweeps"), 1, MAX_SWEEPS, words, plan)
 
 
 def _stiffness(estimate: Estimate, described: Array) -> Array:
@@ -133,7 +126,7 @@ def _sweeps(blank: Plan, press: Press, places: Array) -> tuple[list[Sweep], list
         for joint in range(blank.cell.robot.n):
             for share in AMPLITUDES:
                 pressed = replace(press, amplitude=np.full(blank.cell.robot.n, share))
-                sweep = planned_sweep(blank, pressed, posture, joint, STEPS)
+                sweep = planned_sweep(blank, pressed, posture, joint, STEPS_PER_QUARTER)
                 if sweep_fault(bounded, sweep) is None:
                     found.append(sweep)
                     shares.append(share)

@@ -20,7 +20,7 @@ from kinematics.robot import RobotDescription
 __all__ = ["exported_shift", "shift_in_words"]
 
 CLEAR = 2.0  # standard errors beyond which a shift is told
-MOST = 3  # numbers named in a sentence
+MAX_NAMED = 3  # numbers named in a sentence
 
 
 def exported_shift(before: Model, after: Model, robot: RobotDescription) -> list[dict[str, Any]]:
@@ -63,9 +63,9 @@ def shift_in_words(shifts: list[dict[str, Any]]) -> str:
     if not shifts:
         return ""
     named = []
-    for entry in shifts[:MOST]:
+    for entry in shifts[:MAX_NAMED]:
         off = with_error(entry["shift"], entry["std"], entry["unit"])
         row = f"row {entry['row']}" if entry["row"].isdigit() else entry["row"]
         named.append(f"{entry['parameter']} of {row} by {off}")
-    more = f", and {len(shifts) - MOST} more numbers" if len(shifts) > MOST else ""
+    more = f", and {len(shifts) - MAX_NAMED} more numbers" if len(shifts) > MAX_NAMED else ""
     return f"Without it the exported DH table was biased: {', '.join(named)}{more}."

@@ -19,7 +19,7 @@ from scipy import linalg
 
 from clampid.stages.rows import Array
 
-__all__ = ["Parting", "Showing", "part", "show"]
+__all__ = ["Parting", "Rivals", "Showing", "part", "show"]
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,26 @@ class Parting:
     after: float
     shared: tuple[float, float] = (1.0, 1.0)
     never: tuple[tuple[int, int, float, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Rivals:
+    """Candidates that may explain the same rows.
+
+    Attributes
+    ----------
+    nuisance, columns
+        Whitened columns ``(M, P)`` of what is fitted in any case, and ``(M, k)`` of each candidate, in the rows so far.
+    values
+        ``(k,)``: what the rows make of each candidate.
+    precision
+        ``(P, P)``: the prior of what is fitted in any case.
+    """
+
+    nuisance: Array
+    columns: Sequence[Array]
+    values: Sequence[Array]
+    precision: Array
 
 
 @dataclass(frozen=True)
@@ -141,10 +161,7 @@ class _Signal:
 
 
 def part(
-    nuisance: Array,
-    columns: Sequence[Array],
-    values: Sequence[Array],
-    precision: Array,
+    rivals: Rivals,
     pool_nuisance: Array,
     pool_columns: Sequence[Array],
     *,
@@ -159,12 +176,8 @@ def part(
 
     Parameters
     ----------
-    nuisance, columns
-        Whitened columns ``(M, P)`` of what is fitted in any case, and ``(M, k)`` of each candidate, in the rows so far.
-    values
-        ``(k,)``: what the rows make of each candidate.
-    precision
-        ``(P, P)``: the prior of what is fitted in any case.
+    rivals
+        The candidates in the rows so far.
     pool_nuisance, pool_columns
         The same columns in measurements to choose from: ``(K, r, P)`` and ``(K, r, k)`` each.
     enough
@@ -174,6 +187,7 @@ def part(
     cost
         ``(K,)``: what each measurement costs, such as seconds; the gain counts for what it costs.
     """
+    nuisance, columns, values, precision = rivals.nuisance, rivals.columns, rivals.values, rivals.precision
     signals: dict[tuple[int, int], _Signal] = {}
     whole: dict[_Normal, _Normal] = {}
     for b, column in enumerate(columns):

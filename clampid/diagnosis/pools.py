@@ -21,7 +21,7 @@ from experiments.plans.cell import cell_like
 from experiments.plans.limits import Limits, limits_of
 from experiments.plans.model import Cell, Plan
 
-__all__ = ["Pool", "Seen", "cell_of", "joined", "seen_of", "told_by", "without_own"]
+__all__ = ["Pool", "Seen", "cell_of", "columns_seen_by", "joined", "seen_of", "without_own"]
 
 UNSTATED = 1e-4  # m: a position's, where the instrument states angles and ranges
 FREE = 1e-6  # of a column's length: how tightly a measurement's own constants are known before it
@@ -120,7 +120,7 @@ def joined(parts: Sequence[Array], candidates: Sequence[Candidate], count: int) 
     return stacked[:, :, :count], tuple(_split(stacked[:, :, count:], candidates))
 
 
-def told_by(
+def columns_seen_by(
     estimate: Estimate,
     candidates: Sequence[Candidate],
     rows: Rows,

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, Gain, NextPlan
-from clampid.diagnosis.parting import Showing, part, show
+from clampid.diagnosis.parting import Rivals, Showing, part, show
 from clampid.diagnosis.pools import Pool, seen_of
 from clampid.effect import Parameter
 from clampid.evidence.candidates import Candidate
@@ -71,10 +71,7 @@ def propose_parting(
         pool = pool_of(candidates, state)
         choose = partial(
             part,
-            seen.nuisance / scale,
-            [D / scale for D in seen.columns],
-            [s.value for s in wanted],
-            prior,
+            Rivals(seen.nuisance / scale, [D / scale for D in seen.columns], [s.value for s in wanted], prior),
             pool.nuisance / scale,
             [D / scale for D in pool.columns],
             batch=pool.batch,

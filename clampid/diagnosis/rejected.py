@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from clampid.diagnosis.candidate_scores import ABLE, RATE, CandidateScores
 from clampid.diagnosis.entries import considered_of
-from clampid.diagnosis.look import ABLE, RATE, Look
 from clampid.evidence.score import Scored
 
 __all__ = ["evidence_of"]
@@ -19,7 +19,7 @@ ABOUT = (
 
 
 def evidence_of(
-    chosen: Mapping[str, Any], best: Scored, look: Look, refused: Sequence[Mapping[str, Any]]
+    chosen: Mapping[str, Any], best: Scored, scores: CandidateScores, refused: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     """The evidence of a step, under the names that ``diagnose`` has for candidates, and what was rejected.
 
@@ -27,27 +27,27 @@ def evidence_of(
     ----------
     chosen
         The step as a verdict lists it.
-    best, look
-        The candidate behind it, and the look that found it.
+    best, scores
+        The candidate behind it, and the scores that found it.
     refused
         Candidates that were fitted before it and refused, as a verdict lists them, with the ``reason``.
     """
-    rejected = [*refused, *_passed_over(best, look)]
+    rejected = [*refused, *_passed_over(best, scores)]
     return {
         **{key: chosen[key] for key in FOR if key in chosen},
         "rejected": [{key: entry[key] for key in ABOUT if key in entry} for entry in _once(rejected)],
     }
 
 
-def _passed_over(best: Scored, look: Look) -> list[dict[str, Any]]:
+def _passed_over(best: Scored, scores: CandidateScores) -> list[dict[str, Any]]:
     """Of every effect that stood out of the noise, too, the best place that the step does not have."""
     found: dict[str, Scored] = {}
     mine = set(best.candidate.terms)
-    for s in sorted((s for s in look.named if s.freedom), key=lambda s: -s.bic):
-        stands_out = s.bic > 0 and look.named_null.p_familywise(s.log_p) <= RATE
+    for s in sorted((s for s in scores.named if s.freedom), key=lambda s: -s.bic):
+        stands_out = s.bic > 0 and scores.named_null.p_familywise(s.log_p) <= RATE
         if stands_out and s.state in (*ABLE, "implausible") and not mine & set(s.candidate.terms):
             found.setdefault(s.candidate.name, s)
-    entries = considered_of(list(found.values()), look.named_null, len(found))
+    entries = considered_of(list(found.values()), scores.named_null, len(found))
     return [{**entry, "reason": _reason(s, best)} for entry, s in zip(entries, found.values(), strict=True)]
 
 

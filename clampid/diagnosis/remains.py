@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirm import Fall, cross_fitted_fall, probe_held_out_fall
 from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.entries import variables_of
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p
-from clampid.diagnosis.look import Look
 from clampid.display import error_text
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
@@ -79,18 +79,20 @@ class Remains:
         )
 
 
-def remains_of(look: Look, estimate: Estimate, held: HeldOut, verification: Rows | None, seed: int) -> Remains | None:
-    """What the best probe of a look finds, if it fires and lowers the error of rows that no fit has seen; else None.
+def remains_of(
+    scores: CandidateScores, estimate: Estimate, held: HeldOut, verification: Rows | None, seed: int
+) -> Remains | None:
+    """What the best probe finds, if it fires and lowers the error of rows that no fit has seen; else None.
 
     Which probe is first without a fifth of the rows is not asked: of an error of several joints, each part of the rows
     may show another joint's share best.
     """
-    if not look.fires or look.probe is None:
+    if not scores.fires or scores.probe is None:
         return None
-    fall = _fall(look.probe, estimate, verification, seed)
+    fall = _fall(scores.probe, estimate, verification, seed)
     if fall.p > HELD_OUT_RATE:
         return None
-    where, poses = look.probe.candidate.places, estimate.experiment.stage == "poses"
+    where, poses = scores.probe.candidate.places, estimate.experiment.stage == "poses"
 
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held.rows, where))) * held.rms
@@ -100,7 +102,7 @@ def remains_of(look: Look, estimate: Estimate, held: HeldOut, verification: Rows
         large = size >= MATTERS * held.floor.norm > 0.0 and held.rms > held.floor.norm
     else:
         large = size_of(fall.share + float(stats.norm.isf(CLEARLY)) * fall.error) >= MATTERS
-    found = variables_of(look)
+    found = variables_of(scores)
     return Remains(tuple(found), where, size, fall.p, large or above_the_floor(held, CLEARLY))
 
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from clampid.diagnosis.above import OneSided
+from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.folds import Folds
-from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan, NextPoses
 from clampid.diagnosis.remains import Remains
+from clampid.diagnosis.residual_excess import OneSided
 from clampid.effect import Stage
 from clampid.fitting.agreeing import Agreement
 from clampid.identification.fitted_stage import FittedStage
@@ -46,12 +46,12 @@ class Step:
 class StageDiagnosis:
     """What was found in one stage; :meth:`to_json` gives the contract's form.
 
-    ``steps``: what was confirmed, one after the other, each on top of those before it. ``look``: the last one, at what
-    the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with each
-    other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts of
-    runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows cannot
-    tell apart: what later stages take over, because the parameters' errors in it have room for that. ``alike``: of
-    groups in which it makes no difference which it is, one, as steps that may be added; ``fitted`` has them.
+    ``steps``: what was confirmed, one after the other, each on top of those before it. ``scores``: the last ones, on
+    what the fit with them leaves. ``remains``: patterns too small to matter. ``agreeing``: rows far off that agree with
+    each other, and are therefore no outliers. ``rows``: how many there are, outliers among them. ``folds``: which parts
+    of runs were held out, where these were not whole. ``open``: the fit with one of each group of what these rows
+    cannot tell apart: what later stages take over, because the parameters' errors in it have room for that. ``alike``:
+    of groups in which it makes no difference which it is, one, as steps that may be added; ``fitted`` has them.
     ``in_order``: these and ``steps``, as they were found.
     """
 
@@ -72,7 +72,7 @@ class StageDiagnosis:
     next_measurement: str | None = None
     next_plan: NextPlan | None = None
     next_poses: NextPoses | None = None
-    look: Look | None = None
+    scores: CandidateScores | None = None
     omission: list[dict[str, Any]] = field(default_factory=list)
     exported_shift: list[dict[str, Any]] = field(default_factory=list)
     testability: list[dict[str, Any]] = field(default_factory=list)

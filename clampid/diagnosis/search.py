@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirmed import Confirmed, with_needed_only
 from clampid.diagnosis.folds import Folds, folds_of
 from clampid.diagnosis.held_out import HeldOut
-from clampid.diagnosis.look import Look
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Taken, Tried, Undecided
 from clampid.evidence.candidates import Candidate
@@ -38,19 +38,19 @@ class Searched:
         Such groups, of which it has none.
     refused
         What was refused in the last round, as listed.
-    fitted, held, look
-        The last fit, its errors on rows that it has not seen, and a look at what it leaves.
+    fitted, held, scores
+        The last fit, its errors on rows that it has not seen, and the scores on what it leaves.
     """
 
     before: HeldOut
-    first_look: Look
+    first_scores: CandidateScores
     steps: list[Confirmed]
     taken: list[Taken]
     undecided: list[Undecided]
     refused: list[dict[str, Any]]
     fitted: FittedStage
     held: HeldOut
-    look: Look
+    scores: CandidateScores
 
 
 def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
@@ -61,8 +61,8 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     places the flange differently at others.
     """
     rows, effects = fitted.estimate.experiment.rows, bench.effects
-    first_look = look = bench.look(fitted, 0)
-    if bench.folds is None and (finer := folds_of(rows, _on_trial(look), effects)) is not None:
+    first_scores = scores = bench.scores(fitted, 0)
+    if bench.folds is None and (finer := folds_of(rows, _on_trial(scores), effects)) is not None:
         return finer
     before = held = bench.held_out(fitted)
     steps: list[Confirmed] = []
@@ -71,8 +71,8 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
     for number in range(1, ROUNDS + 1):
-        tried, others = bench.decided(look, fitted, held)  # a ranking is valid for one step
-        finer = bench.folds or folds_of(rows, _on_trial(look, others), effects)
+        tried, others = bench.decided(scores, fitted, held)  # a ranking is valid for one step
+        finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:
             return finer
         refused = [t.refusal(effects, held.rms) for t in others]
@@ -87,11 +87,11 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(refused))], dropped)
             fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
-        look = bench.look(fitted, 2 * number)
-    return Searched(before, first_look, steps, taken, undecided, refused, fitted, held, look)
+        scores = bench.scores(fitted, 2 * number)
+    return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held, scores)
 
 
-def _on_trial(look: Look, refused: Sequence[Tried] = ()) -> list[Candidate]:
-    """The candidates that come to trial: the best name of a look, and those that were refused after it."""
-    best = look.best()
+def _on_trial(scores: CandidateScores, refused: Sequence[Tried] = ()) -> list[Candidate]:
+    """The candidates that come to trial: the best name of some scores, and those that were refused after it."""
+    best = scores.best()
     return [*([] if best is None else [best.candidate]), *(t.best.candidate for t in refused)]

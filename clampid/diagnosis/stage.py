@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.above import above_floor, one_sided, one_sided_words
+from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.confirmed import Confirmed
 from clampid.diagnosis.drift import drift_of
 from clampid.diagnosis.entries import (
@@ -21,10 +21,10 @@ from clampid.diagnosis.entries import (
 from clampid.diagnosis.few_rows import estimates_share
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HeldOut
-from clampid.diagnosis.look import Look
 from clampid.diagnosis.next_measurement import NextPlan
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.remains import remains_of
+from clampid.diagnosis.residual_excess import excess_over_floor, one_sided, one_sided_words
 from clampid.diagnosis.result import StageDiagnosis, Step
 from clampid.diagnosis.search import Searched, search
 from clampid.diagnosis.separators import separating_measurement, something_else
@@ -90,9 +90,9 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
     result.noise_floor = floor.norm if stage == "poses" else 1.0
-    held, look, probe = outcome.held, outcome.look, outcome.first_look.probe
+    held, scores, probe = outcome.held, outcome.scores, outcome.first_scores.probe
     result.before, result.after = outcome.before.rms, held.rms
-    result.depends_on = list(probe.candidate.depends_on) if outcome.first_look.fires and probe is not None else []
+    result.depends_on = list(probe.candidate.depends_on) if outcome.first_scores.fires and probe is not None else []
     refused = _set_down(result, outcome.steps, outcome.refused, effects, fitted.estimate)
     if outcome.taken or outcome.undecided:
         _undecided(result, outcome, effects, bench, propose)
@@ -100,23 +100,23 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     for one, step in zip(reversed(outcome.taken), reversed(result.alike), strict=True):
         result.in_order.insert(one.after, step)
     # Of what is not in the model now: before a large effect was added, its residual hid much of what shows without it.
-    result.testability = testability_of(look.named, look.named_null, effects, first.experiment.rows.robot)
-    result.considered = [*refused, *considered_of(look.named, look.named_null)]
+    result.testability = testability_of(scores.named, scores.named_null, effects, first.experiment.rows.robot)
+    result.considered = [*refused, *considered_of(scores.named, scores.named_null)]
     tested = None if verification is None else held.rows
     result.outliers = _rejected(fitted.estimate, verification, held)
     few = estimates_share(fitted.estimate, verification is not None)
     excess = result.after > FAR_OFF * few * (floor.most if stage == "poses" else 1.0)
-    left = remains_of(look, fitted.estimate, held, tested, seed)
+    left = remains_of(scores, fitted.estimate, held, tested, seed)
     if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
-        _unknown(result, look, fitted.estimate, seed)
+        _unknown(result, scores, fitted.estimate, seed)
     elif left is not None and not left.matters:
         result.remains.append(left)
     if result.verdict == "adequate":
         result.depends_on = []  # what fired brought nothing on rows that no fit has seen
     result.candidates = merged(result.candidates)
     result.agreeing, result.rows = agreeing_rows(fitted.estimate), len(first.experiment.rows)
-    result.omission, result.fitted, result.look = omission_of(first, fitted.estimate), fitted, look
-    _in_words(result, look, floor.source, first.experiment.rows, effects, few)
+    result.omission, result.fitted, result.scores = omission_of(first, fitted.estimate), fitted, scores
+    _in_words(result, scores, floor.source, first.experiment.rows, effects, few)
     return result
 
 
@@ -149,11 +149,13 @@ def _set_down(
 
 
 def _in_words(
-    result: StageDiagnosis, look: Look, source: str, rows: Rows, effects: dict[str, Effect], few: float
+    result: StageDiagnosis, scores: CandidateScores, source: str, rows: Rows, effects: dict[str, Effect], few: float
 ) -> None:
     """Set down the verdict in words, with what an error above the floor may be, and joints seen from one side only."""
     if result.verdict in ("adequate", "missing"):
-        result.above = above_floor(result.after, result.noise_floor, source, len(result.outliers), look.free, few)
+        result.above = excess_over_floor(
+            result.after, result.noise_floor, source, len(result.outliers), scores.free, few
+        )
     result.one_sided = one_sided(rows)
     said = one_sided_words(result.one_sided, rows, effects)
     result.warnings += [found.sentence for found in result.agreeing]
@@ -177,17 +179,19 @@ def _undecided(
                 before, after = here.before.rms, here.held.rms if s is group.members[0] else bench.alone(here.base, s)
             elif number == 1:  # those beside them were found in another fit
                 after = bench.alone(fitted, s)
-            look = group.look
-            entry = entry_of(s, look.named_null, effects, before, after, rivals=group.members, scale=look.space.scale)
+            scores = group.scores
+            entry = entry_of(
+                s, scores.named_null, effects, (before, after), rivals=group.members, scale=scores.space.scale
+            )
             entries.append({**entry, "alternative": True, "group": number})
         result.candidates += entries
         if here is not None:
-            evidence = evidence_of(entries[0], group.members[0], group.look, ())
+            evidence = evidence_of(entries[0], group.members[0], group.scores, ())
             result.alike.append(Step(group.members[0].candidate.terms, evidence))
     first = groups[0]
     result.next_measurement = separating_measurement((s.candidate.family for s in first.members), effects, result.stage)
     base = outcome.taken[0].base if outcome.taken else fitted
-    proposed = None if propose is None else propose(base.estimate, first.members, first.look.space.scale)
+    proposed = None if propose is None else propose(base.estimate, first.members, first.scores.space.scale)
     if proposed is not None:
         never = [tuple(label.partition("@")[0] for label in pair[:2]) for pair in proposed.never]
         result.ask_for(proposed, [something_else(pair, effects, result.stage) for pair in never])
@@ -196,10 +200,10 @@ def _undecided(
         result.open = bench.with_undecided(left, fitted, fitted)[0] if left else fitted
 
 
-def _unknown(result: StageDiagnosis, look: Look, estimate: Estimate, seed: int) -> None:
+def _unknown(result: StageDiagnosis, scores: CandidateScores, estimate: Estimate, seed: int) -> None:
     """Set down that something is left which no name explains, and on what it depends and how, if a probe tells."""
     result.verdict = "unknown"
-    result.depends_on = variables_of(look) if look.fires else []
-    result.considered = with_stand_ins(result.considered, look) + considered_of(look.free, look.free_null, 5)
-    if look.fires and look.probe is not None:
-        result.shape = shape_of(estimate, look.space, look.probe, result.depends_on, seed)
+    result.depends_on = variables_of(scores) if scores.fires else []
+    result.considered = with_stand_ins(result.considered, scores) + considered_of(scores.free, scores.free_null, 5)
+    if scores.fires and scores.probe is not None:
+        result.shape = shape_of(estimate, scores.space, scores.probe, result.depends_on, seed)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from clampid.diagnosis.look import IMPOSSIBLE, RATE
+from clampid.diagnosis.candidate_scores import IMPOSSIBLE, RATE
 from clampid.effect import Effect
 from clampid.evidence.score import Flips, Scored, log_tail
 from clampid.stages.experiment import parameter_of

@@ -8,7 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clampid.diagnosis.alongside import Step, alongside, step_towards
+from clampid.diagnosis.candidate_scores import (
+    CONFUSABLE,
+    CandidateScores,
+    of_other_families,
+    rivals_of,
+    scores_of,
+    simplest_of,
+    variants_of,
+)
 from clampid.diagnosis.confirm import (
     cross_fitted_fall,
     event_p,
@@ -19,15 +27,7 @@ from clampid.diagnosis.confirm import (
 )
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out
-from clampid.diagnosis.look import (
-    CONFUSABLE,
-    Look,
-    look_at,
-    of_other_families,
-    rivals_of,
-    simplest_of,
-    variants_of,
-)
+from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.pruning import Refit, behind, pruned
 from clampid.diagnosis.tried import Taken, Tried, Undecided
@@ -51,7 +51,7 @@ NO_FALL = "the held-out error does not fall"
 UNSTABLE = "without a fifth of the rows it is not first"
 ONLY_BESIDE = "the held-out error falls only together with effects that these rows do not separate"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
-TRIALS = 8  # of one look's candidates, after which no more are tried
+TRIALS = 8  # of the candidates of one set of scores, after which no more are tried
 ROUND_SHARE = 0.15  # of the work left that a part of a round takes: nobody knows how many rounds there will be
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -99,9 +99,9 @@ class Bench:
     elsewhere: frozenset[Stage] = frozenset()
 
     @substep("scoring the candidates", ROUND_SHARE)
-    def look(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> Look:
-        """A look at what a fit leaves, with its own stream of flips."""
-        found = look_at(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
+    def scores(self, fitted: FittedStage, number: int, granted: Sequence[Candidate] = ()) -> CandidateScores:
+        """The scores on what a fit leaves, with its own stream of flips."""
+        found = scores_of(fitted.estimate, self.effects, self.flips, self.seed + number, granted, self.block)
         return found if self.folds is None else replace(found, folds=self.folds.fold[fitted.estimate.whitened.entry])
 
     def held_out(self, fitted: FittedStage) -> HeldOut:
@@ -110,61 +110,63 @@ class Bench:
 
     def alone(self, fitted: FittedStage, s: Scored) -> float | None:
         """The rms, in the stage's unit, that a candidate would leave of rows that no fit has seen; it is not fitted."""
-        estimate = alongside(fitted.estimate, s)
+        estimate = linear_refit(fitted.estimate, s)
         if estimate is None:
             return None
         return held_out(estimate, self.verification, self.floor, self.seed, self.block, self.folds).rms
 
     @substep("trying the best candidates", ROUND_SHARE)
-    def decided(self, look: Look, fitted: FittedStage, held: HeldOut) -> tuple[Tried | Undecided | None, list[Tried]]:
+    def decided(
+        self, scores: CandidateScores, fitted: FittedStage, held: HeldOut
+    ) -> tuple[Tried | Undecided | None, list[Tried]]:
         """The first candidate that is confirmed, or cannot be told from others, and those refused before it.
 
         None instead of a candidate where none stands out, or too many that did were refused.
         """
         refused: list[Tried] = []
         while len(refused) < TRIALS:
-            best = look.best({t.best.candidate.label for t in refused})
-            if best is None or look.only_stands_in(best):
+            best = scores.best({t.best.candidate.label for t in refused})
+            if best is None or scores.only_stands_in(best):
                 break
-            found = self._tried(best, look, fitted, held, refused)
-            found = replace(found, look=look.remembered)
+            found = self._tried(best, scores, fitted, held, refused)
+            found = replace(found, scores=scores.remembered)
             if isinstance(found, Undecided) or not found.reason:
                 return found, refused
             refused.append(found)
         return None, refused
 
     def _tried(
-        self, best: Scored, look: Look, fitted: FittedStage, held: HeldOut, refused: Sequence[Tried]
+        self, best: Scored, scores: CandidateScores, fitted: FittedStage, held: HeldOut, refused: Sequence[Tried]
     ) -> Tried | Undecided:
         """Fit a candidate along, and see whether it does on other rows what it promised on these.
 
         Undecided, and not fitted, where others explain as much; undecided, too, where look-alikes are first instead of
         it without some of the rows, and that is all that speaks against it.
         """
-        rivals = rivals_of(look.space, look.named, best, {t.best.candidate.label for t in refused})
+        rivals = rivals_of(scores.space, scores.named, best, {t.best.candidate.label for t in refused})
         known = next((s for s in (best, *rivals) if self.called_for.issuperset(s.candidate.terms)), None)
         if known is not None:
             best, rivals = known, []
         if rivals:
-            return self._undecided(simplest_of(look.named, best), rivals, look, fitted, held)
+            return self._undecided(simplest_of(scores.named, best), rivals, scores, fitted, held)
         step = step_towards(fitted.estimate, best)
         if step is not None and step.falls and step.linear and best.assumed <= MOSTLY and self._plain(best):
             new = held_out(step.near, self.verification, self.floor, self.seed, self.block, self.folds)
             p_held = held.p_above(new, new.noise, self.seed)
             if p_held > RISES:  # one Gauss-Newton step towards it is the fit where nothing is curved
-                return Tried(best, look, fitted, [], new, p_held, 0.0, NO_FALL)
+                return Tried(best, scores, fitted, [], new, p_held, 0.0, NO_FALL)
         # Scores only know shapes on a grid, so that which of several variants it is shows in their fits.
         variants: list[tuple[Scored, Step | None]] = [
-            (s, step_towards(fitted.estimate, s)) for s in variants_of(look.named, best)
+            (s, step_towards(fitted.estimate, s)) for s in variants_of(scores.named, best)
         ]
         others = [(s, own) for s, own in variants if not _needless(s, own, best, step)]
         if known is None:
-            others += self._not_linear(look, fitted, best, step, refused)
+            others += self._not_linear(scores, fitted, best, step, refused)
         fits = [self._fitted_along(s, near, fitted, held) for s, near in ((best, step), *others)]
-        return self._judged(fits, look, held, {t.best.candidate.label for t in refused})
+        return self._judged(fits, scores, held, {t.best.candidate.label for t in refused})
 
     def _undecided(
-        self, best: Scored, rivals: Sequence[Scored], look: Look, fitted: FittedStage, held: HeldOut
+        self, best: Scored, rivals: Sequence[Scored], scores: CandidateScores, fitted: FittedStage, held: HeldOut
     ) -> Tried | Undecided:
         """Candidates that explain the same, if any of them lowers the error of rows that no fit has seen.
 
@@ -182,9 +184,9 @@ class Bench:
                 _, trial, kept, new = self._fitted_along(s, step, fitted, held)
                 p, falls = self._falls(s, trial.estimate, kept, held, new)
             if falls:
-                return Undecided([best, *rivals], look)
-            refusal = refusal or Tried(s, look, trial, kept, new, p, 0.0, NO_FALL)
-        return refusal or Undecided([best, *rivals], look)
+                return Undecided([best, *rivals], scores)
+            refusal = refusal or Tried(s, scores, trial, kept, new, p, 0.0, NO_FALL)
+        return refusal or Undecided([best, *rivals], scores)
 
     def _plain(self, s: Scored) -> bool:
         """Whether rows that are not fitted tell of it wherever they are."""
@@ -226,10 +228,12 @@ class Bench:
         p = held.p_above(new, new.noise, self.seed)
         if self.verification is not None and p > 0.5 * HELD_OUT_RATE:
             p = either_p(p, terms_p(trial, kept, self.seed))
-        told = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
-        return p, (p <= HELD_OUT_RATE and held.exceed(new)) or told
+        by_prior = best.assumed > MOSTLY and new.p_above(held, new.noise, self.seed) > HELD_OUT_RATE
+        return p, (p <= HELD_OUT_RATE and held.exceed(new)) or by_prior
 
-    def _judged(self, fits: Sequence[_Along], look: Look, held: HeldOut, refused: Collection[str]) -> Tried | Undecided:
+    def _judged(
+        self, fits: Sequence[_Along], scores: CandidateScores, held: HeldOut, refused: Collection[str]
+    ) -> Tried | Undecided:
         """What the fits of a candidate, the first, and of others that may be it instead say of rows not fitted.
 
         It has to be first of all names that no trial has ``refused`` without most parts of the rows; or nearly always
@@ -238,26 +242,26 @@ class Bench:
         (best, trial, kept, new), level = self._likeliest([fit for fit in fits if fit.kept] or fits)
         p_held, falls = self._falls(best, trial.estimate, kept, held, new)
         if not kept:
-            return Tried(best, look, trial, kept, new, p_held, 0.0, IMPOSSIBLE)
+            return Tried(best, scores, trial, kept, new, p_held, 0.0, IMPOSSIBLE)
         if falls and level:
-            return Undecided([best, *(fit.scored for fit in level)], look)
+            return Undecided([best, *(fit.scored for fit in level)], scores)
         others = [fit for fit in fits if not fit.scored.candidate.is_variant_of(best.candidate)]
         if not falls:
-            again = stability(first_without_parts(look.space, look.named, look.folds, self.seed), [best])
-            return Tried(fits[0].scored, look, trial, kept, new, p_held, again, NO_FALL)
+            again = stability(first_without_parts(scores.space, scores.named, scores.folds, self.seed), [best])
+            return Tried(fits[0].scored, scores, trial, kept, new, p_held, again, NO_FALL)
         may_be = [best, *(fit.scored for fit in others)]  # which of these it is the fits have told
-        on_trial = [s for s in look.named if s.candidate.label not in refused]
-        first = first_without_parts(look.space, on_trial, look.folds, self.seed)
+        on_trial = [s for s in scores.named if s.candidate.label not in refused]
+        first = first_without_parts(scores.space, on_trial, scores.folds, self.seed)
         again = stability(first, may_be)
         if again < STABLE:
             alike = [s for s in first if same_effect(s, best) or canonical(best, s) > CONFUSABLE]
             if len(alike) >= STABLE * len(first):
                 rest = {s.candidate.label: s for s in alike if not same_effect(s, best)}
-                return Undecided([best, *rest.values()], look)
-            among = first_without_parts(look.space, look.standing_out(refused), look.folds, self.seed)
+                return Undecided([best, *rest.values()], scores)
+            among = first_without_parts(scores.space, scores.standing_out(refused), scores.folds, self.seed)
             if stability(among, may_be) < OF_FEW:
-                return Tried(fits[0].scored, look, trial, kept, new, p_held, again, UNSTABLE)
-        return Tried(best, look, trial, kept, new, p_held, again, "")
+                return Tried(fits[0].scored, scores, trial, kept, new, p_held, again, UNSTABLE)
+        return Tried(best, scores, trial, kept, new, p_held, again, "")
 
     def _likeliest(self, fits: Sequence[_Along]) -> tuple[_Along, list[_Along]]:
         """The fit that rows not fitted speak for, and those of other effects that are neither worse nor less likely.
@@ -282,10 +286,10 @@ class Bench:
         return min(level, key=lambda fit: fit.held.rms, default=least)
 
     def _not_linear(
-        self, look: Look, fitted: FittedStage, best: Scored, step: Step | None, refused: Sequence[Tried]
+        self, scores: CandidateScores, fitted: FittedStage, best: Scored, step: Step | None, refused: Sequence[Tried]
     ) -> list[tuple[Scored, Step]]:
         """Look-alikes of other families, where theirs or the best's score is not what they explain: fits tell then."""
-        others = of_other_families(look.named, best, {t.best.candidate.label for t in refused})
+        others = of_other_families(scores.named, best, {t.best.candidate.label for t in refused})
         steps = [(s, step_towards(fitted.estimate, s)) for s in others]
         straight = step is None or step.linear
         curved = [(s, own) for s, own in steps if own is not None and not (straight and own.linear)]
@@ -329,8 +333,8 @@ class Bench:
         """
         groups, whole = [undecided], fitted
         while len(groups) < GROUPS:
-            whole, look = self._along(groups, fitted, whole, number)
-            found, _ = self.decided(look, whole, self.held_out(whole))
+            whole, scores = self._along(groups, fitted, whole, number)
+            found, _ = self.decided(scores, whole, self.held_out(whole))
             if isinstance(found, Tried):
                 alone = self._fitted_with(found, fitted, held)
                 return (None, [undecided], [alone]) if alone.reason else (alone, [], [])
@@ -341,10 +345,10 @@ class Bench:
 
     def _along(
         self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage, number: int
-    ) -> tuple[FittedStage, Look]:
-        """The first of each group fitted along, from the ``last`` fit, and a look at what that and the others leave."""
+    ) -> tuple[FittedStage, CandidateScores]:
+        """The first of each group fitted along, from the ``last`` fit, and the scores on what is then left."""
         whole, granted = self.with_undecided(groups, fitted, last)
-        return whole, self.look(whole, 2 * number - 1, granted)
+        return whole, self.scores(whole, 2 * number - 1, granted)
 
     def with_undecided(
         self, groups: Sequence[Undecided], fitted: FittedStage, last: FittedStage

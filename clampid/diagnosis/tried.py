@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from clampid.diagnosis.candidate_scores import ALIASED, CandidateScores
 from clampid.diagnosis.entries import confusable_with, entry_of
 from clampid.diagnosis.held_out import HeldOut
-from clampid.diagnosis.look import ALIASED, Look
 from clampid.effect import Effect, Stage
 from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.solve import Estimate
@@ -31,7 +31,7 @@ class Tried:
     """
 
     best: Scored
-    look: Look
+    scores: CandidateScores
     fitted: FittedStage
     kept: list[Term]
     held: HeldOut
@@ -41,34 +41,34 @@ class Tried:
 
     def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
         """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
-        null, after = self.look.named_null, self.held.rms
+        null, after = self.scores.named_null, self.held.rms
         return {
-            **entry_of(self.best, null, effects, before, after, estimate, self.kept),
+            **entry_of(self.best, null, effects, (before, after), estimate, self.kept),
             "stability": self.stability,
             "p_held_out": self.p_held_out,
-            "confusable_with": confusable_with(self.look.named, self.best),
+            "confusable_with": confusable_with(self.scores.named, self.best),
         }
 
     def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:
         """The same of one that is refused, with its reason or another; its parameters are the score's."""
-        scale = self.look.space.scale
-        entry = entry_of(self.best, self.look.named_null, effects, before, self.held.rms, scale=scale)
-        told = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
-        return {**entry, **told}
+        scale = self.scores.space.scale
+        entry = entry_of(self.best, self.scores.named_null, effects, (before, self.held.rms), scale=scale)
+        outcome = {"stability": self.stability, "p_held_out": self.p_held_out, "reason": reason or self.reason}
+        return {**entry, **outcome}
 
 
 @dataclass(frozen=True)
 class Undecided:
-    """Candidates that the rows cannot tell apart, the best first, and the look that found them."""
+    """Candidates that the rows cannot tell apart, the best first, and the scores that found them."""
 
     members: list[Scored]
-    look: Look
+    scores: CandidateScores
 
     def alike(self, effects: Mapping[str, Effect], elsewhere: Collection[Stage]) -> bool:
         """Whether it makes no difference which it is: they explain the same, and no rows of other stages read any."""
         first, *others = self.members
         for s in others:
-            both = explained_together(self.look.space, first, s)
+            both = explained_together(self.scores.space, first, s)
             if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
                 return False
         return not any(set(elsewhere) & set(effects[s.candidate.name].stages) for s in self.members)

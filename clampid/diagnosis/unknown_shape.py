@@ -26,7 +26,8 @@ from clampid.diagnosis.effect_new import JOINTS, effect_module, effect_text
 from clampid.effect import EffectError
 from clampid.evidence.candidates import Candidate, named_candidates
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import Scored, Space, score
+from clampid.evidence.score import Scored, score
+from clampid.evidence.space import Space
 from clampid.fitting.solve import Estimate
 from clampid.stages.rows import Array, Rows
 
@@ -34,7 +35,7 @@ __all__ = ["shape_of"]
 
 FINEST = (8, 3)  # orders tried of one variable, and of each of two
 TRIED = 2  # variables; a shape over more of them nobody can look at
-STEPS = 61
+GRID_POINTS = 61
 COVERED = 0.95
 DRAWS = 4000
 SINGULAR = 1e-6  # of a direction that only one unit tells
@@ -200,11 +201,11 @@ def _curves(rows: Rows, found: Dependence, fitted: _Fitted, seed: int) -> Iterat
 def _width(root: Array, seed: int) -> float:
     """How many standard errors a band is wide that holds all points ``(G, f)`` at once with 95 % probability."""
     spread = np.linalg.norm(root, axis=1)
-    told = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
-    if not told.any():
+    varying = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
+    if not varying.any():
         return 0.0
     draws = np.random.default_rng(seed).standard_normal((root.shape[1], DRAWS))
-    largest = np.abs((root[told] / spread[told, None]) @ draws).max(axis=0)
+    largest = np.abs((root[varying] / spread[varying, None]) @ draws).max(axis=0)
     return float(np.quantile(largest, COVERED))
 
 
@@ -213,7 +214,7 @@ def _grid(v: Variable, values: Array) -> Array:
     if v.basis == "sign":
         return np.array([-1.0, 1.0])
     low, high = np.quantile(values, EDGES)
-    return np.linspace(low, high, STEPS)
+    return np.linspace(low, high, GRID_POINTS)
 
 
 def _sections(v: Variable, values: Array) -> list[float]:

@@ -17,57 +17,28 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
 from clampid.display import readable
 from clampid.effect import Effect
-from clampid.evidence.of_size import evidence, rows_say
+from clampid.evidence.curves import CurvePart, Curves, coefficient_names, curves_of, turned, without_curves
+from clampid.evidence.of_size import evidence
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
-from clampid.stages.rows import Array, Bools
+from clampid.stages.rows import Array
 
-__all__ = ["STRONG", "Alignment", "Curves", "align", "alignment_of", "curves_of", "simpler"]
+__all__ = ["STRONG", "Alignment", "align", "alignment_of", "simpler"]
+
 
 STRONG = float(np.log(150.0))
 """Log odds from which evidence is very strong (Kass and Raftery): less does not make two joints' curves one."""
 
-STEPS = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
+STEPS_PER_TURN = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
 PEAKS = 10  # of the correlation, a sense: where curves overlap little, the right one is not the highest
 NEAR = np.pi / 360.0  # rad: a turn is refined within half a degree
-START, LEAST, MOST = 0.3, 0.01, 0.999  # of the curves' size: deviations with which joints are looked for, and tried
+# Of the curves' size: deviations with which joints are looked for, and tried.
+START, MIN_SIZE, MAX_SIZE = 0.3, 0.01, 0.999
 SIZES = (float(np.log(1e-6)), float(np.log(1e-2)))  # rad: curves' sizes
-
-
-@dataclass(frozen=True)
-class Curves:
-    """What rows say of the joints' own curves, and the shape of what is assumed of them.
-
-    Coefficients of a joint are in the order of harmonics, sine and cosine of each: ``2 K``.
-
-    Attributes
-    ----------
-    joints
-        Joints (from 0) that have a curve.
-    information
-        ``(J, 2K, J, 2K)``, 1/rad²: of the rows alone, all else in the model integrated out.
-    score
-        ``(J, 2K)``, 1/rad: information times estimate.
-    seat
-        ``(2L,)``, rad: standard deviations of the prior of the first L harmonics, which always are a joint's own.
-    share
-        ``(2K - 2L,)``: of the further ones, per unit of their root mean square over a turn.
-    """
-
-    joints: tuple[int, ...]
-    information: Array
-    score: Array
-    seat: Array
-    share: Array
-
-    @property
-    def low(self) -> int:
-        """2L, how many coefficients stay a joint's own."""
-        return len(self.seat)
 
 
 @dataclass(frozen=True)
@@ -105,7 +76,7 @@ class Alignment:
 
     def values(self, effect: Effect) -> dict[Slot, float]:
         """Start values of the effect's slots at these joints."""
-        shared, low, high = _names(effect)
+        shared, low, high = coefficient_names(effect)
         out = {Slot(effect.name, "deviation", effect.at): self.deviation}
         for k, j in enumerate(self.joints):
             place = f"joint{j + 1}"
@@ -114,13 +85,6 @@ class Alignment:
             own = zip((*low, *high), self.own[k].tolist(), strict=True)
             out |= {Slot(effect.name, f"own_{a}", place): v for a, v in own}
         return out | {Slot(effect.name, a, effect.at): v for a, v in zip(shared, self.curve.tolist(), strict=True)}
-
-
-def _names(effect: Effect) -> tuple[list[str], list[str], list[str]]:
-    """Coefficients of the curve; of the joints' own, those that the curve lacks, and the others."""
-    shared = [p.name for p in effect.parameters if p.per == "robot" and not p.shape]
-    own = [p.name.removeprefix("own_") for p in effect.parameters if p.name.startswith("own_")]
-    return shared, [a for a in own if a not in shared], [a for a in own if a in shared]
 
 
 def alignment_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None = None) -> Alignment | None:
@@ -180,73 +144,6 @@ def _summary(found: Alignment) -> str:
     )
 
 
-def curves_of(estimate: Estimate, effect: Effect, places: Sequence[str] | None = None) -> Curves:
-    """What an estimate's rows say of the curves that ``effect`` may align, at some places or all."""
-    own = estimate.experiment.effects[str(effect.aligns)]
-    shared, low, _ = _names(effect)
-    names = [*low, *shared]
-    index = {slot: k for k, slot in enumerate(estimate.slots)}
-    n = estimate.experiment.rows.robot.n
-    where = {j: [index.get(Slot(own.name, a, f"joint{j + 1}"), -1) for a in names] for j in range(n)}
-    allowed = {f"joint{j + 1}" for j in range(n)} if places is None else set(places)
-    joints = tuple(j for j, found in where.items() if min(found) >= 0 and f"joint{j + 1}" in allowed)
-    chosen = np.array([k for j in joints for k in where[j]], dtype=int)
-    information, score = rows_say(estimate, chosen)
-    unit = estimate.values()[Slot(own.name, str(own.sized_by), own.at)]  # rad, in which the coefficients are counted
-    width = len(names)
-    return Curves(
-        joints,
-        (information / unit**2).reshape(len(joints), width, len(joints), width),
-        (score / unit).reshape(len(joints), width),
-        np.array([effect.by_name[f"own_{a}"].prior_std for a in low]),
-        np.array([effect.by_name[f"own_{a}"].prior_std for a in shared]),
-    )
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Information and score on some coefficients with their prior, and the evidence of what was integrated out."""
-
-    information: Array
-    score: Array
-    prior: Array
-    evidence: float = 0.0
-
-    def total(self) -> float:
-        """The evidence, these coefficients integrated out as well."""
-        return self.evidence + evidence(self.information, self.score, self.prior)[0]
-
-    def mean(self) -> Array:
-        """The posterior mean."""
-        return evidence(self.information, self.score, self.prior)[1]
-
-
-def _without(part: _Part, gone: Bools) -> _Part:
-    """Integrate out the coefficients with the mask ``gone`` under their prior."""
-    keep = ~gone
-    if not gone.any():
-        return part
-    D, C = part.information[np.ix_(gone, gone)], part.information[np.ix_(gone, keep)]
-    S, h = part.prior[gone], part.score[gone]
-    A = np.eye(len(S)) + D * np.outer(S, S)
-    factor = linalg.cho_factor(A)
-    into = linalg.cho_solve(factor, S[:, None] * np.c_[C, h])
-    taken = S[:, None] * np.c_[C, h]
-    rest = part.information[np.ix_(keep, keep)] - taken[:, :-1].T @ into[:, :-1]
-    score = part.score[keep] - taken[:, :-1].T @ into[:, -1]
-    return _Part(rest, score, part.prior[keep], part.evidence + evidence(D, h, S)[0])
-
-
-def turned(sense: float, phase: float, harmonics: Array) -> Array:
-    """How a joint's coefficients ``(2k,)`` follow from the curve's: the matrix ``(2k, 2k)`` of ``s g(s q - phase)``."""
-    C, S = np.cos(harmonics * phase), np.sin(harmonics * phase)
-    out = np.zeros((2 * len(harmonics), 2 * len(harmonics)))
-    sine, cosine = np.arange(0, len(out), 2), np.arange(1, len(out), 2)
-    out[sine, sine], out[sine, cosine] = C, S
-    out[cosine, sine], out[cosine, cosine] = -sense * S, sense * C
-    return out
-
-
 @dataclass(frozen=True)
 class _Turn:
     """How a joint stands on the curve, and the logarithm of what sense and phase cost."""
@@ -290,7 +187,7 @@ class _Group:
         """The same without a joint."""
         return self.with_members({j: t for j, t in self.members.items() if j != joint})
 
-    def without(self, joint: int | None) -> _Part:
+    def without(self, joint: int | None) -> CurvePart:
         """All but the curve and one joint's own coefficients integrated out: the curve's first, then the joint's."""
         c = self.curves
         count, own = len(c.joints), self.low + self.width
@@ -301,12 +198,12 @@ class _Group:
         L, h = c.information.reshape(count * own, -1), c.score.ravel()
         LB = L @ B
         prior = [self.shared, *(self.own(self.deviation if j in self.members else self.size) for j in range(count))]
-        whole = _Part(np.block([[B.T @ LB, LB.T], [LB, L]]), np.r_[B.T @ h, h], np.concatenate(prior))
+        whole = CurvePart(np.block([[B.T @ LB, LB.T], [LB, L]]), np.r_[B.T @ h, h], np.concatenate(prior))
         gone = np.ones(len(whole.prior), dtype=bool)
         gone[: self.width] = False
         if joint is not None:
             gone[self.width + own * joint : self.width + own * (joint + 1)] = False
-        return _without(whole, gone)
+        return without_curves(whole, gone)
 
     def best(self, joint: int) -> tuple[float, _Turn]:
         """Log odds that a joint which is no member joins, and how."""
@@ -334,11 +231,11 @@ class _Group:
         # dq = Re sum c_k exp(ikq), c = b - ia; of s g(s q - phase) that is g exp(-ik phase), or -conj(g exp(-ik phase))
         g, c = curve[1::2] - 1j * curve[::2], own[1::2] - 1j * own[::2]
         c = c if sense > 0 else -np.conj(c)
-        spectrum = np.zeros(STEPS, dtype=complex)
+        spectrum = np.zeros(STEPS_PER_TURN, dtype=complex)
         spectrum[self.harmonics.astype(int)] = g * np.conj(c)
-        match = np.real(np.fft.fft(spectrum))  # at phase 2 pi m / STEPS: Re sum g conj(c) exp(-ik phase)
+        match = np.real(np.fft.fft(spectrum))  # at phase 2 pi m / STEPS_PER_TURN: Re sum g conj(c) exp(-ik phase)
         peaks = np.flatnonzero((match >= np.roll(match, 1)) & (match > np.roll(match, -1)))
-        return np.asarray(2 * np.pi / STEPS * peaks[np.argsort(-match[peaks])][:PEAKS])
+        return np.asarray(2 * np.pi / STEPS_PER_TURN * peaks[np.argsort(-match[peaks])][:PEAKS])
 
 
 def _peak(f: Callable[[float], float], span: tuple[float, float], prior: float) -> tuple[float, float, float]:
@@ -368,7 +265,7 @@ def align(curves: Curves) -> Alignment:
             left |= {k: max(value, left.get(k, -np.inf)) for k in (a, b)}
         return _nothing(curves, left)
     group, refused = _settled(first.with_members({i: _Turn(), j: turn}))
-    span = (float(np.log(LEAST * size)), float(np.log(MOST * size)))
+    span = (float(np.log(MIN_SIZE * size)), float(np.log(MAX_SIZE * size)))
     total = 0.0
     for _ in range(2):
         if len(group.members) < 2:

@@ -25,7 +25,8 @@ from scipy import stats
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
-from clampid.evidence.score import ABSORBED, Scored, Space, log_tail, score, space_of
+from clampid.evidence.score import Scored, log_tail, score
+from clampid.evidence.space import ABSORBED, Space, space_of
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages.clamped_rows import BLOCK_ROWS

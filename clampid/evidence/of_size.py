@@ -58,8 +58,8 @@ def of_size(size: Array | float, information: Array, component: Array) -> Array:
         ``(k,)``: eigenvalues of S^1/2 L S^1/2, and h there divided by their square roots: of unit variance where the
         amplitudes are zero.
     """
-    told = np.multiply.outer(np.square(size), information)
-    return np.asarray(0.5 * (np.sum(told / (1.0 + told) * component**2, axis=-1) - np.sum(np.log1p(told), axis=-1)))
+    ratio = np.multiply.outer(np.square(size), information)
+    return np.asarray(0.5 * (np.sum(ratio / (1.0 + ratio) * component**2, axis=-1) - np.sum(np.log1p(ratio), axis=-1)))
 
 
 def of_any_size(information: Array, component: Array) -> float:
@@ -81,8 +81,8 @@ def rows_say(estimate: Estimate, chosen: Integers) -> tuple[Array, Array]:
     """
     white, r = estimate.whitened, estimate.whitened.residual
     inverse = inverse_of(white.normal + estimate.prior_precision)
-    told = len(estimate.theta) - float(np.sum(inverse * estimate.prior_precision))  # by the rows, not the prior
-    scale = max(float(r @ r) / max(len(r) - told, 1.0), 1e-12)
+    determined = len(estimate.theta) - float(np.sum(inverse * estimate.prior_precision))  # by the rows, not the prior
+    scale = max(float(r @ r) / max(len(r) - determined, 1.0), 1e-12)
     posterior = inverse_of(inverse[np.ix_(chosen, chosen)] * scale)
     assumed = np.diag(np.diag(estimate.prior_precision)[chosen])
     return posterior - assumed / scale, posterior @ estimate.theta[chosen]
@@ -102,11 +102,11 @@ def sized(estimate: Estimate, name: str) -> dict[Slot, float]:
     amplitudes = np.array([k for slot, k in own.items() if not estimate.experiment.parameters[k].shape], dtype=np.int64)
     information, score = rows_say(estimate, amplitudes)
     prior = estimate.experiment.prior_std()[amplitudes]
-    told, vectors = linalg.eigh(information * np.outer(prior, prior))
-    seen = told > 1e-9
-    component = (prior * score @ vectors[:, seen]) / np.sqrt(told[seen])
+    ratio, vectors = linalg.eigh(information * np.outer(prior, prior))
+    seen = ratio > 1e-9
+    component = (prior * score @ vectors[:, seen]) / np.sqrt(ratio[seen])
     found = optimize.minimize_scalar(
-        lambda x: -float(of_size(np.exp(x), told[seen], component)), bounds=SPAN, method="bounded"
+        lambda x: -float(of_size(np.exp(x), ratio[seen], component)), bounds=SPAN, method="bounded"
     )
     factor = float(np.exp(found.x))
     return _scaled(values, own, size, factor)

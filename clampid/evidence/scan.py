@@ -28,7 +28,8 @@ from scipy import optimize, sparse
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
-from clampid.evidence.score import WEAK, Scored, Space, score, space_of
+from clampid.evidence.score import WEAK, Scored, score
+from clampid.evidence.space import Space, space_of
 from clampid.fitting.noise import NORMAL, Whitened
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term

@@ -15,24 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
 from scipy.special import gammainc, gammaincc, gammaln
 
-from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import Sums
 from clampid.evidence.of_size import of_any_size, of_size
-from clampid.fitting.solve import Estimate
-from clampid.stages.experiment import HELD
-from clampid.stages.rows import Array, Bools, Integers
+from clampid.evidence.space import ABSORBED, Space
+from clampid.stages.rows import Array, Bools
 
 __all__ = [
     "Flips",
     "Scored",
-    "Space",
     "canonical",
     "explained_by",
     "explained_together",
@@ -40,16 +35,12 @@ __all__ = [
     "flip_moments",
     "log_tail",
     "score",
-    "space_of",
     "tail_of",
 ]
 
-ABSORBED = 1e-6
+
 WEAK = 0.05
-HELD_OPEN = 4.0  # an error twice as large as the prior: it was held, and is open
-SMALLEST = 1e-3  # share of a unit's noise that a fit leaves: of less, rounding alone would be flipped
 SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
-ORTHOGONAL = 1e-3  # how near to the identity the second factor must be, for its columns to be exact
 NOTHING = 1e-100  # of whitened columns: the inverse square of less is no number
 UNSEEN = 1e-6
 """Of the noise: what moves all rows together by less, at the parameter's plausible size, is rounding and no lever.
@@ -57,81 +48,6 @@ UNSEEN = 1e-6
 The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
 """
 TINY = 1e-290  # a smaller tail than this may have underflowed
-
-
-@dataclass(frozen=True)
-class Space:
-    """The whitened residual of a fit, and the span that its active parameters can absorb.
-
-    Attributes
-    ----------
-    residual
-        ``(M + p,)``: rows, then the prior's pseudo-rows; orthogonal to ``basis``.
-    basis
-        ``(M + p, r)``: orthonormal.
-    unit
-        ``(M + p,)``: entries with the same number are flipped together.
-    scale
-        Standard deviation of the residual, about 1.
-    rows
-        M.
-    told
-        ``(p,)``: standard deviations of the pseudo-rows, 1, or 0 where the prior is too weak to be a measurement.
-    """
-
-    residual: Array
-    basis: Array
-    unit: Integers
-    scale: float
-    freedom: int
-    rows: int
-    told: Array
-
-    def beside(self, columns: Array) -> Space:
-        """The same with whitened columns ``(M, k)`` that are granted to the model: what they explain is no evidence."""
-        if not columns.shape[1]:
-            return self
-        further = np.zeros((len(self.residual), columns.shape[1]))
-        further[: self.rows] = columns
-        length = np.linalg.norm(further, axis=0)
-        further = further[:, length > 0] / length[length > 0]
-        Q, R, _ = linalg.qr(further - self.basis @ (self.basis.T @ further), mode="economic", pivoting=True)
-        kept = np.asarray(Q, dtype=float)[:, np.abs(np.diag(R)) > np.sqrt(ABSORBED)]
-        basis = np.hstack([self.basis, kept - self.basis @ (self.basis.T @ kept)])
-        residual = self.residual - kept @ (kept.T @ self.residual)
-        freedom = max(self.freedom - kept.shape[1], 1)
-        scale = max(float(np.sqrt(residual @ residual / freedom)), 1e-12)
-        return replace(self, residual=residual, basis=basis, scale=scale, freedom=freedom)
-
-    @property
-    def remembered(self) -> Space:
-        """What a verdict needs of it later: not the basis, which is as large as the rows and all that is active."""
-        # Copies: a slice of nothing would keep what it was cut from.
-        nothing = self.residual[:0].copy(), self.basis[:0].copy(), self.unit[:0].copy()
-        return replace(self, residual=nothing[0], basis=nothing[1], unit=nothing[2])
-
-    @cached_property
-    def by_unit(self) -> Sums:
-        """Each unit's share of a column's product with the residual of the null, U units.
-
-        A fit takes out of each unit's noise what its leverage lets it, so that plain residuals flipped are too small:
-        of a hundred poses and seventy parameters by an eighth, which makes hundreds of columns explain "too much".
-        Each unit's residual is therefore multiplied by (1 - Q_u Q_u')^(-1/2), which undoes that in the mean. Source:
-        Bell and McCaffrey, Bias reduction in standard errors for linear regression with multi-stage samples, Survey
-        Methodology 28, 2002 (CR2).
-        """
-        _, unit = np.unique(self.unit, return_inverse=True)
-        return Sums.of(unit, _unshrunk(self.residual, self.basis, unit))
-
-    @cached_property
-    def basis_by_unit(self) -> Array:
-        """``(U, r)``: the same of the basis."""
-        return np.asarray(self.by_unit.over(0, len(self.basis)) @ self.basis)
-
-    @cached_property
-    def drawn(self) -> Bools:
-        """``(U,)``: which units are a prior's pseudo-rows, each one of its own, after those of rows."""
-        return np.arange(self.by_unit.groups) >= self.by_unit.groups - (len(self.residual) - self.rows)
 
 
 @dataclass(frozen=True)
@@ -211,18 +127,6 @@ class Scored:
         return np.asarray(np.sqrt(np.sum((self.weights * self.kept) ** 2, axis=1)))
 
 
-def _unshrunk(residual: Array, basis: Array, unit: Integers) -> Array:
-    """The residual ``(M,)`` of each unit as large as its noise was before a fit with that basis took its share."""
-    out = residual.copy()
-    order = np.argsort(unit, kind="stable")
-    for entries in np.split(order, np.flatnonzero(np.diff(unit[order])) + 1):
-        Q_u = basis[entries]
-        left, size, _ = np.linalg.svd(Q_u, full_matrices=False)
-        share = np.minimum(size**2, 1.0 - SMALLEST)
-        out[entries] += left @ ((1.0 / np.sqrt(1.0 - share) - 1.0) * (left.T @ residual[entries]))
-    return out
-
-
 def explained_by(s: Scored, amplitude: Array, scale: float) -> Array:
     """The sum of squares that amplitudes ``(..., f)`` in a candidate's directions explain, in units of variance."""
     return np.asarray(np.sum(s.kept * amplitude**2, axis=-1) / scale**2)
@@ -251,67 +155,6 @@ def tail_of(moments: tuple[float, float], explained: Array | float) -> Array:
     if variance <= 1e-9 * mean**2:  # one unit holds it all: no flip changes anything
         return np.zeros_like(np.asarray(explained, dtype=float))
     return log_tail(np.asarray(explained) * (2.0 * mean / variance), 2.0 * mean**2 / variance)
-
-
-def space_of(estimate: Estimate, unit: Integers | None = None) -> Space:
-    """The residual and absorbed span of an estimate; ``unit`` ``(N,)``: what the null flips, else the rows' own."""
-    white = estimate.whitened
-    size = estimate.experiment.sizes()
-    precision = _opened(estimate)
-    values, vectors = np.linalg.eigh(precision * np.outer(size, size))
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))).T / size  # root' root = precision
-    # A weak prior is no measurement: a tool mounted half a turn from where the description has it is no residual.
-    weak = 1.0 / np.sqrt(np.diag(precision)) >= (1.0 - 1e-9) * WEAK_PRIOR * size
-    residual = np.r_[white.residual, root @ np.where(weak, 0.0, estimate.prior_mean - estimate.theta)]
-    jacobian = np.vstack([white.jacobian, root])
-    norms = np.sqrt(np.einsum("mp,mp->p", jacobian, jacobian))  # without a table of squares
-    jacobian /= np.where(norms > 0, norms, 1.0)
-    basis = _span(jacobian)
-    del jacobian
-    residual = residual - basis @ (basis.T @ residual)
-    count = len(white.residual)
-    unit = (estimate.experiment.rows.unit if unit is None else unit)[white.entry]
-    units = np.r_[unit, unit.max(initial=0) + 1 + np.arange(len(root))]
-    freedom = max(count - basis.shape[1], 1)
-    scale = float(np.sqrt(residual @ residual / freedom))
-    told = np.linalg.norm(vectors[~weak], axis=0)
-    return Space(residual, basis, units, max(scale, 1e-12), freedom, count, told)
-
-
-def _span(A: Array) -> Array:
-    """An orthonormal basis ``(M, k)`` of the columns, of length one or zero, of ``A`` ``(M, P)``.
-
-    By Cholesky factors, twice, where the columns are independent enough for it: a fifth of the work where they are
-    many. Source: Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, Roundoff error analysis of the CholeskyQR2 algorithm,
-    Electron. Trans. Numer. Anal. 44, 2015. Else by pivots.
-    """
-    Q = A
-    try:
-        for _ in range(2):
-            R = linalg.cholesky(Q.T @ Q, check_finite=False)
-            Q = linalg.solve_triangular(R, Q.T, trans="T", check_finite=False).T
-        if np.abs(R - np.eye(len(R))).max(initial=0.0) < ORTHOGONAL:
-            return np.asarray(Q)
-    except linalg.LinAlgError:
-        pass
-    Q, R, _ = linalg.qr(A, mode="economic", pivoting=True)
-    size = np.abs(np.diag(R))
-    return np.asarray(Q, dtype=float)[:, : int(np.sum(size > 1e-10 * size.max(initial=0.0)))]
-
-
-def _opened(estimate: Estimate) -> Array:
-    """The prior's precision ``(P, P)``, of what a fit has held that of its error instead.
-
-    A friction is held where flanks determine it (:mod:`clampid.fitting.rest_friction`), and may be anything within its
-    error: what it would explain then is no evidence of anything else.
-    """
-    precision = estimate.prior_precision.copy()
-    variance, tight = np.diag(estimate.covariance), (HELD * estimate.experiment.sizes()) ** -2.0
-    open_ = (variance * tight > HELD_OPEN) & ~estimate.experiment.held()
-    held = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
-    precision[held, :] = precision[:, held] = 0.0
-    precision[held, held] = 1.0 / variance[held]
-    return precision
 
 
 def log_tail(x: Array | float, freedom: float) -> Array:
@@ -367,7 +210,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     amplitude = c.columns.times(space.residual) @ weights  # the residual is off the basis
     parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
     # Of a candidate's own columns pseudo-rows have none.
-    parts[space.drawn] = -(space.told[:, None] * space.basis[space.rows :]) @ absorbed @ weights
+    parts[space.drawn] = -(space.pseudo_std[:, None] * space.basis[space.rows :]) @ absorbed @ weights
     kept, cost, size = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2))), 1.0
     if c.prior is not None:
         size = c.sizes[int(np.argmax(of_size(np.array(c.sizes), values, amplitude / space.scale)))]
@@ -407,9 +250,9 @@ def _charge(reach: Array, amplitude: Array, space: Space) -> float:
     reach
         ``(k, f)``: what a reasonable size of each parameter moves the residual along the directions of ``amplitude``.
     """
-    _, told, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
+    _, gain, turn = np.linalg.svd(reach / space.scale, full_matrices=False)
     component = turn @ amplitude / space.scale
-    return float(component @ component) - 2.0 * of_any_size(told**2, component)
+    return float(component @ component) - 2.0 * of_any_size(gain**2, component)
 
 
 def _overlap(a: Scored, b: Scored) -> Array:

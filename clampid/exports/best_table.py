@@ -32,7 +32,7 @@ __all__ = ["BestTable", "best_table"]
 LEVER = 0.2  # m, from the flange to a tool's point: orientation counts as what it moves there
 COUNT = 1000  # postures, where no campaign gives them
 SENSED = 200  # of the postures, at which it is found how the table follows the model
-STEPS = 4  # of Gauss and Newton; the arm is nearly linear in a millimetre
+MAX_NEWTON_STEPS = 4  # of Gauss and Newton; the arm is nearly linear in a millimetre
 STEP = 1e-7  # m or rad
 NUDGE = 1e-3  # of a parameter's standard error or size: how far the model's parameters are moved for a derivative
 
@@ -82,7 +82,7 @@ def best_table(
     Parameters
     ----------
     model
-        With what the data do not determine at its nominal value (:func:`clampid.exports.determined.hold_undetermined`).
+        With what the data do not determine at its nominal value (:func:`clampid.exports.determined.fix_undetermined`).
     session, temperature, campaign, user_effects
         As of `clampid.exports.dh_export.dh_export`.
 
@@ -117,7 +117,7 @@ def best_table(
     free = _step(rows, start, start, size, np.eye(len(size)))
     directions = _determined(_derivatives(rows, start), rows(free), size)
     values = start
-    for _ in range(STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         values = _step(rows, values, start, size, directions)
     theta, covariance = stage.theta.copy(), stage.covariance.copy()
     theta[geometry] = values

@@ -1,4 +1,4 @@
-"""Geometry that the data do not determine, held at its nominal value before anything is exported.
+"""Geometry that the data do not determine, fixed at its nominal value before anything is exported.
 
 In units of what each parameter may reasonably amount to, the covariance C of the geometry has directions W with a
 variance above 1: there the fit knows less than was known before. The exported model is the fit given that these
@@ -19,13 +19,13 @@ from clampid.roles import FRAMES
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array
 
-__all__ = ["Held", "hold_undetermined", "in_words", "reasonable", "undetermined_directions"]
+__all__ = ["Determined", "fix_undetermined", "in_words", "reasonable", "undetermined_directions"]
 
 SHARE = 0.3  # of the largest entry of a direction: parameters that count as part of the combination
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class Determined:
     """A model whose undetermined geometry is at its nominal value.
 
     Attributes
@@ -43,26 +43,26 @@ class Held:
     combinations: tuple[str, ...]
 
 
-def hold_undetermined(model: Model) -> Held:
+def fix_undetermined(model: Model) -> Determined:
     """The model as it may be exported; the same one where its geometry is determined."""
     stage = model.stages.get("poses")
     geometry = [] if stage is None else numbers_of_role(stage.slots, *FRAMES)
     if stage is None or not geometry:
-        return Held(model, np.zeros((0, 0)), ())
+        return Determined(model, np.zeros((0, 0)), ())
     slots = [stage.slots[k] for k in geometry]
     C, size = stage.covariance, reasonable(slots)
     variance, W = undetermined_directions(C[np.ix_(geometry, geometry)], size)
     spread = size[:, None] * W * np.sqrt(variance)
     words = tuple(in_words(slots, column) for column in W.T)
     if not words:
-        return Held(model, spread, words)
+        return Determined(model, spread, words)
     across = C[:, geometry] @ (W / size[:, None])  # (P, k)
     gain = across / variance
     theta = stage.theta - gain @ (W.T @ (stage.theta[geometry] / size))
     covariance = C - gain @ across.T
     # What stays of the directions themselves is rounding; a covariance has no negative variances.
     np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
-    return Held(model.with_stage(replace(stage, theta=theta, covariance=covariance)), spread, words)
+    return Determined(model.with_stage(replace(stage, theta=theta, covariance=covariance)), spread, words)
 
 
 def undetermined_directions(covariance: Array, size: Array) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from clampid.exports.best_table import BestTable, best_table
-from clampid.exports.determined import hold_undetermined
+from clampid.exports.determined import fix_undetermined
 from clampid.exports.exported import EXACT, Exported, checked
 from clampid.exports.form_error import postures
 from clampid.models.calibrated import CalibratedChain, calibrated_chain, sensitivity
@@ -31,8 +31,9 @@ from kinematics.dh import Convention, DHRow, DHTable
 from kinematics.dh import forward as dh_forward
 from kinematics.dh_conversion import DHError, hayati_from_poe, standard_from_poe
 from kinematics.escaping import for_csv
+from kinematics.fixed_angles import roll_pitch_yaw, rotation_of
 from kinematics.robot import RobotDescription
-from kinematics.screws import roll_pitch_yaw, rotation_of, transform
+from kinematics.screws import transform
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,7 +112,7 @@ class ExportedTable(Exported):
     @property
     def cautions(self) -> tuple[str, ...]:
         """As of any export; which numbers depend on a choice, and how a measured frame is mounted."""
-        if not self.held:
+        if not self.fixed:
             return self._mount()
         found = [
             f"{'row ' if row['row'].isdigit() else ''}{row['row']}: "
@@ -200,19 +201,19 @@ def dh_export(
     """
     nominal = robot_of(model, robot)
     calibrated_chain(model, session=session, robot=nominal, temperature=temperature)  # refuses what has no table
-    held = hold_undetermined(model)
+    fixed = fix_undetermined(model)
     best = None
     if fit == "best":
         best = best_table(
-            held.model, nominal, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
+            fixed.model, nominal, session=session, temperature=temperature, campaign=campaign, user_effects=user_effects
         )
-    source = held.model if best is None else best.model
+    source = fixed.model if best is None else best.model
     frame = static_table(
-        source, convention, session=session, robot=nominal, temperature=temperature, spread=held.spread
+        source, convention, session=session, robot=nominal, temperature=temperature, spread=fixed.spread
     )
     table = read_dh(table_text(frame))
     left, measured = checked(
-        lambda q: dh_forward(table, q), held.model, nominal, session, temperature, campaign, user_effects
+        lambda q: dh_forward(table, q), fixed.model, nominal, session, temperature, campaign, user_effects
     )
     e = left.error
     frame[list(LEFT[:-1])] = e.position_rms, e.position_max, e.orientation_rms, e.orientation_max
@@ -220,7 +221,7 @@ def dh_export(
     frame[HELD] = frame.pop(HELD)  # the last column
     difference = float(frame["difference_m"].iloc[0])
     text, rows = table_text(frame), nominal_rows(nominal, convention)
-    combined = held.combinations
+    combined = fixed.combinations
     return ExportedTable(text, temperature, difference, left, measured, combined, convention, frame, best, rows)
 
 
@@ -251,8 +252,8 @@ def static_table(
     temperature
         Of all links, °C; see `calibrated_chain`.
     spread
-        ``(G, k)``: what of the geometry is held because the data do not determine it, see
-        :class:`clampid.exports.determined.Held`; None: it is found here, and held.
+        ``(G, k)``: what of the geometry is fixed because the data do not determine it, see
+        :class:`clampid.exports.determined.Determined`; None: it is found here, and fixed.
 
     Raises
     ------
@@ -263,8 +264,8 @@ def static_table(
     """
     nominal = robot_of(model, robot)
     if spread is None:
-        held = hold_undetermined(model)
-        model, spread = held.model, held.spread
+        fixed = fix_undetermined(model)
+        model, spread = fixed.model, fixed.spread
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     numbers, signs = _numbers(chain, convention)
 
@@ -276,7 +277,7 @@ def static_table(
 
     J, covariance = sensitivity(model, moved, session=session, robot=nominal, temperature=temperature, difference=apart)
     std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, covariance, J), 0.0))
-    # Of a number that goes with what is held the rest of its error says little.
+    # Of a number that goes with what is fixed the rest of its error says little.
     std[std < ROUNDING * np.maximum(np.abs(numbers), 1.0)] = 0.0  # a constant: what arithmetic leaves is no error
     free = J[:, : len(spread)] @ spread if spread.size else np.zeros((len(std), 1))
     std[np.sqrt(np.sum(free**2, axis=1)) > std + NOUGHT] = np.nan
@@ -373,7 +374,7 @@ def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
 
 
 def _held_columns(row: Mapping[str, object]) -> str:
-    """The columns of a row whose numbers have no standard error, because something in them is held."""
+    """The columns of a row whose numbers have no standard error, because something in them is fixed."""
     own = FRAME_COLUMNS if row["row"] in ("base", "tool") else ROW_COLUMNS
     return " ".join(column for column in own if row[f"std_{column}"] != row[f"std_{column}"])  # nan
 

@@ -23,7 +23,7 @@ from kinematics.robot import RobotDescription
 __all__ = ["thesis_layout"]
 
 LEGIBLE = 1e-6  # m and rad: what the digits may cost
-FEWEST, MOST = 6, 15  # decimals of m and rad
+MIN_DECIMALS, MAX_DECIMALS = 6, 15  # decimals of m and rad
 RIGHT = 1e-12  # rad: how far an angle may be from a multiple of a right one to be written as such
 SYMBOLS = {"theta_offset_rad": "θ [rad]", "d_m": "d [m]", "a_m": "a [m]", "alpha_rad": "α [rad]", "beta_rad": "β [rad]"}
 FORMULA = "A_i = Rz(θ) Tz(d) Tx(a) Rx(α)"
@@ -96,7 +96,7 @@ def _rounded(table: pd.DataFrame, robot: RobotDescription) -> _Printed:
     """The table with as few decimals as keep the flange; offsets d of kilometres need many angles' digits."""
     q, exact = postures(robot), read_dh(table_text(table))
     there, numbers = forward(exact, q), [*ROW_COLUMNS, *FRAME_COLUMNS]
-    for decimals in range(FEWEST, MOST + 1):
+    for decimals in range(MIN_DECIMALS, MAX_DECIMALS + 1):
         rounded = table.copy()
         rounded[numbers] = rounded[numbers].round(decimals) + 0.0  # no −0
         cost = float(np.abs(forward(read_dh(table_text(rounded)), q) - there).max())

@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.fitting.accuracy import predicted
 from clampid.fitting.base_names import base_json
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.consistent import ConsistentArm, consistent_arm, off_by
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel
@@ -103,7 +103,7 @@ def torque_errors(
     ModelError
         The campaign is not of the model's robot, or has no torque logs.
     """
-    opened = reopen(model, campaign, user_effects)
+    opened = on_campaign(model, campaign, user_effects)
     if "free_air" not in opened.stages:
         raise ModelError(f"{campaign.name}: expected torque logs (free_air, wrist) to compare on, found none")
     stage: StageModel = opened.stages["free_air"]

@@ -32,7 +32,7 @@ class Exported:
         What it leaves of the whole model over the workspace.
     measured
         What it alone leaves of measured points; None without a campaign.
-    held
+    fixed
         Combinations of parameters that the data do not determine; the file has them at their nominal value.
     """
 
@@ -41,7 +41,7 @@ class Exported:
     difference: float
     left: LeftOut
     measured: Measured | None
-    held: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -54,12 +54,12 @@ class Exported:
     def cautions(self) -> tuple[str, ...]:
         """What the data do not determine, and what a reader may take for something else."""
         said = "not determined by the data, held at its nominal value: a combination of "
-        return tuple(f"{said}{words}" for words in self.held)
+        return tuple(f"{said}{words}" for words in self.fixed)
 
     def to_json(self) -> dict[str, Any]:
         """For programs; SI but for the temperatures."""
         out = {"temperature_C": self.temperature, "difference_m": self.difference, **self.left.to_json()}
-        out["held_at_nominal"] = list(self.held)
+        out["held_at_nominal"] = list(self.fixed)
         out["measured"] = None if self.measured is None else self.measured.to_json()
         return out
 

@@ -26,7 +26,7 @@ from clampid.stages.experiment import Experiment, experiment
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign, Instrument, Tool, target_points
-from experiments.metrics import norm_metrics
+from experiments.measures.metrics import norm_metrics
 from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from clampid.exports.determined import hold_undetermined
+from clampid.exports.determined import fix_undetermined
 from clampid.exports.form_error import (
     CHECKED,
     FormError,
@@ -120,7 +120,7 @@ def kuka_machine_data(
     if not 0 < lever < np.inf:
         raise ModelError(f"lever: expected a length above 0 m, found {lever:g}")
     start = nominal_machine_data(nominal)
-    model = hold_undetermined(model).model
+    model = fix_undetermined(model).model
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     fit = _Fit(postures(nominal, FITTED), lever)
     start = replace(start, robroot=frame_numbers(chain.base))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from clampid.exports.determined import hold_undetermined
+from clampid.exports.determined import fix_undetermined
 from clampid.exports.exported import EXACT, Exported, checked
 from clampid.exports.form_error import POSTURES, postures
 from clampid.models.calibrated import calibrated_chain
@@ -53,8 +53,8 @@ def urdf_export(
         A joint is neither revolute nor prismatic.
     """
     nominal = robot_of(model, robot)
-    held = hold_undetermined(model)
-    model = held.model
+    fixed = fix_undetermined(model)
+    model = fixed.model
     chain = calibrated_chain(model, session=session, robot=nominal, temperature=temperature)
     text = write_urdf(chain.screws, chain.home, chain.robot, chain.base)
     with temporary_folder() as folder:
@@ -71,7 +71,7 @@ def urdf_export(
         raise ModelError(f"the URDF, read back, differs by {difference:.2g} m from the model, more than {EXACT:g} m")
     left, measured = checked(form, model, nominal, session, temperature, campaign, user_effects)
     head, _, rest = text.partition("\n")
-    found = Exported("", temperature, difference, left, measured, held.combinations)
+    found = Exported("", temperature, difference, left, measured, fixed.combinations)
     said = (
         f"clampid: static geometry at {temperature:g} degC; read back it differs by at most {difference:.1e} m "
         f"from the model's static geometry, over {POSTURES} postures in the joints' ranges",

@@ -14,7 +14,7 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
-from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
+from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
 __all__ = [
     "Floor",
@@ -140,12 +140,12 @@ def _returns(rows: Rows, mine: Bools, channels: Sequence[int]) -> tuple[Array, i
     """Pooled standard deviation of channels of some rows ``(N,)`` over returns, degrees of freedom; None if too few."""
     place = np.c_[rows.session, rows.fold, rows.signals["target_is"], rows.signals["anchor_is"]]
     warm = np.c_[rows.signals["link_temperature"], rows.signals["motor_temperature"]]
-    told = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
-    returns = comparable_returns(place[told], rows.unit[told], rows.signals["direction"][told], warm[told])
+    usable = mine & rows.used[:, channels].all(axis=1)  # an outlier is no noise
+    returns = comparable_returns(place[usable], rows.unit[usable], rows.signals["direction"][usable], warm[usable])
     freedom = freedom_of(returns)
     if freedom < ENOUGH_RETURNS:
         return None
-    measured, squares = rows.measured[told][:, channels], np.zeros(len(channels))
+    measured, squares = rows.measured[usable][:, channels], np.zeros(len(channels))
     for members in returns:
         x = measured[members]
         squares += ((x - x.mean(axis=0)) ** 2).sum(axis=0)
@@ -179,7 +179,7 @@ def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) 
     full = np.r_[theta, np.zeros(experiment.offsets)]
     if experiment.stage == "clamped":
         full[count:] = clamping_offsets(experiment, full)
-    free = experiment.own() & ~experiment.held()
+    free = experiment.own() & ~experiment.fixed()
     precision = np.diag(np.where(free, 1.0 / experiment.prior_std() ** 2, 1e12 / experiment.sizes() ** 2))
     estimate = solve(experiment, full, noise or Noise(experiment.rows.sigma), precision, full)
     return estimate.residual
@@ -197,7 +197,7 @@ def cross_validated(estimate: Estimate, rows: Rows, seed: int) -> tuple[Rows, Ar
     part = parts_of_rows(rows, seed)
     residual = experiment.error(estimate.theta)
     size = experiment.sizes()
-    its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.held()), part[white.entry]
+    its_own, of_part = np.flatnonzero(experiment.own() & ~experiment.fixed()), part[white.entry]
     shared = np.setdiff1d(np.arange(len(size)), its_own)
     normals = {k: _normal(white.jacobian[of_part == k], white.residual[of_part == k]) for k in np.unique(of_part)}
     free = ~limits_of(experiment).resting(estimate.theta)

@@ -25,10 +25,10 @@ from scipy import special, stats
 
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["FEWEST", "RATE", "Agreement", "agreement"]
+__all__ = ["MIN_VISITS", "RATE", "Agreement", "agreement"]
 
 RATE = 0.01  # chance that rejected rows of clean tables are said to agree; the same as of a row to be rejected at all
-FEWEST = 4  # visits that agree: of fewer a model with a height, a middle and a width would say anything
+MIN_VISITS = 4  # visits that agree: of fewer a model with a height, a middle and a width would say anything
 DRAWS = 9999
 AT_ONCE = 2_000_000  # numbers drawn at once, for the memory they take
 FARTHER = 4.0  # than the rows that agree are off in the median: what is, is wrong beside
@@ -118,7 +118,7 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
     _, first, visit = np.unique(rows.unit[known], return_index=True, return_inverse=True)
     wrong = np.bincount(visit, bad[known], minlength=len(first)) > 0
     V, K = len(wrong), int(wrong.sum())
-    if K < FEWEST or K == V:
+    if K < MIN_VISITS or K == V:
         return None
     at = np.flatnonzero(known)[first]
     found = []
@@ -131,7 +131,7 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
         order = np.argsort(x, kind="stable")
         place = np.flatnonzero(wrong[order])
         ratio, i, j = _largest(place[None, :], V)
-        if not ratio[0] > 0.0 or j[0] - i[0] + 1 < FEWEST:
+        if not ratio[0] > 0.0 or j[0] - i[0] + 1 < MIN_VISITS:
             continue
         null = _null(V, K)
         p = float((1 + np.sum(null >= ratio[0])) / (len(null) + 1))
@@ -146,7 +146,7 @@ def _clearest(rows: Rows, bad: Bools) -> Agreement | None:
         of = np.bincount(visit, row[known], minlength=V) > 0
         hit = np.bincount(visit, (bad & row)[known], minlength=V) > 0
         k = int(hit.sum())
-        if k < FEWEST or (of.all() and name != "target"):
+        if k < MIN_VISITS or (of.all() and name != "target"):
             continue
         p = _of_target(rows, bad, member) if name == "target" else float(stats.hypergeom.sf(k - 1, V, K, int(of.sum())))
         found.append(Agreement(bad & member, name, float("nan"), float("nan"), label, p, k))
@@ -198,7 +198,7 @@ def _categories(rows: Rows) -> Iterator[tuple[str, str, Bools]]:
 
 def _counts(K: int) -> list[int]:
     """How many bad visits stretches hold that are tried: every number up to twelve, then every fourth part more."""
-    out = list(range(FEWEST, min(K, 12) + 1))
+    out = list(range(MIN_VISITS, min(K, 12) + 1))
     while out and out[-1] < K:
         out.append(min(K, int(np.ceil(1.25 * out[-1]))))
     return out

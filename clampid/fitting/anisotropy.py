@@ -43,8 +43,8 @@ def relative_axes(rows: Rows, residual: Array) -> Array:
     logs = np.log(squares + TINY)
     contrast = logs[:, : AXES - 1] - logs.mean(axis=1, keepdims=True)
     mean, spread = contrast.mean(axis=0), np.cov(contrast.T) / len(contrast)
-    told = float(mean @ np.linalg.pinv(spread) @ mean) * (len(logs) - AXES + 1) / ((len(logs) - 1) * (AXES - 1))
-    if stats.f.sf(told, AXES - 1, len(logs) - AXES + 1) > RATE:
+    hotelling = float(mean @ np.linalg.pinv(spread) @ mean) * (len(logs) - AXES + 1) / ((len(logs) - 1) * (AXES - 1))
+    if stats.f.sf(hotelling, AXES - 1, len(logs) - AXES + 1) > RATE:
         return level
     ratio = np.exp(logs.mean(axis=0) - logs.mean())
     # What groups have in common, the robot's repeatability and what the model lacks, is taken to be alike in all axes.

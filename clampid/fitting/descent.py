@@ -200,6 +200,6 @@ def covariance_of(normal: Array, precision: Array, squares: float, count: int) -
         The whitened squares left, and of how many numbers.
     """
     inverse = inverse_of(normal + precision)
-    told = len(inverse) - float(np.sum(inverse * precision))  # parameters that the rows determine, not the prior
-    scale = squares / max(count - told, 1.0)
+    determined = len(inverse) - float(np.sum(inverse * precision))  # parameters that the rows determine, not the prior
+    scale = squares / max(count - determined, 1.0)
     return np.asarray(inverse * max(scale, 1e-12))

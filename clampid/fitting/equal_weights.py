@@ -172,6 +172,6 @@ def informed(plain: Moments, power: Array, precision: Array, mean: Array, size: 
     known = values > SINGULAR * values.max(initial=0.0)
     root = (vectors[:, known] / np.sqrt(values[known])).T * balance  # root' root = M^-1
     own = root @ plain.normal
-    told = Moments(plain.at, own.T @ own, own.T @ (root @ plain.slope), plain.squares, plain.count)
-    best = minimise(told, plain.at, precision, mean, size, free)
+    weighted = Moments(plain.at, own.T @ own, own.T @ (root @ plain.slope), plain.squares, plain.count)
+    best = minimise(weighted, plain.at, precision, mean, size, free)
     return replace(best, squares=plain.moved(best.at).squares)

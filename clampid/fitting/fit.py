@@ -34,12 +34,14 @@ __all__ = [
 
 OUTLIER_RATE = 0.01  # chance that a clean table has a row called an outlier
 OUTLIER_PASSES = 3
-BEYOND = 1.5  # of the farthest row that a fit has kept
+OUTLIER_FACTOR = 1.5  # of the farthest row that a fit has kept
 OUTLIER_SHARE = 0.05  # more than this is not outliers but structure: then nothing is rejected
 AGREEING_SHARE = 2.0 * OUTLIER_SHARE  # of what would be rejected, while it is asked whether most of it agrees
 CROSSING_PASSES = 2
 BAR_PASSES, BAR_MOVED = 3, 0.1  # standard errors of a certified distance
-FIRST = 0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
+FIRST_FRICTION_STEP = (
+    0.01  # of its friction: by how much a held motor may at first be off what it is taken to have kept
+)
 
 
 def fit(
@@ -74,7 +76,7 @@ def fit(
         raise FitError(f"{experiment.stage}: no rows can be used: no motor moves, or every row is an outlier")
     precision, mean = prior_of(experiment, priors)
     theta = start_of(experiment, start, priors)
-    mean = np.where(experiment.held(), theta, mean)
+    mean = np.where(experiment.fixed(), theta, mean)
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
@@ -129,7 +131,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
             return estimate
         experiment = estimate.experiment.with_rows(replace(rows, constants={**rows.constants, "stated": now}))
         precision, mean = prior_of(experiment, priors)
-        mean = np.where(experiment.held(), estimate.theta, mean)
+        mean = np.where(experiment.fixed(), estimate.theta, mean)
         estimate = solve(experiment, estimate.theta, estimate.noise, precision, mean)
     return estimate
 
@@ -176,7 +178,7 @@ def _kept_first(experiment: Experiment, theta: Array, noise: Noise, precision: A
         return theta
     motors = experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
     kept = len(experiment.slots) + np.flatnonzero(motors)
-    held = holding(experiment, precision, kept, FIRST)
+    held = holding(experiment, precision, kept, FIRST_FRICTION_STEP)
     return solve(experiment, theta, noise, held, mean).theta if len(kept) else theta
 
 
@@ -255,7 +257,7 @@ def without_outlying(rows: Rows, residual: Array, fitted: Rows, left: Array) -> 
         ``(N, m)`` and ``(M, m)``: of the prediction, and of the fitted rows.
     """
     known = fitted.used[:, :3].all(axis=1)
-    most = BEYOND * float(_distance(fitted, left)[known].max(initial=0.0))
+    most = OUTLIER_FACTOR * float(_distance(fitted, left)[known].max(initial=0.0))
     bad = outlying(rows, residual) & (_distance(rows, residual) > most)
     points = np.bincount(rows.unit, rows.used[:, :3].all(axis=1))[rows.unit]
     bad &= (points < 2) | (np.bincount(rows.unit, bad)[rows.unit] <= points / 2)  # of one point nobody can say

@@ -46,7 +46,7 @@ def with_friction_start(
         return start
     precision, mean = prior_of(experiment, priors)
     theta = start_of(experiment, start, priors)
-    mean = np.where(experiment.held(), theta, mean)
+    mean = np.where(experiment.fixed(), theta, mean)
     best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
     for _ in range(PASSES):
         before = best.cost

@@ -27,12 +27,12 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 __all__ = ["other_crossings"]
 
 SHARES = (0.1, 0.35, 0.65, 0.9)  # of the rows: where a joint's torque is tried to change its sign
-BEYOND = 1.0  # of the noise: as far outside all rows that none changes it
+OUTSIDE_MARGIN = 1.0  # of the noise: as far outside all rows that none changes it
 LARGEST = 2.0  # times the friction that a motor shows: more is not kept
 LEAST_CHI_SQUARE = 4.0  # of chi-square: changes of torque worth less say nothing about crossings
 NEAR = 2.0  # of the noise: a torque so small may be of either sign
 BETTER = 1.0  # of -2 log of the evidence
-STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1  # of the descent of what is tried; the whole search follows
+MAX_STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1  # of the descent of what is tried; the whole search follows
 CENTRING = 5
 
 
@@ -106,7 +106,7 @@ class _Sweeps:
         part, best, of = self.only(clampings), own.copy(), self.clamping[self.keys[:, 0]]
         cost, A, g = part.quadratic(best)
         damping, moving = np.zeros(len(cost)), clampings.copy()
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             step = np.linalg.solve(A + np.diag(damping[of] * np.diag(A)), g) * moving[of]
             moving &= np.bincount(of, step * g, len(cost)) > SETTLED
             if not moving.any():
@@ -188,8 +188,8 @@ def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]
                 stands[-1].append(int(s))
             else:
                 stands.append([int(s)])
-        told = sweeps.rows.constants["kept_sign"]
-        stands = [s for s in stands if live[s, motor].any() and not told[s[0], motor]]
+        sign_known = sweeps.rows.constants["kept_sign"]
+        stands = [s for s in stands if live[s, motor].any() and not sign_known[s[0], motor]]
         while stands:
             clampings = [int(sweeps.clamping[s[0]]) for s in stands]
             first = [s for k, s in enumerate(stands) if clampings[k] not in clampings[:k]]
@@ -279,7 +279,11 @@ class _Table:
                 continue
             torque, noise = self.torque[mine, self.motor], float(self.spread[mine[0], self.motor])
             smooth = np.array([b.mean() for b in np.array_split(torque, max(len(torque) // BLOCK_ROWS, 1))])
-            at = [*np.quantile(smooth, SHARES), smooth.min() - BEYOND * noise, smooth.max() + BEYOND * noise]
+            at = [
+                *np.quantile(smooth, SHARES),
+                smooth.min() - OUTSIDE_MARGIN * noise,
+                smooth.max() + OUTSIDE_MARGIN * noise,
+            ]
             out += [float(a) / float(self.lever[self.motor]) for a in at]
         return out
 

@@ -69,8 +69,10 @@ def by_springs(columns: Array, torques: Array, normal: Array, precision: Array) 
         ``(P, P)``: what all rows determine, and the prior.
     """
     own = columns.T @ columns
-    told = np.diag(own) > 0.0
-    share = float(np.median(np.diag(normal)[told] / np.diag(own)[told]))  # those rows are fewer, and not prewhitened
+    informative = np.diag(own) > 0.0
+    share = float(
+        np.median(np.diag(normal)[informative] / np.diag(own)[informative])
+    )  # those rows are fewer, and not prewhitened
     return np.asarray(-inverse_of(share * own + precision) @ (share * (columns.T @ torques)))
 
 

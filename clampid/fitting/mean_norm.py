@@ -24,12 +24,12 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, FitError, limits_of, stage_point
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array
-from experiments.metrics import norm_metrics
+from experiments.measures.metrics import norm_metrics
 
 __all__ = ["compared", "mean_norm"]
 
 ALIKE = 2 / 3 * np.sqrt(2 / np.pi)  # E[1 - uu']/|e|, times sigma, an axis: of Gaussian errors in three dimensions
-TOLERANCE, STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
+TOLERANCE, MAX_SLSQP_STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
 NEAREST = 1e-3  # of sigma: a point that is met more closely than this counts as that far off in H
 
 
@@ -114,7 +114,7 @@ def _cost(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> 
 
 def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> Array:
     """SLSQP from ``theta``, flanks held, in coordinates in which least squares would be a ball."""
-    free = np.flatnonzero(~trial.held())
+    free = np.flatnonzero(~trial.fixed())
     J = estimate.whitened.jacobian
     L = linalg.cholesky(inverse_of(J.T @ J + estimate.prior_precision)[np.ix_(free, free)], lower=True)
 
@@ -136,7 +136,7 @@ def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -
         constraints.append({"type": "ineq", "fun": lambda z: by_z @ z + slack, "jac": lambda z: by_z})
     found = optimize.minimize(
         cost, np.zeros(len(free)), jac=True, method="SLSQP", constraints=constraints,
-        options={"ftol": TOLERANCE, "maxiter": STEPS},
+        options={"ftol": TOLERANCE, "maxiter": MAX_SLSQP_STEPS},
     )  # fmt: skip
     if not found.success or not np.all(np.isfinite(found.x)):
         raise FitError(f"poses: SLSQP did not find the least mean norm: {found.message}")
@@ -157,6 +157,6 @@ def _covariance(trial: Experiment, theta: Array, precision: Array, kappa: float,
     g = np.zeros((int(visit.max()) + 1, len(theta)))
     np.add.at(g, visit, along)
     inverse = inverse_of(H)
-    told = max(len(theta) - float(np.sum(inverse * precision) * kappa), 0.0)
-    small = len(g) / max(len(g) - told / 3, 1.0)  # a visit has three coordinates or more
+    determined = max(len(theta) - float(np.sum(inverse * precision) * kappa), 0.0)
+    small = len(g) / max(len(g) - determined / 3, 1.0)  # a visit has three coordinates or more
     return np.asarray(inverse @ (small * g.T @ g + kappa**2 * precision) @ inverse)

@@ -71,14 +71,16 @@ def named_directions(
     out += [f"{name} at {', '.join(places)}: these rows do not depend on it" for name, places in groups.items()]
     values, vectors = np.linalg.eigh(information[np.ix_(~silent, ~silent)])
     labels = [s.label for s, alone in zip(slots, silent, strict=True) if not alone]
-    told: dict[frozenset[int], int] = {}  # which parameters share an open direction, and how many such there are
+    open_together: dict[
+        frozenset[int], int
+    ] = {}  # which parameters share an open direction, and how many such there are
     for value, vector in zip(values, vectors.T, strict=True):
-        if value >= WEAK or len(out) + len(told) >= limit:
+        if value >= WEAK or len(out) + len(open_together) >= limit:
             break
         main = np.argsort(-np.abs(vector))
         parts = frozenset(int(k) for k in main[:4] if abs(vector[k]) > 0.25) or frozenset([int(main[0])])
-        told[parts] = told.get(parts, 0) + 1
-    for parts, directions in told.items():
+        open_together[parts] = open_together.get(parts, 0) + 1
+    for parts, directions in open_together.items():
         words = " and ".join(labels[k] for k in sorted(parts))
         if len(parts) == 1:
             out.append(f"{words}: the data do not narrow its plausible range")

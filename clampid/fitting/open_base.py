@@ -163,7 +163,7 @@ def from_likeliest_turn(experiment: Experiment, priors: Sequence[Prior]) -> Rows
 def _likeliest(experiment: Experiment, rows: Rows, turn: OpenTurn, angles: Array, priors: Sequence[Prior]) -> Array:
     precision, mean = prior_of(experiment, priors)
     theta, noise = start_of(experiment, None, priors), initial_noise(rows)
-    mean = np.where(experiment.held(), theta, mean)
+    mean = np.where(experiment.fixed(), theta, mean)
 
     def cost(angle: Array) -> float:
         there = experiment.with_rows(_turned(rows, turn, angle))

@@ -26,7 +26,7 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Scatter", "clustered_covariance", "shared_moments", "sums_over", "visit_scatter"]
 
-FEWEST = 20  # visits with more than one point or distance; of fewer no seven variances can be told
+MIN_VISITS = 20  # visits with more than one point or distance; of fewer no seven variances can be told
 NUMBERS = 4096  # at once, for the memory they take
 ABSORBED = 1e-3  # the least share of a number's variance that a fit may have left
 
@@ -81,7 +81,7 @@ def visit_scatter(white: Whitened, by_joint: Array, visit: Integers, covariance:
         products[1:, 1:] += np.sum(gram**2, axis=0)
         observed[0] += np.sum(residual**2)
         observed[1:] += np.sum(np.einsum("vji,vj->vi", J, residual) ** 2, axis=0)
-    if several < FEWEST:
+    if several < MIN_VISITS:
         return None
     products[1:, 0] = products[0, 1:]
     size = np.sqrt(np.maximum(np.diag(products), 1e-300))

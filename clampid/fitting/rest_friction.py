@@ -38,7 +38,10 @@ __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 ROUNDS = 6  # of all joints, at most
 CELLS, LEAST = 2000, 33  # values tried, at most and at least
 VARIES = 0.1  # of the heaviest load
-BEYOND, FAR = 16, 3.0  # frictions that no load exceeds: so many, to as many standard deviations of the prior
+TAIL_NODES, TAIL_DEVIATIONS = (
+    16,
+    3.0,
+)  # frictions that no load exceeds: so many, to as many standard deviations of the prior
 LIP, RATED = 0.1, 100.0  # Nm: what a seal's lip rubs on a shaft of 40 mm, that of a joint of such a rated torque
 LIPS = 3.0  # of it: how far seals may be from what they are taken for
 MISSES = 3.0  # of the noise's squares
@@ -165,7 +168,7 @@ def _held(experiment: Experiment, open_: Sequence[int], theta: Array) -> Prior:
 
 def _solved(experiment: Experiment, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
     precision, mean = prior_of(experiment, (*priors, _held(experiment, open_, theta)))
-    mean = np.where(experiment.held(), theta, mean)
+    mean = np.where(experiment.fixed(), theta, mean)
     return solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
 
 
@@ -204,7 +207,7 @@ class _Profile:
     def likeliest(self) -> float:
         """The value of the lowest cost; of frictions that no load exceeds the least."""
         best = int(np.argmin(self.cost))
-        return float(self.value[min(best, len(self.value) - BEYOND)])
+        return float(self.value[min(best, len(self.value) - TAIL_NODES)])
 
     @classmethod
     def of(cls, estimate: Estimate, friction: int) -> _Profile:
@@ -219,7 +222,9 @@ class _Profile:
         without, fitted = pressing[row, joint], _pressing(estimate, estimate.theta)[row, joint]
         contrary = np.flatnonzero(without * direction < 0.0)  # what presses against the direction, friction turns
         order = contrary[np.argsort(np.abs(without[contrary]), kind="stable")]
-        value, width, after = _values(np.abs(without[order]), FAR * float(estimate.experiment.prior_std()[friction]))
+        value, width, after = _values(
+            np.abs(without[order]), TAIL_DEVIATIONS * float(estimate.experiment.prior_std()[friction])
+        )
         side = np.where(without * fitted < 0.0, -1.0, 1.0)
         loose = _Loose.of(estimate, friction, gap)
         theta, cost, normal, slopes = loose.fitted(value, visit, side, order, after)
@@ -247,7 +252,7 @@ def _values(turns: Array, most: float) -> tuple[Array, Array, Integers]:
     chosen = np.unique(np.linspace(0, len(at) - 1, min(len(at), CELLS)).astype(int))
     edge = at[chosen]
     inside, last = 0.5 * (edge[1:] + edge[:-1]), 1.001 * float(edge[-1])
-    beyond = np.geomspace(last, max(most, 10.0 * last), BEYOND)
+    beyond = np.geomspace(last, max(most, 10.0 * last), TAIL_NODES)
     value = np.r_[inside, beyond]
     width = np.r_[np.diff(edge), np.gradient(beyond)]
     return value, width, np.asarray(np.searchsorted(turns, value), dtype=np.int64)

@@ -78,8 +78,8 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
 def _untold_springs(estimate: Estimate) -> list[int]:
     """Numbers of the compliances that a fit's rows do not determine, nor set apart from what springs are taken for."""
     clear = np.abs(estimate.theta - estimate.prior_mean) > SHOWN * estimate.std
-    told = estimate.identified | clear
-    return [k for k in estimate.experiment.numbers_of("compliance") if not told[k]]
+    known = estimate.identified | clear
+    return [k for k in estimate.experiment.numbers_of("compliance") if not known[k]]
 
 
 def _moot(estimate: Estimate, unknown: Sequence[int]) -> tuple[list[int], Array]:

@@ -26,8 +26,8 @@ from clampid.fitting.rest_friction import RestFriction, with_open_friction, with
 from clampid.fitting.solve import Estimate, FitError
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.fitting.unknown_masses import with_unknown_masses
-from clampid.identification.begin import begun
 from clampid.identification.carried import carried_drives, carried_over
+from clampid.identification.initial_values import initial_values
 from clampid.models.agreement import Agreement
 from clampid.models.model import StageModel
 from clampid.models.ranges import ranges_of
@@ -99,13 +99,13 @@ class FittedStage:
         if self.model.stage != "free_air":
             return self
         estimate, weights = with_best_weights(self.estimate, seed)
-        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, self.model.told)
+        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, self.model.carried_prior)
         return replace(self, model=model, estimate=estimate, weights=weights)
 
-    def with_estimate(self, estimate: Estimate, told: Prior) -> FittedStage:
-        """The same stage at the solution of a joint fit; ``told`` is what the other stages say."""
+    def with_estimate(self, estimate: Estimate, carried_prior: Prior) -> FittedStage:
+        """The same stage at the solution of a joint fit; ``carried_prior``: what other stages say."""
         estimate = with_open_base(with_kept_friction(estimate))
-        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, told)
+        model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, carried_prior)
         return replace(self, model=model, estimate=estimate)
 
 
@@ -113,10 +113,9 @@ def fit_stage(
     rows: Rows,
     effects: Mapping[str, Effect],
     terms: Sequence[Term],
-    before: Mapping[Stage, StageModel],
+    others: Mapping[Stage, StageModel] | Prior,
     start: Mapping[Slot, float] | None = None,
     held: Sequence[Sequence[int]] = (),
-    told: Prior | None = None,
     cost: Cost = "least-squares",
     last: Estimate | None = None,
 ) -> FittedStage:
@@ -124,10 +123,9 @@ def fit_stage(
 
     Parameters
     ----------
-    before
-        The stages already fitted, whose values this one takes over.
-    told
-        What all other rows say, where a joint fit knows: taken instead.
+    others
+        The stages already fitted, whose values this one takes over; or, where a joint fit knows, what all other rows
+        say.
     cost
         ``mean-norm``, of ``poses`` only: see :mod:`clampid.fitting.mean_norm`.
     last
@@ -140,7 +138,8 @@ def fit_stage(
     FitError
         The rows have no more numbers than the parameters that they determine.
     """
-    if told is None and not start and open_turns(rows):
+    carried_prior, before = (others, {}) if isinstance(others, Prior) else (None, others)
+    if carried_prior is None and not start and open_turns(rows):
         trial = experiment(rows, effects, active_slots(rows, effects, terms))
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
     fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
@@ -149,17 +148,17 @@ def fit_stage(
 
     def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
         first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
-        if told is not None:
-            return fit(first, (told,), values, weights=weights)
+        if carried_prior is not None:
+            return fit(first, (carried_prior,), values, weights=weights)
         priors, carried = carried_over(rows, before, effects)
         return fit(first, priors, {**carried, **values}, weights=weights)
 
-    terms, start = begun(terms, effects, rows.layout, start or {}, begin)
+    terms, start = initial_values(terms, effects, rows.layout, start or {}, begin)
     trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
     friction = RestFriction(start, None)
-    if told is not None:
-        estimate = fit(trial, (told,), start, weights=weights)
+    if carried_prior is not None:
+        estimate = fit(trial, (carried_prior,), start, weights=weights)
     else:
         priors, carried = carried_over(rows, before, effects)
         if "free_air" in before:
@@ -178,7 +177,7 @@ def fit_stage(
                 friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
             estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
     estimate = with_kept_friction(estimate)
-    if rows.stage == "poses" and told is None:  # a joint fit has one value and error of what stages share
+    if rows.stage == "poses" and carried_prior is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_friction(with_open_flanks(estimate), friction.held)
         estimate = with_unknown_masses(estimate) if "free_air" not in before else estimate
     universal = None
@@ -190,7 +189,9 @@ def fit_stage(
     if rows.stage == "poses":
         for s in np.unique(rows.session):
             reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
-    return FittedStage(_model_of(estimate, rows, terms, held, told), estimate, reference, rows, contradicted, universal)
+    return FittedStage(
+        _model_of(estimate, rows, terms, held, carried_prior), estimate, reference, rows, contradicted, universal
+    )
 
 
 def active_slots(rows: Rows, effects: Mapping[str, Effect], terms: Sequence[Term]) -> tuple[Slot, ...]:
@@ -205,7 +206,7 @@ def _is_geometry(term: Term, effects: Mapping[str, Effect]) -> bool:
 
 
 def _model_of(
-    estimate: Estimate, rows: Rows, terms: Sequence[Term], held: Sequence[Sequence[int]], told: Prior | None
+    estimate: Estimate, rows: Rows, terms: Sequence[Term], held: Sequence[Sequence[int]], carried_prior: Prior | None
 ) -> StageModel:
     count, fitted = len(estimate.slots), estimate.experiment.rows
     bad = np.flatnonzero(estimate.outliers)
@@ -223,7 +224,7 @@ def _model_of(
         null_directions=(*(turn.words(sessions[turn.session]) for turn in turns), *null_directions(estimate)),
         base=base_parameters(estimate),
         by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
-        told=told,
+        carried_prior=carried_prior,
         lean=estimate.experiment.chain.lean,
         ranges=ranges_of(fitted, estimate.outliers) if rows.stage == "poses" else None,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
@@ -232,11 +233,11 @@ def _model_of(
 
 def _refuse_no_freedom(estimate: Estimate) -> None:
     """Refuse rows that the parameters can follow whatever was measured: what is left of them is no noise."""
-    numbers, told = freedom_of(estimate)
-    if told >= numbers:
+    numbers, determined = freedom_of(estimate)
+    if determined >= numbers:
         raise FitError(
             f"{estimate.experiment.stage}: expected more measured numbers than parameters that they determine, found "
-            f"{numbers} and {told}: no degree of freedom is left; measure more, or fit "
+            f"{numbers} and {determined}: no degree of freedom is left; measure more, or fit "
             "fewer effects (--effects)"
         )
 

@@ -66,11 +66,11 @@ class FittedLog:
         """What the ledger keeps beside the errors."""
         return {} if self.weights is None else {"weights": self.weights.to_json()}
 
-    def with_solution(self, theta: Array, covariance: Array, told: Prior) -> FittedLog:
-        """The same stage at the solution ``(P + K,)`` of a joint fit; ``told`` is what the other stages say."""
+    def with_solution(self, theta: Array, covariance: Array, carried_prior: Prior) -> FittedLog:
+        """The same stage at the solution ``(P + K,)`` of a joint fit; ``carried_prior``: what other stages say."""
         fit = replace(self.fit, moments=self.fit.moments.moved(theta))
-        prior = LogPrior(*prior_of(self.stage.experiment, (told,)), self.prior.limits)
-        model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, told)
+        prior = LogPrior(*prior_of(self.stage.experiment, (carried_prior,)), self.prior.limits)
+        model = self.stage.model_of(fit, prior, covariance, self.kept, self.model.held_out, carried_prior)
         return replace(self, model=model, fit=fit, prior=prior, covariance=covariance)
 
 
@@ -150,7 +150,7 @@ class LogStage:
         priors = description_priors(self.folds)
         at = start_of(self.experiment, start, priors)
         precision, mean = prior_of(self.experiment, priors)
-        mean = np.where(self.experiment.held(), at, mean)
+        mean = np.where(self.experiment.fixed(), at, mean)
         prior = LogPrior(precision, mean, limits_of(self.experiment))
         part = parts_of(self.folds, kept, seed)
         fit, weights = fit_log(self.design, kept, prior, at, part), None
@@ -167,7 +167,7 @@ class LogStage:
         covariance: Array,
         kept: Bools,
         held: tuple[tuple[int, ...], ...],
-        told: Prior | None = None,
+        carried_prior: Prior | None = None,
     ) -> StageModel:
         """The stage's model of a fit with ``covariance`` ``(P + K, P + K)`` of the folds ``kept`` ``(F,)``."""
         slots, count = self.experiment.slots, len(self.experiment.slots)
@@ -188,7 +188,7 @@ class LogStage:
             outliers=tuple(self._place(int(row)) for row in fit.outliers),
             null_directions=named_directions(information, size, slots, prior.precision[inside], assumed),
             base=self._base(fit, own, prior.precision[:count, :count]),
-            told=told,
+            carried_prior=carried_prior,
             observability=observability(projected(information, count), fit.moments.count),
             by_springs=log_by_springs(self.design, self.parts, slots, fit.noise.sigma, fit.moments, prior.precision),
         )

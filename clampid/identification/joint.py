@@ -106,7 +106,7 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     Returns
     -------
     list
-        The stages at the joint solution, with ``told`` in their models.
+        The stages at the joint solution, with ``carried_prior`` in their models.
 
     Raises
     ------
@@ -124,12 +124,12 @@ def fit_jointly(parts: Sequence[JointPart]) -> list[JointPart]:
     covariance = _covariance(parts, best, union, weights)
     out: list[JointPart] = []
     for k, (part, columns) in enumerate(zip(parts, union.columns, strict=True)):
-        told = _told_by_the_others(best, union, weights, k, _experiment(part))
+        carried_prior = _prior_of_the_others(best, union, weights, k, _experiment(part))
         own, spread = best.theta[columns], covariance[np.ix_(columns, columns)]
         if isinstance(part, FittedLog):
-            out.append(part.with_solution(own, spread, told))
+            out.append(part.with_solution(own, spread, carried_prior))
         else:
-            out.append(part.with_estimate(_estimate(part, own, spread, told), told))
+            out.append(part.with_estimate(_estimate(part, own, spread, carried_prior), carried_prior))
     return out
 
 
@@ -155,7 +155,7 @@ def _union(parts: Sequence[JointPart]) -> _Union:
         limits = limits_of(trial)
         scale[here], lower[here], upper[here] = limits.size, limits.lower, limits.upper
         bounded[here] |= limits.bounded
-        mean[here] = np.where(trial.held(), _alone(part), own_mean)
+        mean[here] = np.where(trial.fixed(), _alone(part), own_mean)
     return _Union(tuple(columns), precision, mean, Limits(scale, lower, upper, bounded))
 
 
@@ -220,8 +220,8 @@ def _weights(best: _Joint, union: _Union) -> Array:
     covariance = inverse_of(A + union.precision)
     out = []
     for point, columns in zip(best.points, best.columns, strict=True):
-        told = float(np.sum(point.normal()[0] * covariance[np.ix_(columns, columns)]))  # parameters that it tells
-        out.append(max(point.count - told, 1.0) / max(point.cost, 1e-12))
+        determined = float(np.sum(point.normal()[0] * covariance[np.ix_(columns, columns)]))  # parameters that it tells
+        out.append(max(point.count - determined, 1.0) / max(point.cost, 1e-12))
     return np.array(out)
 
 
@@ -244,7 +244,7 @@ def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights
     return np.asarray(0.5 * (found + found.T) * np.outer(size, size))
 
 
-def _told_by_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: Experiment) -> Prior:
+def _prior_of_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: Experiment) -> Prior:
     """What all rows but those of stage ``k`` say of its slots, and the description."""
     others = weights.copy()
     others[k] = 0.0
@@ -259,11 +259,11 @@ def _told_by_the_others(best: _Joint, union: _Union, weights: Array, k: int, tri
     return Prior(tuple(trial.slots[i] for i in chosen), mean[here], covariance[np.ix_(here, here)])
 
 
-def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -> Estimate:
+def _estimate(part: FittedStage, theta: Array, covariance: Array, carried_prior: Prior) -> Estimate:
     """A stage's estimate at the joint solution."""
     alone = part.estimate
     point = stage_point(alone.experiment, alone.noise, theta)
-    precision, mean = prior_of(alone.experiment, (told,))
+    precision, mean = prior_of(alone.experiment, (carried_prior,))
     return replace(
         alone,
         theta=theta,
@@ -271,5 +271,5 @@ def _estimate(part: FittedStage, theta: Array, covariance: Array, told: Prior) -
         whitened=point.white,
         residual=point.residual,
         prior_precision=precision,
-        prior_mean=np.where(alone.experiment.held(), theta, mean),
+        prior_mean=np.where(alone.experiment.fixed(), theta, mean),
     )

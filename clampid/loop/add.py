@@ -16,7 +16,8 @@ from clampid.diagnosis.result import Step
 from clampid.effect import STAGES, Effect, EffectError, Stage
 from clampid.evidence.candidates import named_candidates
 from clampid.evidence.events import event_scores
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import Floor, StageErrors
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import (
@@ -27,7 +28,7 @@ from clampid.identification.identify import (
     stages_of,
     verification_rows,
 )
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.loop.change import Change, change_between
 from clampid.models.model import Model, Round, StageModel
 from clampid.progress import in_parts
@@ -140,7 +141,7 @@ def add(
     ModelError
         The model does not fit the campaigns.
     """
-    opened = reopen(model, _several(campaigns), user_effects)
+    opened = on_campaign(model, _several(campaigns), user_effects)
     here = [s for s in stages_of(opened.campaigns) if s in opened.stages]
     wanted = _parse(terms, opened.effects, opened.layout, here)
     mended = _added(opened, {stage: [Step(tuple(asked))] for stage, asked in wanted.items()}, seed)
@@ -182,7 +183,7 @@ def add_steps(
     ModelError
         The model does not fit the campaigns.
     """
-    opened = reopen(model, _several(campaigns), user_effects)
+    opened = on_campaign(model, _several(campaigns), user_effects)
     mended = _added(opened, steps, seed)
     left_out = [(stage, step) for stage, m in mended.items() for step in m.left_out]
     return _model_with(opened, mended, user_effects), left_out
@@ -210,7 +211,7 @@ class _Mended:
         return StageAddition(_listed(self.fitted, terms, effects), self.before, self.after, self.change())
 
 
-def _added(opened: Reopened, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
+def _added(opened: ModelOnCampaign, steps: Mapping[Stage, Sequence[Step]], seed: int) -> dict[Stage, _Mended]:
     """All rounds of one stage, then those of the next: poses take loads, flanks and springs from the others."""
     mended: dict[Stage, _Mended] = {}
     stages = dict(opened.stages)
@@ -223,12 +224,12 @@ def _added(opened: Reopened, steps: Mapping[Stage, Sequence[Step]], seed: int) -
 
 
 def _stage_with(
-    opened: Reopened, stage: Stage, steps: Sequence[Step], stages: Mapping[Stage, StageModel], seed: int
+    opened: ModelOnCampaign, stage: Stage, steps: Sequence[Step], stages: Mapping[Stage, StageModel], seed: int
 ) -> _Mended:
     """One stage after one round a step; a round begins with the fit of the one before it, not with one of its own."""
     effects, model = opened.effects, opened.stages[stage]
     before = {s: m for s, m in stages.items() if s != stage}
-    held, told = model.held_out, model.told
+    held_out, carried_prior = model.held_out, model.carried_prior
 
     def acting(terms: Sequence[Term]) -> tuple[bool, bool]:
         return has_inertia(terms, effects), has_friction_state(terms, effects)
@@ -243,7 +244,7 @@ def _stage_with(
             resting=kind[1],
             anchors=opened.anchors,
         )
-        fitted = fit_stage(rows, effects, known.terms, before, known.values(), held, told)
+        fitted = fit_stage(rows, effects, known.terms, carried_prior or before, known.values(), held_out)
         verification = verification_rows(opened.campaigns, opened.layout, stage, fitted.base_reference)
         return fitted, verification, fitted.errors(verification, seed, floor)
 
@@ -268,7 +269,7 @@ def _stage_with(
         old, worse = fitted.model, errors
         every = (*old.terms, *new_terms)
         start, last = {**shapes, **old.values()}, fitted.estimate
-        fitted = fit_stage(fitted.rows, effects, every, before, start, held, told, last=last)
+        fitted = fit_stage(fitted.rows, effects, every, carried_prior or before, start, held_out, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
     if rounds and stage == "free_air":
@@ -276,7 +277,7 @@ def _stage_with(
         errors = fitted.errors(verification, seed, floor)
         known = {**rounds[-1].evidence, "heldout_rms_after": errors.heldout_rms, **fitted.evidence}
         rounds[-1] = replace(rounds[-1], rms=errors.rms, heldout_rms=errors.heldout_rms, evidence=known)
-    change = partial(change_between, compared, fitted, held, verification, seed, floor)
+    change = partial(change_between, compared, fitted, held_out, verification, seed, floor)
     return _Mended(unmended, fitted, first, errors, tuple(rounds), tuple(left_out), change)
 
 
@@ -295,7 +296,7 @@ def _round(
     )
 
 
-def _model_with(opened: Reopened, mended: Mapping[Stage, _Mended], user_effects: Path | None) -> Model:
+def _model_with(opened: ModelOnCampaign, mended: Mapping[Stage, _Mended], user_effects: Path | None) -> Model:
     """The model with its stages mended, and the rounds in its ledger."""
     references: dict[int, Array] = dict(opened.base or {})
     anchors = dict(opened.anchors or {})

@@ -10,7 +10,7 @@ from clampid.catalogue import catalogue
 from clampid.effect import Effect, Stage
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import has_friction_state, has_inertia, stage_rows
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model, ModelError, Round, StageModel
 from clampid.slots import Term
 from clampid.threads import single_threaded
@@ -46,7 +46,7 @@ def undo(
         if campaign.fingerprint not in known:
             raise ModelError(f"{campaign.name}: expected a campaign that the model was fitted on, found another")
     last = model.ledger[-1]
-    opened = reopen(model, several, user_effects)
+    opened = on_campaign(model, several, user_effects)
     effects, layout, stages, base = opened.effects, opened.layout, opened.stages, opened.base
     mended: dict[Stage, StageModel] = dict(stages)
     # What the round put in another's place, such as one curve for several joints, stands there again.
@@ -64,7 +64,7 @@ def undo(
         moves, rests = has_inertia(terms, effects), has_friction_state(terms, effects)
         rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests, anchors=opened.anchors)
         others = {s: m for s, m in mended.items() if s != stage}
-        fitted = fit_stage(rows, effects, terms, others, old.values(), old.held_out, old.told)
+        fitted = fit_stage(rows, effects, terms, old.carried_prior or others, old.values(), old.held_out)
         mended[stage] = fitted.with_best_weights(model.seed).model
     own = _still_used(mended, effects)
     chosen = model.user_effects if user_effects is None else str(user_effects)

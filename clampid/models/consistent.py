@@ -43,7 +43,7 @@ SHARE = 0.3  # of a link's length: the radius of gyration of a link of unknown i
 LEAST_RADIUS = 0.05  # m
 UNKNOWN_MASS, LUMPED_MASS = 5.0, 0.5  # kg: of a link of an arm without described masses; of one lumped into another
 LEAST_ROTOR = 0.02  # kg m²
-STEPS = 200
+MAX_STEPS = 200
 DONE, ROUNDING = 1e-9, 1e-3  # of Newton's decrement, in units of chi-square
 SHORTEST = 1e-9
 
@@ -184,7 +184,7 @@ class _Problem:
 
         Steps are shortened until the cost falls and bodies stay possible (Boyd & Vandenberghe 2004, section 9.5).
         """
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS):
             gradient, hessian = self._derivatives(x, weight)
             scale = 1.0 / np.sqrt(np.diag(hessian))
             step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)

@@ -59,7 +59,7 @@ class Drives:
     friction_std: Array
 
     @property
-    def told(self) -> Bools:
+    def gap_identified(self) -> Bools:
         """Which clearances ``(n,)`` differ from zero: those above their detection limit."""
         return np.asarray(self.gap > self.gap_limit)
 
@@ -73,7 +73,9 @@ class Drives:
             base = name.removesuffix("_std").removesuffix("_limit")
             return f"{name}_{units[base]}"
 
-        return {key(name): values for name, values in found.items()} | {"gap_told_from_zero": self.told.tolist()}
+        return {key(name): values for name, values in found.items()} | {
+            "gap_told_from_zero": self.gap_identified.tolist()
+        }
 
 
 def drives_of(stage: StageModel, robot: RobotDescription) -> Drives:

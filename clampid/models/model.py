@@ -19,6 +19,7 @@ from clampid.fitting.bootstrap import Bootstrap
 from clampid.models.checked import check_model
 from clampid.models.migrations import MIGRATIONS
 from clampid.models.ranges import Ranges, read_ranges
+from clampid.models.stage_json import bootstrap_json, carried_prior_json, read_bootstrap, read_carried_prior
 from clampid.shown import Shown
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
@@ -27,6 +28,7 @@ from kinematics.reading import json_of, read_text
 from kinematics.section import migrated, shown
 
 __all__ = ["FORMAT", "Model", "ModelError", "Round", "Session", "StageModel", "load_model", "save_model"]
+
 
 FORMAT = "clampid-model/2"
 
@@ -84,7 +86,7 @@ class StageModel:
         Indices O1 … O5 of the fitted rows, and of how many ``parameters``; see `clampid.fitting.observability`.
     bootstrap
         Standard errors and intervals by drawing whole poses anew, where that was asked for.
-    told
+    carried_prior
         Of a joint fit: what all but this stage's rows say of its parameters, so that it can be fitted again without
         counting any row twice; else None.
     lean
@@ -108,7 +110,7 @@ class StageModel:
     base: tuple[BaseParameter, ...] = ()
     observability: Mapping[str, float] = field(default_factory=dict)
     bootstrap: Bootstrap | None = None
-    told: Prior | None = None
+    carried_prior: Prior | None = None
     lean: Array | None = None
     by_springs: Array | None = None
     ranges: Ranges | None = None
@@ -300,37 +302,12 @@ def _stage_json(stage: StageModel) -> dict[str, Any]:
         "not_identifiable": list(stage.null_directions),
         "base_parameters": [base_json(parameter) for parameter in stage.base],
         "observability": dict(stage.observability),
-        "bootstrap": None if stage.bootstrap is None else _bootstrap_json(stage.bootstrap),
-        "told": None if stage.told is None else _told_json(stage.told),
+        "bootstrap": None if stage.bootstrap is None else bootstrap_json(stage.bootstrap),
+        "told": None if stage.carried_prior is None else carried_prior_json(stage.carried_prior),
         "lean_rad": None if stage.lean is None else stage.lean.tolist(),
         "by_springs": None if stage.by_springs is None else stage.by_springs.tolist(),
         "ranges": None if stage.ranges is None else stage.ranges.to_json(),
     }
-
-
-def _bootstrap_json(found: Bootstrap) -> dict[str, Any]:
-    numbers = {"std": found.std, "low": found.low, "high": found.high}
-    return {"count": found.count, **{name: values.tolist() for name, values in numbers.items()}}
-
-
-def _read_bootstrap(data: Mapping[str, Any] | None) -> Bootstrap | None:
-    if data is None:
-        return None
-    std, low, high = (np.array(data[name], dtype=float) for name in ("std", "low", "high"))
-    return Bootstrap(int(data["count"]), std, low, high)
-
-
-def _told_json(told: Prior) -> dict[str, Any]:
-    places = [{"effect": s.effect, "parameter": s.parameter, "at": s.place} for s in told.slots]
-    return {"parameters": places, "mean": told.mean.tolist(), "covariance": told.covariance.tolist()}
-
-
-def _read_told(data: Mapping[str, Any] | None) -> Prior | None:
-    if data is None:
-        return None
-    slots = tuple(Slot(p["effect"], p["parameter"], p["at"]) for p in data["parameters"])
-    covariance = np.array(data["covariance"], dtype=float).reshape(len(slots), len(slots))
-    return Prior(slots, np.array(data["mean"], dtype=float), covariance)
 
 
 def _vector(data: list[float] | None) -> tuple[float, ...] | None:
@@ -358,8 +335,8 @@ def _from_json(data: Mapping[str, Any]) -> Model:
             null_directions=tuple(part["not_identifiable"]),
             base=tuple(read_base(p) for p in part["base_parameters"]),
             observability={name: float(v) for name, v in part["observability"].items()},
-            bootstrap=_read_bootstrap(part["bootstrap"]),
-            told=_read_told(part["told"]),
+            bootstrap=read_bootstrap(part["bootstrap"]),
+            carried_prior=read_carried_prior(part["told"]),
             lean=None if part["lean_rad"] is None else np.array(part["lean_rad"], dtype=float),
             by_springs=None if part["by_springs"] is None else np.array(part["by_springs"], dtype=float),
             ranges=read_ranges(part["ranges"]),

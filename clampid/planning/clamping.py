@@ -12,21 +12,15 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
-import pandas as pd
-from scipy import linalg
 
-from clampid.catalogue import catalogue
-from clampid.planning.bench import imagined
 from clampid.planning.choose import factor, greedy, log_det
-from clampid.planning.expected import expected_of, prior_precision
+from clampid.planning.clamping_bench import ClampingBench, cost_of, duration_of
+from clampid.planning.expected import expected_of
 from clampid.planning.logs import TorqueNoise
+from clampid.planning.press import Press
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
-from clampid.slots import parse_term, slots_of_terms
-from clampid.stages.clamped_rows import GAP_SOFTNESS, clamped_rows
-from clampid.stages.experiment import Experiment, experiment
-from clampid.stages.layout import layout_of
-from clampid.stages.rows import Array, Rows
+from clampid.stages.rows import Array
 from clampid.standard_sets import STANDARD
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError
@@ -34,82 +28,42 @@ from experiments.plans.limits import Limits
 from experiments.plans.model import Cell, Plan, Sweep
 from experiments.plans.press import SINGULAR, flange_jacobian, holding_torque, wrenches
 from experiments.plans.validate import sweep_fault, validate_plan
-from kinematics.description import RobotDescription
 
-__all__ = [
-    "Press",
-    "careful_limits",
-    "in_order",
-    "plan_clamping",
-    "planned_sweep",
-    "postures_for",
-    "press_limits",
-    "stiffness_of",
-]
+__all__ = ["ClampingWishes", "careful_limits", "in_order", "plan_clamping", "planned_sweep", "postures_for"]
+
 
 POSTURES = 16
 TRIED = 600  # configurations among which postures are looked for
-STEPS = (8, 16, 32)  # steps in a quarter of a sweep
+STEPS_PER_QUARTER = (8, 16, 32)  # steps in a quarter of a sweep
 MOST_SWEEPS = 24  # each has unknowns of its own, which a fit has to carry along
 MOST_CLAMPINGS = 3
 LOOPS = 2
-PAUSE_S = 20.0  # between sweeps
-WINDUP = 4e-3  # rad at the joint at rated torque, where no spring is known: the reference robot's main axes
-CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
 FRICTION = 0.15  # of the rated torques: what friction and the preload of clamping may add to every motor's reading
 
 
-@dataclass(frozen=True)
-class Press:
-    """How hard to press, and what the clamp bears.
+@dataclass(frozen=True, eq=False)
+class ClampingWishes:
+    """What sweeps against a clamp are wanted.
 
     Attributes
     ----------
-    amplitude
-        ``(n,)``: shares of the rated motor torques that the driven joint's spring is wound up to.
-    rated
-        ``(n,)`` Nm at the motors.
-    stiffness
-        ``(n,)`` Nm/rad at the motors, as described.
-    margin
-        By how much stiffer drives may be than described.
-    dwell
-        s at each step.
-    clamping_time
-        s that it takes to clamp the flange.
+    time
+        Budget, s, clamping included.
+    effects
+        What is asked.
+    joints
+        Which to drive, from 0; None: all.
+    postures
+        ``(k, n)`` rad: where the flange can be clamped; None: chosen among many.
+    seed
+        Of the candidate postures.
     """
 
-    amplitude: Array
-    rated: Array
-    stiffness: Array
-    margin: float = 1.6
-    dwell: float = 1.0
-    clamping_time: float = 600.0
-
-
-def stiffness_of(robot: RobotDescription, rated: Array) -> tuple[Array, tuple[str, ...]]:
-    """Springs at the motors ``(n,)``, Nm/rad, as described or as usual, and what had to be assumed."""
-    if robot.motor_spring is not None:
-        return np.array(robot.motor_spring, dtype=float), ()
-    ratio = np.abs(np.diag(robot.transmission))
-    words = f"no springs are described: every drive winds up by {WINDUP * 1e3:g} mrad at its rated torque"
-    return np.asarray(rated * ratio / WINDUP), (words,)
-
-
-def press_limits(
-    limits: Limits, rated: Array, *, torque: float = 0.8, force: float = 3000.0, moment: float = 2000.0
-) -> Limits:
-    """Limits with those of a clamp: a share of the rated motor torques, N and Nm.
-
-    Raises
-    ------
-    PlanError
-        One of them is not above 0.
-    """
-    for name, value in (("motor torque", torque), ("force on the clamp", force), ("moment on the clamp", moment)):
-        if not value > 0 or not np.isfinite(value):
-            raise PlanError(f"{name}: expected a limit above 0, found {value:g}")
-    return replace(limits, motor_torque=torque * rated, force=force, moment=moment)
+    time: float = 7200.0
+    effects: Sequence[str] = STANDARD["clamped"]
+    joints: Sequence[int] | None = None
+    postures: Array | None = None
+    seed: int = 0
 
 
 @single_threaded
@@ -118,13 +72,9 @@ def plan_clamping(
     limits: Limits,
     noise: TorqueNoise,
     press: Press,
+    wished: ClampingWishes | None = None,
     *,
-    time: float = 7200.0,
-    effects: Sequence[str] = STANDARD["clamped"],
-    joints: Sequence[int] | None = None,
-    postures: Array | None = None,
     scene: Scene | None = None,
-    seed: int = 0,
     assumed: Sequence[str] = (),
 ) -> Plan:
     """Plan a clamping campaign.
@@ -133,18 +83,10 @@ def plan_clamping(
     ----------
     cell, limits, noise, press
         What it is for; the limits are those of `press_limits`.
-    time
-        Budget, s, clamping included.
-    effects
-        What is asked.
-    joints
-        Which to drive, from 0; all by default.
-    postures
-        ``(k, n)`` rad: where the flange can be clamped; by default chosen among many.
+    wished
+        Which sweeps are wanted.
     scene
         What the arm must not touch.
-    seed
-        Of the candidate postures.
     assumed
         What had to be assumed so far.
 
@@ -153,30 +95,33 @@ def plan_clamping(
     PlanError
         A sweep would exceed a limit in every posture, the time is too short, or a number is out of range.
     """
+    wished = wished or ClampingWishes()
+    time, effects = wished.time, wished.effects
     _check(cell, press, time)
-    driven = tuple(range(cell.robot.n)) if joints is None else tuple(joints)
+    driven = tuple(range(cell.robot.n)) if wished.joints is None else tuple(wished.joints)
     blank = Plan("clamping", cell, limits, 0.0, stiffness=press.margin * press.stiffness)
     around = scene or Scene.floor_only(cell)
-    places = postures_for(cell, limits, around, seed) if postures is None else np.asarray(postures, dtype=float)
+    given = wished.postures
+    places = postures_for(cell, limits, around, wished.seed) if given is None else np.asarray(given, dtype=float)
     allowed = _allowed(blank, press, places, driven)
     best: tuple[float, list[Sweep], Array, int] | None = None
-    bench = _Bench(cell, noise, press, effects)
-    for steps in STEPS:
+    bench = ClampingBench(cell, noise, press, effects)
+    for steps in STEPS_PER_QUARTER:
         sweeps = [planned_sweep(blank, press, posture, joint, steps) for posture, joint in allowed]
-        told = bench.tell(sweeps)
-        for order in _choices(bench, sweeps, told, driven, press, time):
-            information = np.sum([told[k] for k in order], axis=0)
+        informations = bench.tell(sweeps)
+        for order in _choices(bench, sweeps, informations, driven, press, time):
+            information = np.sum([informations[k] for k in order], axis=0)
             value = log_det(bench.prior + information * bench.scale)
             if best is None or value > best[0]:
                 rows = sum(sweeps[k].offset.size for k in order) * cell.robot.n
                 best = (value, [sweeps[k] for k in order], information, rows)
     if best is None:
-        sweeps = [planned_sweep(blank, press, posture, joint, STEPS[0]) for posture, joint in allowed]
+        sweeps = [planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0]) for posture, joint in allowed]
         raise PlanError(_too_short(bench, sweeps, bench.tell(sweeps), driven, press, time))
     chosen = in_order(best[1])
     plan = replace(
         blank,
-        duration=_duration(chosen, press),
+        duration=duration_of(chosen, press),
         sweeps=tuple(chosen),
         expected=expected_of(bench.experiment, best[2], best[3], noise.words),
         assumed=(
@@ -190,7 +135,7 @@ def plan_clamping(
                 "time_s": time,
                 "effects": ", ".join(effects),
                 "amplitude": ", ".join(f"{a:g}" for a in press.amplitude),
-                "seed": seed,
+                "seed": wished.seed,
             }
         ),
     )
@@ -254,7 +199,7 @@ def _allowed(blank: Plan, press: Press, places: Array, driven: Sequence[int]) ->
     careful = [careful_limits(blank, press, posture) for posture in places]
     for joint in driven:
         faults = [
-            (sweep_fault(plan, planned_sweep(blank, press, posture, joint, STEPS[0])), posture)
+            (sweep_fault(plan, planned_sweep(blank, press, posture, joint, STEPS_PER_QUARTER[0])), posture)
             for plan, posture in zip(careful, places, strict=True)
         ]
         mine = [(p, joint) for fault, p in faults if fault is None]
@@ -287,111 +232,22 @@ def careful_limits(blank: Plan, press: Press, posture: Array) -> Plan:
     )
 
 
-class _Bench:
-    """Finds what sweeps tell about a set of parameters."""
-
-    def __init__(self, cell: Cell, noise: TorqueNoise, press: Press, wanted: Sequence[str]) -> None:
-        self.cell, self.noise, self.press = cell, noise, press
-        effects = catalogue()
-        n = cell.robot.n
-        still = Sweep(1, 0, np.zeros(n), 1e-3 * np.array([1.0, 2.0, 1.0, 0.0]), 1.0, np.zeros(4), np.zeros(4))
-        blank = imagined(cell, clamped=self._table([still]))
-        self.layout = layout_of([blank])
-        terms = [parse_term(name, effects, self.layout) for name in wanted]
-        for term in terms:
-            if "clamped" not in effects[term.effect].stages:
-                acts = ", ".join(effects[term.effect].stages)
-                raise PlanError(f"effect {term.effect} does not act in clamped; it does in: {acts}")
-        if not any("compliance" in effects[term.effect].roles for term in terms):
-            raise PlanError("effects: expected joint_compliance among them: without springs a clamped drive is rigid")
-        self.slots = slots_of_terms(terms, effects, self.layout, "clamped")
-        self.experiment: Experiment = experiment(clamped_rows([blank], self.layout), effects, self.slots)
-        self.size = self.experiment.sizes()[: len(self.slots)]
-        self.scale = np.outer(self.size, self.size)
-        self.prior = prior_precision(self.experiment) * self.scale
-
-    def _table(self, sweeps: Sequence[Sweep]) -> pd.DataFrame:
-        """Sweeps as a campaign has them, with the torques of springs as described."""
-        robot, n = self.cell.robot, self.cell.robot.n
-        T = np.asarray(robot.transmission)
-        parts = []
-        for number, sweep in enumerate(sweeps, 1):
-            dq = np.zeros((len(sweep.offset), n))
-            dq[:, sweep.joint] = sweep.offset
-            motor = (sweep.posture + dq) @ np.linalg.inv(T)
-            tau = self._load(sweep.posture) @ T.T + (dq @ np.linalg.inv(T)) * self.press.stiffness
-            data = {"sweep": number, "joint": sweep.joint + 1, "time_s": sweep.dwell * np.arange(1.0, len(dq) + 1)}
-            data |= {f"motor{i + 1}_rad": motor[:, i] for i in range(n)}
-            data |= {f"tau{i + 1}_Nm": tau[:, i] for i in range(n)}
-            parts.append(pd.DataFrame(data))
-        return pd.concat(parts, ignore_index=True)
-
-    def _load(self, posture: Array) -> Array:
-        cell = self.cell
-        return holding_torque(cell.robot, posture, cell.gravity, cell.tool_mass, cell.tool_com)
-
-    def tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
-        """Information ``(P, P)``, SI, of each sweep, its own unknown posture taken off."""
-        out: list[Array] = []
-        for start in range(0, len(sweeps), CHUNK):
-            out += self._tell(sweeps[start : start + CHUNK])
-        return out
-
-    def _tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
-        rows = clamped_rows([imagined(self.cell, clamped=self._table(sweeps))], self.layout)
-        ratio = np.abs(np.diag(np.asarray(self.cell.robot.transmission)))
-        soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))
-        rows = replace(rows, signals={**rows.signals, "rest_direction": soft})
-        _, jacobian = self.experiment.with_rows(rows).residual(self._theta(rows, sweeps))
-        count, run = len(self.slots), rows.constants["run"]
-        out = []
-        for number in range(len(sweeps)):
-            own = np.flatnonzero(rows.constants["offset_keys"][:, 0] == number) + count
-            columns = np.r_[np.arange(count), own]
-            information = np.zeros((len(columns), len(columns)))
-            for channel in range(jacobian.shape[1]):
-                at = np.flatnonzero((run == number) & rows.used[:, channel])
-                if len(at):
-                    white = self.noise.white(rows.constants["time"][at], jacobian[at, channel][:, columns])
-                    white = white / self.noise.sigma[channel]
-                    information += white.T @ white
-            A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
-            out.append(A - B @ linalg.pinvh(C, rtol=1e-12) @ B.T)
-        return out
-
-    def _theta(self, rows: Rows, sweeps: Sequence[Sweep]) -> Array:
-        """Springs as described, everything else as usual, and the posture at which each sweep was clamped."""
-        theta = np.zeros(len(self.slots) + rows.offsets)
-        start = self.experiment.start()
-        for k, slot in enumerate(self.slots):
-            theta[k] = start[k]
-            if self.experiment.parameters[k].role == "compliance":
-                theta[k] = 1.0 / self.press.stiffness[int(slot.place.removeprefix("joint")) - 1]
-            elif self.experiment.parameters[k].role == "clearance":
-                theta[k] = self.size[k]
-        T = np.asarray(self.cell.robot.transmission)
-        C = T.T @ (T / self.press.stiffness[:, None])
-        for k, (sweep, joint) in enumerate(rows.constants["offset_keys"]):
-            posture, reference = sweeps[sweep].posture, rows.constants["reference"][sweep]
-            theta[len(self.slots) + k] = (posture - reference - C @ self._load(posture))[joint]
-        return theta
-
-
-def _cost(sweep: Sweep) -> float:
-    return len(sweep.offset) * sweep.dwell + PAUSE_S
-
-
 def _choices(
-    bench: _Bench, sweeps: list[Sweep], told: list[Array], driven: Sequence[int], press: Press, time: float
+    bench: ClampingBench,
+    sweeps: list[Sweep],
+    informations: list[Array],
+    driven: Sequence[int],
+    press: Press,
+    time: float,
 ) -> list[list[int]]:
     """The best sweeps in one, two and three clampings that fit into the time; empty where not one does."""
-    factors = [factor(matrix * bench.scale) for matrix in told]
+    factors = [factor(matrix * bench.scale) for matrix in informations]
     table = np.zeros((len(factors), len(bench.size), max(f.shape[1] for f in factors)))
     for k, f in enumerate(factors):
         table[k, :, : f.shape[1]] = f
-    cost = np.array([_cost(sweep) for sweep in sweeps])
+    cost = np.array([cost_of(sweep) for sweep in sweeps])
     out = []
-    for clampings, taken in _clamped_in_turn(bench, sweeps, told):
+    for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
         budget = time - clampings * press.clamping_time
         if budget <= 0:
             break
@@ -407,26 +263,33 @@ def _choices(
     return out
 
 
-def _clamped_in_turn(bench: _Bench, sweeps: list[Sweep], told: list[Array]) -> Iterator[tuple[int, list[int]]]:
+def _clamped_in_turn(
+    bench: ClampingBench, sweeps: list[Sweep], informations: list[Array]
+) -> Iterator[tuple[int, list[int]]]:
     """One, two and three clampings, and the sweeps that may be made in them."""
     groups: dict[tuple[float, ...], list[int]] = {}
     for k, sweep in enumerate(sweeps):
         groups.setdefault(tuple(sweep.posture), []).append(k)
     taken: list[int] = []
     for clampings in range(1, min(MOST_CLAMPINGS, len(groups)) + 1):
-        known = bench.prior + sum((told[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
+        known = bench.prior + sum((informations[k] * bench.scale for k in taken), np.zeros_like(bench.prior))
         # Clamp where all that may be swept there tells most beyond what the earlier clampings tell.
-        best = max(groups, key=lambda g: log_det(known + sum(told[k] * bench.scale for k in groups[g])))
+        best = max(groups, key=lambda g: log_det(known + sum(informations[k] * bench.scale for k in groups[g])))
         taken = [*taken, *groups.pop(best)]
         yield clampings, taken
 
 
 def _too_short(
-    bench: _Bench, sweeps: list[Sweep], told: list[Array], driven: Sequence[int], press: Press, time: float
+    bench: ClampingBench,
+    sweeps: list[Sweep],
+    informations: list[Array],
+    driven: Sequence[int],
+    press: Press,
+    time: float,
 ) -> str:
     """Why no sweeps fit into the time: how many clampings it takes to drive each joint once, and how long."""
-    for clampings, taken in _clamped_in_turn(bench, sweeps, told):
-        able = {sweeps[k].joint: _cost(sweeps[k]) for k in taken}
+    for clampings, taken in _clamped_in_turn(bench, sweeps, informations):
+        able = {sweeps[k].joint: cost_of(sweeps[k]) for k in taken}
         if set(driven) <= able.keys():
             need = clampings * press.clamping_time + sum(able[j] for j in driven)
             many = "one clamping" if clampings == 1 else f"{clampings} clampings"
@@ -456,7 +319,3 @@ def in_order(sweeps: Sequence[Sweep]) -> list[Sweep]:
     places = list(dict.fromkeys(tuple(sweep.posture) for sweep in sweeps))
     numbered = [replace(sweep, clamping=places.index(tuple(sweep.posture)) + 1) for sweep in sweeps]
     return sorted(numbered, key=lambda s: (s.clamping, float(s.force.max() + s.moment.max()), s.joint))
-
-
-def _duration(sweeps: Sequence[Sweep], press: Press) -> float:
-    return max(s.clamping for s in sweeps) * press.clamping_time + sum(map(_cost, sweeps))

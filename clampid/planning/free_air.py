@@ -15,7 +15,7 @@ from clampid.catalogue import catalogue
 from clampid.planning.choose import log_det
 from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
-from clampid.planning.program import check_program, finished_program, wishes
+from clampid.planning.program import LogWishes, finished_program
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.rows import Array
@@ -32,7 +32,7 @@ POOL = 400
 AT_ONCE = 16  # candidates looked at for the next stop
 TRIALS = 4  # candidates looked at in an exchange
 PASSES = 1
-FEWEST = 4  # stops: fewer do not make a program
+MIN_STOPS = 4  # stops: fewer do not make a program
 
 
 @single_threaded
@@ -40,14 +40,9 @@ def plan_free_air(
     cell: Cell,
     limits: Limits,
     noise: TorqueNoise,
+    wished: LogWishes | None = None,
     *,
-    time: float = 1200.0,
-    speeds: Sequence[float] = (0.15, 0.06),
-    effects: Sequence[str] = STANDARD["free_air"],
     scene: Scene | None = None,
-    dwell: float = 1.0,
-    rate: float = 10.0,
-    seed: int = 0,
     assumed: Sequence[str] = (),
 ) -> Plan:
     """Plan a free-air campaign.
@@ -56,20 +51,10 @@ def plan_free_air(
     ----------
     cell, limits, noise
         What it is for.
-    time
-        Budget, s, for all runs.
-    speeds
-        Shares of the top speeds at which the whole program runs, once each.
-    effects
-        What is asked, ``effect`` or ``effect@joint3``.
+    wished
+        Which program is wanted.
     scene
         What the arm must not touch; only the floor by default.
-    dwell
-        s at each stop.
-    rate
-        Hz of the log.
-    seed
-        Of the candidates.
     assumed
         What had to be assumed so far, for the plan.
 
@@ -78,33 +63,35 @@ def plan_free_air(
     PlanError
         A number is out of range, the time is too short, or the limits allow nothing.
     """
-    check_program(time, speeds, dwell, rate)
+    wished = wished or LogWishes()
+    wished.check()
+    effects = STANDARD["free_air"] if wished.effects is None else wished.effects
     around = scene or Scene.floor_only(cell)
-    bench = LogBench(cell, catalogue(), effects, noise, rate)
-    pool = configurations(limits, POOL, around.clear, seed, why="clear of floor and obstacles")
-    search = _Search(cell, limits, bench, around, pool, tuple(speeds), dwell, time, np.random.default_rng(seed))
+    bench = LogBench(cell, catalogue(), effects, noise, wished.rate)
+    pool = configurations(limits, POOL, around.clear, wished.seed, why="clear of floor and obstacles")
+    search = _Search(cell, limits, bench, around, pool, wished)
     search.grow()
     search.improve()
-    runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), speeds, strict=True))
-    wished = wishes(time, speeds, effects, seed)
-    return finished_program("free_air", limits, bench, runs, wished, assumed=(*assumed, *around.assumed))
+    runs = tuple(Run(course, share) for course, share in zip(search.courses(search.knots), wished.speeds, strict=True))
+    record = wished.record(effects)
+    return finished_program("free_air", limits, bench, runs, record, assumed=(*assumed, *around.assumed))
 
 
 class _Search:
     """A path that grows and is improved; all its runs go through the same stops."""
 
     def __init__(
-        self, cell: Cell, limits: Limits, bench: LogBench, scene: Scene, pool: Array, speeds: tuple[float, ...],
-        dwell: float, budget: float, rng: np.random.Generator,
-    ) -> None:  # fmt: skip
+        self, cell: Cell, limits: Limits, bench: LogBench, scene: Scene, pool: Array, wished: LogWishes
+    ) -> None:
         self.cell, self.limits, self.bench, self.scene = cell, limits, bench, scene
-        self.pool, self.speeds, self.dwell, self.budget, self.rng = pool, speeds, dwell, budget, rng
+        self.pool, self.speeds, self.dwell, self.budget = pool, tuple(wished.speeds), wished.dwell, wished.time
+        self.rng = np.random.default_rng(wished.seed)
         middle = (limits.lower + limits.upper) / 2
         self.knots: list[Array] = [pool[int(np.argmin(np.linalg.norm(pool - middle, axis=1)))]]
         size = bench.size
         self.information: Array = prior_precision(bench.experiment) * np.outer(size, size)
         self.moves: list[Array] = []  # information of each move, scaled
-        self.spent = len(speeds) * dwell
+        self.spent = len(self.speeds) * self.dwell
 
     def courses(self, knots: Sequence[Array]) -> list[Course]:
         """The path at every speed."""
@@ -116,12 +103,12 @@ class _Search:
     def _value(self, paths: Sequence[Sequence[Array]]) -> tuple[list[Array], Array]:
         """Scaled information of the moves of each path (all speeds), ``(moves, P, P)`` each, and the times, s."""
         courses = [course for path in paths for course in self.courses(path)]
-        told = self.bench.tell(courses)
+        informations = self.bench.tell(courses)
         size, many = self.bench.size, len(self.speeds)
         out, cost = [], np.zeros(len(paths))
         for p in range(len(paths)):
             mine = slice(p * many, (p + 1) * many)
-            out.append(np.sum([t.information for t in told[mine]], axis=0) * np.outer(size, size))
+            out.append(np.sum([t.information for t in informations[mine]], axis=0) * np.outer(size, size))
             cost[p] = sum(c.length - self.dwell for c in courses[mine])  # the first stop is the last one's
         return out, cost
 
@@ -144,22 +131,25 @@ class _Search:
             options = self._looked_at(AT_ONCE, self.knots[-1])
             if not options:
                 break
-            told, cost = self._value([[self.knots[-1], q] for q in options])
+            informations, cost = self._value([[self.knots[-1], q] for q in options])
             fits = cost <= self.budget - self.spent
             if not fits.any():
                 break
             base = log_det(self.information)
             gain = np.array(
-                [log_det(self.information + t[0]) - base if ok else -np.inf for t, ok in zip(told, fits, strict=True)]
+                [
+                    log_det(self.information + t[0]) - base if ok else -np.inf
+                    for t, ok in zip(informations, fits, strict=True)
+                ]
             )
             best = int(np.argmax(np.where(fits, gain / cost, -np.inf)))
             self.knots.append(options[best])
-            self.moves.append(told[best][0])
-            self.information = self.information + told[best][0]
+            self.moves.append(informations[best][0])
+            self.information = self.information + informations[best][0]
             self.spent += float(cost[best])
-        if len(self.knots) < FEWEST:
+        if len(self.knots) < MIN_STOPS:
             raise PlanError(
-                f"time: expected enough for at least {FEWEST} stops at {len(self.speeds)} speeds, found "
+                f"time: expected enough for at least {MIN_STOPS} stops at {len(self.speeds)} speeds, found "
                 f"{self.budget:g} s, which is enough for {len(self.knots)}"
             )
 
@@ -178,15 +168,15 @@ class _Search:
         options = self._looked_at(TRIALS, before, *after)
         if not options:
             return False
-        told, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])
-        old = told[0].sum(axis=0)
-        value = np.array([log_det(self.information - old + t.sum(axis=0)) for t in told])
+        informations, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])
+        old = informations[0].sum(axis=0)
+        value = np.array([log_det(self.information - old + t.sum(axis=0)) for t in informations])
         value[cost - cost[0] > self.budget - self.spent] = -np.inf
         best = int(np.argmax(value))
         if best == 0 or value[best] <= value[0] + 1e-9:
             return False
-        self.information = self.information - old + told[best].sum(axis=0)
-        self.moves[k - 1 : k + 1] = list(told[best])
+        self.information = self.information - old + informations[best].sum(axis=0)
+        self.moves[k - 1 : k + 1] = list(informations[best])
         self.spent += float(cost[best] - cost[0])
         self.knots[k] = options[best - 1]
         return True

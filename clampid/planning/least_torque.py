@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clampid.planning.clamping import Press
+from clampid.planning.press import Press
 from experiments.plans.model import LeastTorque
 from kinematics.description import RobotDescription
 

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from clampid.planning.choose import choose
-from clampid.planning.directions import balanced, confounded, covariates_of
+from clampid.planning.directions import balanced, covariates_of
 from clampid.planning.expected import expected_of
 from clampid.planning.pose_bench import PoseBench
 from clampid.planning.reach import reaching
@@ -32,7 +32,8 @@ from experiments.plans.limits import Limits, course_of
 from experiments.plans.model import Cell, Plan, Visit
 from experiments.plans.validate import validate_plan
 
-__all__ = ["Balance", "PoseWishes", "balance_of", "plan_poses"]
+__all__ = ["PoseWishes", "plan_poses"]
+
 
 POOL = 20  # candidates for each pose
 FEWEST_CANDIDATES = 200
@@ -80,43 +81,6 @@ class PoseWishes:
     spread: float = 0.2
     approach: float = 0.05
     measure_time: float = 3.0
-
-
-@dataclass(frozen=True)
-class Balance:
-    """How the poses of a plan are approached.
-
-    Attributes
-    ----------
-    plus, minus
-        ``(n,)``: visits to which each joint comes upwards and downwards.
-    confounded
-        ``(n,)``: share of a joint's directions that posture and order explain, 0 … 1.
-    """
-
-    plus: Array
-    minus: Array
-    confounded: Array
-
-    @property
-    def words(self) -> str:
-        """For people."""
-        each = ", ".join(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True))
-        return (
-            f"visits approached upwards/downwards, joint by joint: {each}; posture and order explain at most "
-            f"{self.confounded.max():.0%} of a joint's directions"
-        )
-
-    def to_json(self) -> dict[str, list[float]]:
-        """For programs."""
-        return {"up": self.plus.tolist(), "down": self.minus.tolist(), "confounded": self.confounded.tolist()}
-
-
-def balance_of(plan: Plan) -> Balance:
-    """How a plan's visits of the table poses are approached."""
-    visits = [v for v in plan.visits if v.table == "poses"]
-    signs, q = np.array([v.direction for v in visits]), np.array([v.q for v in visits])
-    return Balance((signs > 0).sum(axis=0), (signs < 0).sum(axis=0), confounded(signs, covariates_of(q)))
 
 
 @single_threaded

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
@@ -15,33 +16,62 @@ from experiments.plans.limits import Limits
 from experiments.plans.model import Plan, Run
 from experiments.plans.validate import validate_plan
 
-__all__ = ["check_program", "finished_program", "wishes"]
+__all__ = ["LogWishes", "finished_program"]
 
 
-def check_program(time: float, speeds: Sequence[float], dwell: float, rate: float) -> None:
-    """Refuse numbers that no program can have.
+@dataclass(frozen=True)
+class LogWishes:
+    """What logs of moves in free air are wanted.
 
-    Raises
-    ------
-    PlanError
-        The first of them.
+    Attributes
+    ----------
+    time
+        Budget, s, for all runs.
+    speeds
+        Shares of the top speeds at which the whole program runs, once each.
+    effects
+        What is asked, ``effect`` or ``effect@joint3``; None: the experiment's standard set.
+    dwell
+        s at each stop.
+    rate
+        Hz of the log.
+    seed
+        Of the candidates.
     """
-    if not time > 0 or not np.isfinite(time):
-        raise PlanError(f"time: expected seconds above 0, found {time:g}")
-    if len(speeds) < 2 or len(set(speeds)) < len(speeds):
-        raise PlanError(f"speeds: expected two or more different shares of the top speeds, found {list(speeds)}")
-    for share in speeds:
-        if not 0.0 < share <= 1.0:
-            raise PlanError(f"speeds: expected shares of the top speeds above 0 and at most 1, found {share:g}")
-    if not dwell > 0:
-        raise PlanError(f"dwell: expected seconds above 0, found {dwell:g}")
-    if not rate > 0:
-        raise PlanError(f"rate: expected Hz above 0, found {rate:g}")
 
+    time: float = 1200.0
+    speeds: Sequence[float] = (0.15, 0.06)
+    effects: Sequence[str] | None = None
+    dwell: float = 1.0
+    rate: float = 10.0
+    seed: int = 0
 
-def wishes(time: float, speeds: Sequence[float], effects: Sequence[str], seed: int) -> dict[str, float | int | str]:
-    """What was asked for, as the plan records it."""
-    return {"time_s": time, "speeds": ", ".join(f"{s:g}" for s in speeds), "effects": ", ".join(effects), "seed": seed}
+    def check(self) -> None:
+        """Refuse numbers that no program can have.
+
+        Raises
+        ------
+        PlanError
+            The first of them.
+        """
+        if not self.time > 0 or not np.isfinite(self.time):
+            raise PlanError(f"time: expected seconds above 0, found {self.time:g}")
+        if len(self.speeds) < 2 or len(set(self.speeds)) < len(self.speeds):
+            raise PlanError(
+                f"speeds: expected two or more different shares of the top speeds, found {list(self.speeds)}"
+            )
+        for share in self.speeds:
+            if not 0.0 < share <= 1.0:
+                raise PlanError(f"speeds: expected shares of the top speeds above 0 and at most 1, found {share:g}")
+        if not self.dwell > 0:
+            raise PlanError(f"dwell: expected seconds above 0, found {self.dwell:g}")
+        if not self.rate > 0:
+            raise PlanError(f"rate: expected Hz above 0, found {self.rate:g}")
+
+    def record(self, effects: Sequence[str]) -> dict[str, float | int | str]:
+        """What was asked for, as the plan records it, and of which effects."""
+        speeds = ", ".join(f"{s:g}" for s in self.speeds)
+        return {"time_s": self.time, "speeds": speeds, "effects": ", ".join(effects), "seed": self.seed}
 
 
 def finished_program(
@@ -68,9 +98,9 @@ def finished_program(
     PlanError
         A move is beyond a limit.
     """
-    told = bench.tell([run.course for run in runs])
-    information = np.sum([t.information.sum(axis=0) for t in told], axis=0)
-    rows = int(sum(t.rows.sum() for t in told))
+    informations = bench.tell([run.course for run in runs])
+    information = np.sum([t.information.sum(axis=0) for t in informations], axis=0)
+    rows = int(sum(t.rows.sum() for t in informations))
     plan = Plan(
         kind=kind,
         cell=bench.cell,

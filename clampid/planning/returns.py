@@ -24,7 +24,7 @@ from experiments.plans.limits import Limits
 from experiments.plans.model import Cell, Plan
 from kinematics.poe import forward
 
-__all__ = ["PLANES", "Returns", "off_line", "plan_cube", "plan_fixed", "plan_line"]
+__all__ = ["PLANES", "Cube", "Returns", "off_line", "plan_cube", "plan_fixed", "plan_line"]
 
 PLANES = {"a": (0, 1, 6, 7), "b": (1, 2, 7, 4), "c": (2, 3, 4, 5), "d": (3, 0, 5, 6)}
 """Corners of the cube in each plane, in order around it: C1 … C8 of the standard, from 0."""
@@ -76,9 +76,31 @@ class Returns:
         return np.asarray(cell.targets[self.targets[0]], dtype=np.float64)
 
 
+@dataclass(frozen=True, eq=False)
+class Cube:
+    """ISO 9283's cube: centre ``(3,)`` and edge, m, base frame, and which of its planes has the poses."""
+
+    centre: Array
+    edge: float
+    plane: str = "a"
+
+    def check(self) -> None:
+        """Refuse what is no cube.
+
+        Raises
+        ------
+        PlanError
+            Edge or plane.
+        """
+        if not self.edge > 0.0 or not np.isfinite(self.edge):
+            raise PlanError(f"cube: expected an edge above 0 m, found {self.edge:g}")
+        if self.plane not in PLANES:
+            raise PlanError(f"plane: expected one of {', '.join(PLANES)}, found {self.plane!r}")
+
+
 def plan_cube(
-    cell: Cell, limits: Limits, scene: Scene, wanted: Returns, centre: Array, edge: float, *,
-    plane: str = "a", cycles: int = 30, assumed: tuple[str, ...] = (),
+    cell: Cell, limits: Limits, scene: Scene, wanted: Returns, cube: Cube, *,
+    cycles: int = 30, assumed: tuple[str, ...] = (),
 ) -> Plan:  # fmt: skip
     """ISO 9283's cycles through five poses of a cube with edges along the base's axes.
 
@@ -88,12 +110,10 @@ def plan_cube(
         A number is out of range, or a pose out of reach.
     """
     _count("cycles", cycles, 1, 5 * cycles)
-    if not edge > 0.0 or not np.isfinite(edge):
-        raise PlanError(f"cube: expected an edge above 0 m, found {edge:g}")
-    if plane not in PLANES:
-        raise PlanError(f"plane: expected one of {', '.join(PLANES)}, found {plane!r}")
+    cube.check()
     wanted.approach.check()
-    corners = centre + edge / 2 * CORNERS[list(PLANES[plane])]
+    centre = cube.centre
+    corners = centre + cube.edge / 2 * CORNERS[list(PLANES[cube.plane])]
     places = np.vstack([centre, corners + 2 * FROM_END * (centre - corners)])
     q = path_through(cell, limits, scene, places, wanted.way, wanted.point(cell), 1.5 * wanted.approach.angle)
     stops = []
@@ -103,7 +123,12 @@ def plan_cube(
             flip = -1.0 if cycle % 2 and not wanted.one_side else 1.0
             via = q[number - 1] - flip * wanted.approach.angle * sides
             stops.append(Stop(number, q[number - 1], via, wanted.targets))
-    record: dict[str, float | int | str] = {"program": "iso9283", "plane": plane, "edge_m": edge, "cycles": cycles}
+    record: dict[str, float | int | str] = {
+        "program": "iso9283",
+        "plane": cube.plane,
+        "edge_m": cube.edge,
+        "cycles": cycles,
+    }
     visits = visits_of(cell, limits, scene, stops, wanted.approach)
     return finished(cell, limits, visits, wanted.measure_time, record | _record(wanted), assumed)
 

@@ -17,7 +17,7 @@ from clampid.catalogue import catalogue
 from clampid.planning.choose import factor, greedy
 from clampid.planning.expected import prior_precision
 from clampid.planning.logs import LogBench, TorqueNoise
-from clampid.planning.program import check_program, finished_program, wishes
+from clampid.planning.program import LogWishes, finished_program
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.stages.layout import coupled_joints
@@ -113,17 +113,12 @@ def plan_wrist(
     cell: Cell,
     limits: Limits,
     noise: TorqueNoise,
+    wished: LogWishes | None = None,
     *,
-    time: float = 600.0,
-    speeds: Sequence[float] = (0.15, 0.06),
-    effects: Sequence[str] | None = None,
     scene: Scene | None = None,
-    dwell: float = 1.0,
-    rate: float = 10.0,
-    seed: int = 0,
     assumed: Sequence[str] = (),
 ) -> Plan:
-    """Plan a wrist campaign; parameters as in `clampid.planning.free_air.plan_free_air`.
+    """Plan a wrist campaign; parameters as in `clampid.planning.free_air.plan_free_air`, in 600 s by default.
 
     Every fact that the transmission allows is shown by at least one swing; what it does not allow is said.
 
@@ -132,7 +127,9 @@ def plan_wrist(
     PlanError
         No joint is coupled with another, a number is out of range, the time is too short, or there is no room.
     """
-    check_program(time, speeds, dwell, rate)
+    wished = wished or LogWishes(time=600.0)
+    wished.check()
+    speeds = tuple(wished.speeds)
     robot = cell.robot
     wrist = coupled_joints(robot)
     if not wrist:
@@ -142,14 +139,14 @@ def plan_wrist(
             "its motor still, so there is no wrist program; use a log in free air (clampid plan free-air)"
         )
     around = scene or Scene.floor_only(cell)
-    asked = tuple(effects) if effects else _standard(robot)
-    bench = LogBench(cell, catalogue(), asked, noise, rate, fastest=max(speeds))
-    swings = _candidates(cell, limits, around, tuple(speeds), np.random.default_rng(seed), seed)
-    chosen = _choose(cell, limits, bench, swings, dwell, time)
-    runs = tuple(_run(cell, limits, part, dwell) for part in _by_centre([swings[k] for k in chosen]))
-    wished = wishes(time, speeds, asked, seed)
+    asked = tuple(wished.effects) if wished.effects else _standard(robot)
+    bench = LogBench(cell, catalogue(), asked, noise, wished.rate, fastest=max(speeds))
+    swings = _candidates(cell, limits, around, speeds, np.random.default_rng(wished.seed), wished.seed)
+    chosen = _choose(cell, limits, bench, swings, wished.dwell, wished.time)
+    runs = tuple(_run(cell, limits, part, wished.dwell) for part in _by_centre([swings[k] for k in chosen]))
+    record = wished.record(asked)
     return finished_program(
-        "wrist", limits, bench, runs, wished, assumed=(*assumed, *around.assumed), impossible=_impossible(robot)
+        "wrist", limits, bench, runs, record, assumed=(*assumed, *around.assumed), impossible=_impossible(robot)
     )
 
 
@@ -261,10 +258,10 @@ def _choose(
 ) -> list[int]:
     courses = [_course(cell, limits, swing, dwell) for swing in swings]
     size = np.outer(bench.size, bench.size)
-    told = []
+    informations = []
     for start in range(0, len(courses), 60):  # logs of a few thousand rows at once
-        told += [t.information.sum(axis=0) * size for t in bench.tell(courses[start : start + 60])]
-    parts = [factor(matrix) for matrix in told]
+        informations += [t.information.sum(axis=0) * size for t in bench.tell(courses[start : start + 60])]
+    parts = [factor(matrix) for matrix in informations]
     factors = np.zeros((len(parts), len(bench.size), max(p.shape[1] for p in parts)))
     for k, part in enumerate(parts):
         factors[k, :, : part.shape[1]] = part
@@ -276,7 +273,7 @@ def _choose(
         # The best swing for a fact, given those already taken.
         if not any(fact in swings[k].seen for k in shown):
             able = [k for k, swing in enumerate(swings) if fact in swing.seen]
-            known = prior + sum((told[k] for k in shown), np.zeros_like(prior))
+            known = prior + sum((informations[k] for k in shown), np.zeros_like(prior))
             picked = greedy(factors[able], known, count=1, cost=cost[able])
             shown.append(able[picked[0] if picked else int(np.argmin(cost[able]))])
     if cost[shown].sum() > budget:

@@ -21,7 +21,7 @@ from kinematics.description import RobotDescription
 
 __all__ = ["angle_curves_section"]
 
-STEPS = 720
+CURVE_POINTS = 720
 FEW = 3  # poses in a degree, of which a mean is drawn
 DEGREES = Scale(1.0, "°")
 
@@ -45,7 +45,7 @@ def angle_curves_section(
     if "poses" not in model.stages:
         return None
     stage = model.stages["poses"]
-    angle = np.linspace(-np.pi, np.pi, STEPS + 1)
+    angle = np.linspace(-np.pi, np.pi, CURVE_POINTS + 1)
     q = np.tile(angle[:, None], (1, robot.n))
     found = angle_errors(stage, effects, model.layout, robot, q)
     if not found.active.any():
@@ -69,7 +69,7 @@ def angle_curves_section(
         "curve is grey: the error is not identified there, and the model takes it as zero."
     )
     blocks: list[str | Table | Figure] = [Figure("angles", plot, caption)]
-    one = shared_curve(stage, effects, np.linspace(0.0, 2 * np.pi, STEPS + 1))
+    one = shared_curve(stage, effects, np.linspace(0.0, 2 * np.pi, CURVE_POINTS + 1))
     if one is not None:
         blocks = [_turns(one), _one_curve(one, points_on(one, poses)), *blocks]
     far = [f"joint {j + 1}: {100 * np.mean(found.extrapolated[:, j]):.0f} % of a turn" for j in joints]

@@ -14,7 +14,7 @@ from kinematics.robot import RobotDescription
 
 __all__ = ["dh_section"]
 
-FAR = 100.0  # m: no robot is that long
+MAX_LENGTH = 100.0  # m: no robot is that long
 VAGUE = 0.1  # m, standard error: no position of a robot's axis is known so badly
 OPEN = "not determined"
 
@@ -97,4 +97,4 @@ def _cell(row: Any, column: str) -> str:
 
 def _anywhere(value: float, std: float) -> bool:
     """Whether an offset along an axis, m, is not determined: the next axis is nearly parallel."""
-    return abs(value) > FAR or std > VAGUE
+    return abs(value) > MAX_LENGTH or std > VAGUE

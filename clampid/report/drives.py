@@ -38,7 +38,7 @@ def _table(d: Drives) -> Table:
     """Springs, clearances and friction, drive by drive."""
     rows = []
     for j in range(len(d.stiffness)):
-        clear = "" if not np.isfinite(d.gap[j]) else "yes" if d.told[j] else "no"
+        clear = "" if not np.isfinite(d.gap[j]) else "yes" if d.gap_identified[j] else "no"
         rows.append(
             (
                 str(j + 1),

@@ -182,12 +182,12 @@ def comparison_table(tables: Json) -> Table:
     rows = []
     for name, t in tables.items():
         unit = str(t.get("unit", ""))
-        held = t.get("heldout") or {}
+        held_out = t.get("heldout") or {}
         source = {"replicates": "returns to a pose", "instrument": "instrument's maker"}.get(
             t.get("noise_source"), "the log itself"
         )
-        cells = [t.get("rms"), t.get("max"), held.get("rms"), held.get("max"), t.get("noise_floor")]
-        count = count_text(int(held["rows"])) if held.get("rows") else "–"
+        cells = [t.get("rms"), t.get("max"), held_out.get("rms"), held_out.get("max"), t.get("noise_floor")]
+        count = count_text(int(held_out["rows"])) if held_out.get("rows") else "–"
         rows.append(
             (
                 name,

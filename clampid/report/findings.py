@@ -63,15 +63,15 @@ def findings(
 
 def _measured(campaign: Campaign) -> str:
     """``632 poses of ur10_series_d, measured by a laser tracker``."""
-    held = []
+    measured = []
     for table, one, column in (("poses", "pose", "pose"), ("distances", "pose", "pose"), ("clamped", "sweep", "sweep")):
         if table in campaign.tables:
             count = int(campaign.tables[table][column].nunique())
-            held.append(f"{counted(count, one)}{_OF.get(table, '')}")
+            measured.append(f"{counted(count, one)}{_OF.get(table, '')}")
     rows = sum(len(campaign.tables[table]) for table in ("free_air", "wrist") if table in campaign.tables)
     if rows:
-        held.append(f"{counted(rows, 'row')} of motor torques")
-    return f"{listed(held, 4)} were measured." if held else ""
+        measured.append(f"{counted(rows, 'row')} of motor torques")
+    return f"{listed(measured, 4)} were measured." if measured else ""
 
 
 _OF = {"distances": " with distances to anchors", "clamped": " with the flange clamped"}
@@ -189,7 +189,7 @@ def _drives(clamped: StageData | None) -> str:
     k = np.where(np.isfinite(d.joint_stiffness) & (d.joint_stiffness > 0.0), d.joint_stiffness, np.inf)
     if not np.isfinite(k).any():
         return ""
-    soft, clear = int(np.argmin(k)), int(sum(map(bool, d.told)))
+    soft, clear = int(np.argmin(k)), int(sum(map(bool, d.gap_identified)))
     found = (
         f"{clear} clearance{'s differ' if clear != 1 else ' differs'} from zero" if clear else "no clearance is found"
     )

@@ -23,7 +23,7 @@ MOST_POINTS = 900
 GRID = 40  # points of a curve on each side of standstill
 TWO_SIDED_95 = 1.96
 SIGNIFICANT = 2.0  # standard errors from zero, beyond which a friction is significant
-FEWEST = 4  # blocks of a log that a mean's interval is taken from
+MIN_BLOCKS = 4  # blocks of a log that a mean's interval is taken from
 OUTER = 0.995  # of the points are inside the axes
 
 
@@ -180,7 +180,7 @@ def _means(cloud: _Cloud) -> tuple[Array, Array, Array]:
             rows = side[group == g]
             _, unit = np.unique(cloud.unit[rows], return_inverse=True)
             blocks = np.bincount(unit, cloud.left[rows]) / np.bincount(unit)
-            if len(blocks) >= FEWEST:
+            if len(blocks) >= MIN_BLOCKS:
                 spread = TWO_SIDED_95 * float(blocks.std(ddof=1)) / np.sqrt(len(blocks))
                 found.append((float(np.mean(cloud.speed[rows])), float(blocks.mean()), spread))
     x, y, half = np.array(found).reshape(-1, 3).T

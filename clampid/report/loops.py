@@ -52,13 +52,13 @@ def _sweep(data: StageData, joint: int, rows: Integers, name: str) -> list[Mark]
     angle = np.degrees(angle - angle.mean())
     measured = piece.rows.measured[rows, joint]
     own = piece.good[rows, joint]
-    held = bool(piece.held[rows].all())
-    kept = "measured, held out" if held else "measured"
+    held_out = bool(piece.held_out[rows].all())
+    kept = "measured, held out" if held_out else "measured"
     model = np.where(own, measured - piece.residual[rows, joint], np.nan)
     return [
         Points(angle[~own], measured[~own], "measured, not used", "faint", 3.5, tips=(name,)),
-        Points(angle[own], measured[own], kept, "orange" if held else "grey", 3.5, tips=(name,)),
-        Line(angle, model, "model, held out" if held else "model", "green" if held else "blue", 1.6),
+        Points(angle[own], measured[own], kept, "orange" if held_out else "grey", 3.5, tips=(name,)),
+        Line(angle, model, "model, held out" if held_out else "model", "green" if held_out else "blue", 1.6),
     ]
 
 
@@ -84,7 +84,7 @@ def _spring(data: StageData, drives: Drives, joint: int, rows: Integers) -> list
     if np.isfinite(drives.gap[joint]):
         spread = float(drives.gap_std[joint]) / abs(float(piece.rows.robot.transmission[joint][joint]))
         texts.append(f"clearance {with_std(gap, spread, DEGREES)}")
-        texts += [] if drives.told[joint] else ["(not significant)"]
+        texts += [] if drives.gap_identified[joint] else ["(not significant)"]
     return [
         Span(float(x[1]), float(x[2])),
         Line(x, reach, "spring and clearance", "ink", 1.4, dash="5 4"),

@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from clampid.charts.style import STYLE
 from clampid.charts.svg import svg
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.report.angle_curves import angle_curves_section
@@ -55,10 +55,10 @@ def page(
 ) -> str:
     """The report as HTML."""
     own = None if user_effects is None else Path(user_effects)
-    opened = reopen(model, campaign, own)
+    opened = on_campaign(model, campaign, own)
     effects, stages = opened.effects, stage_data(opened)
     poses = stages.get("poses")
-    before = stage_data(reopen(first_model, campaign, own)) if first_model is not None else {}
+    before = stage_data(on_campaign(first_model, campaign, own)) if first_model is not None else {}
     sure = spreads(stages, before, model.seed)
     makers: list[Callable[[], Section | None]] = [
         lambda: measured_section(model, campaign),

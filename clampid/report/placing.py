@@ -7,7 +7,7 @@ from typing import Any
 
 from clampid.display import count_text, error_text, number
 from clampid.report.style import Table, as_table
-from experiments.iso9283 import MEANING
+from experiments.measures.iso9283 import MEANING
 
 __all__ = ["placing_tables"]
 

@@ -39,7 +39,7 @@ def rounds_of(model: Model, first: Model | None, stage: Stage) -> tuple[Round, .
 def nominal_error(data: StageData) -> float | None:
     """Error of the robot as described, base and targets fitted to the same rows, m; of fitted poses only."""
     piece = data.first
-    good = piece.good[:, 0] & ~piece.held
+    good = piece.good[:, 0] & ~piece.held_out
     if data.stage != "poses" or not good.any():
         return None
     return nominal_points(piece.rows, piece.experiment.effects, good)
@@ -77,16 +77,18 @@ def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Pane
     """One stage: error on rows fitted and held out, round by round, above the noise floor."""
     factor, unit = (1e6, "m") if stage == "poses" else (1.0, "sigma")
     at = np.arange(len(rounds), dtype=float)
-    fit, held, floor = (
+    fit, held_out, floor = (
         factor * np.array([getattr(r, name) for r in rounds]) for name in ("rms", "heldout_rms", "noise_floor")
     )
     start = -1.0 if nominal is not None else 0.0
     marks: list[Mark] = [
         Line(np.r_[start - 0.3, at, at[-1] + 0.3], np.r_[floor[0], floor, floor[-1]], "noise floor", "green", 2, "6 4"),
         _line(at, fit, "rows fitted", "blue", "circle", [error_text(v / factor, unit) for v in fit.tolist()]),
-        _line(at, held, "rows held out", "orange", "square", [error_text(v / factor, unit) for v in held.tolist()]),
+        _line(
+            at, held_out, "rows held out", "orange", "square", [error_text(v / factor, unit) for v in held_out.tolist()]
+        ),
     ]
-    values = np.r_[fit, held, floor]
+    values = np.r_[fit, held_out, floor]
     ticks = [(float(k), f"round {k}" if k else "first model") for k in range(len(rounds))]
     if nominal is not None:
         values = np.r_[values, factor * nominal]

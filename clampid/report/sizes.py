@@ -15,7 +15,7 @@ __all__ = ["sizes_figure"]
 def sizes_figure(data: StageData) -> Figure:
     """Histogram and normal quantiles of the residual in units of noise."""
     white = data.residual / data.floor.sigma[: data.channels]
-    parts = [("rows fitted", "blue", ~data.held), ("rows held out", "orange", data.held)]
+    parts = [("rows fitted", "blue", ~data.held_out), ("rows held out", "orange", data.held_out)]
     everything = white[data.good]
     reach = float(np.clip(np.quantile(np.abs(everything), 0.998), 4.0, 40.0)) if everything.size else 4.0
     edges = np.linspace(-reach, reach, 61)

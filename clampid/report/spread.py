@@ -18,7 +18,7 @@ from clampid.stages.rows import Array, Bools, Integers
 __all__ = ["HeldOut", "Spread", "held_out", "spread_of", "spread_sentences", "spread_table", "spreads"]
 
 DRAWS = 2000
-FEWEST = 10  # whole poses, runs or sweeps, below which a draw of them says little
+MIN_UNITS = 10  # whole poses, runs or sweeps, below which a draw of them says little
 _UNITS = {"poses": "m", "free_air": "sigma", "clamped": "sigma"}
 _WHOLE = {"poses": "poses", "free_air": "runs", "clamped": "sweeps"}
 _CAPTION = (
@@ -63,7 +63,7 @@ def held_out(data: StageData, floor: StageData | None = None) -> HeldOut | None:
     if len(data.pieces) > 1:  # single rows of a verification table that are wrong do not count, as in the ledger
         rows = without_outlying(rows, piece.residual, first.rows.without(~first.good[:, 0]), first.residual)
     size, used = size_of(rows, piece.residual, (floor or data).floor)
-    counts = used & (piece.held if used.ndim == 1 else piece.held[:, None])
+    counts = used & (piece.held_out if used.ndim == 1 else piece.held_out[:, None])
     if not counts.any():
         return None
     if size.ndim == 1:
@@ -79,7 +79,7 @@ def spread_of(now: HeldOut, before: HeldOut | None, seed: int) -> Spread | None:
     """
     counts = now.counts if before is None else now.counts & before.counts
     folds, index = np.unique(now.fold[counts], return_inverse=True)
-    if len(folds) < FEWEST:
+    if len(folds) < MIN_UNITS:
         return None
     drawn = np.random.default_rng(seed).multinomial(len(folds), np.full(len(folds), 1.0 / len(folds)), DRAWS)
     drawn = np.vstack([np.ones(len(folds), dtype=drawn.dtype), drawn])  # first the rows as they are

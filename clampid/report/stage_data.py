@@ -11,7 +11,7 @@ import pandas as pd
 from clampid.effect import Stage
 from clampid.fitting.accuracy import Floor, noise_floor, predicted
 from clampid.identification.identify import TABLES_OF, stage_rows
-from clampid.identification.reopen import Reopened
+from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.models.model import StageModel
 from clampid.stages.experiment import Experiment
 from clampid.stages.pose_rows import align
@@ -34,7 +34,7 @@ class Piece:
         ``(N, m)``, measured less predicted, SI.
     good
         ``(N, m)``: numbers that count: neither at rest nor rejected.
-    held
+    held_out
         ``(N,)``: rows that no fit saw.
     rejected
         ``(N, m)``: numbers of rows that the fit rejected as outliers.
@@ -44,7 +44,7 @@ class Piece:
     experiment: Experiment
     residual: Array
     good: Bools
-    held: Bools
+    held_out: Bools
     rejected: Bools
 
 
@@ -88,9 +88,9 @@ class StageData:
         return np.concatenate([p.rejected[:, : self.channels] for p in self.pieces])
 
     @property
-    def held(self) -> Bools:
+    def held_out(self) -> Bools:
         """Which of all rows were held out ``(N,)``."""
-        return np.concatenate([p.held for p in self.pieces])
+        return np.concatenate([p.held_out for p in self.pieces])
 
     def column(self, name: str) -> pd.Series | None:
         """A column of the campaign for all rows, or None where a table lacks it."""
@@ -114,7 +114,7 @@ def in_order(stages: Iterable[str]) -> tuple[Stage, ...]:
     return tuple(s for s in ORDER if s in found)
 
 
-def stage_data(opened: Reopened) -> dict[Stage, StageData]:
+def stage_data(opened: ModelOnCampaign) -> dict[Stage, StageData]:
     """Every stage that both the model and the campaign have.
 
     A campaign that the model never saw says nothing of where its instrument stands: there the base is aligned with the
@@ -142,7 +142,7 @@ def stage_data(opened: Reopened) -> dict[Stage, StageData]:
     return out
 
 
-def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
+def _aligned(opened: ModelOnCampaign, rows: Rows) -> dict[int, Array]:
     """Where the instrument sees the base, from the points that the model predicts."""
     model = opened.stages["poses"]
     rows = rows.points
@@ -151,13 +151,13 @@ def _aligned(opened: Reopened, rows: Rows) -> dict[int, Array]:
     return {0: motion @ rows.constants["base_reference"][0]}
 
 
-def _piece(opened: Reopened, stage: Stage, rows: Rows, verification: bool) -> Piece:
+def _piece(opened: ModelOnCampaign, stage: Stage, rows: Rows, verification: bool) -> Piece:
     model = opened.stages[stage]
     found = opened.experiment(stage, rows)
     rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()
     bad = np.array([key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)], dtype=bool)
-    held = rows.in_folds(opened.held(stage))
+    held_out = rows.in_folds(opened.held_out(stage))
     if opened.session is None or verification:
-        held = np.ones(len(rows), dtype=bool)
+        held_out = np.ones(len(rows), dtype=bool)
     wrong = bad[:, None]
-    return Piece(rows, found, predicted(found, model.theta), rows.used & ~wrong, held, rows.used & wrong)
+    return Piece(rows, found, predicted(found, model.theta), rows.used & ~wrong, held_out, rows.used & wrong)

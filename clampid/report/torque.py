@@ -36,7 +36,7 @@ def _best_stretch(data: StageData) -> Integers:
     """The minute of a run in which most motors move; rows held out are preferred, where there are any."""
     piece = data.first
     run, time = piece.rows.constants["run"], piece.rows.constants["time"]
-    wanted = piece.held if piece.held.any() else np.ones(len(run), dtype=bool)
+    wanted = piece.held_out if piece.held_out.any() else np.ones(len(run), dtype=bool)
     best, most = np.arange(min(len(run), MOST_STRETCH)), -1.0
     for r in np.unique(run[wanted]):
         rows = np.flatnonzero((run == r) & wanted)
@@ -84,7 +84,7 @@ def _stretch(data: StageData) -> Figure:
         panels += [Panel(())] * (across - len(row)) if r < down - 1 else []
     plot = Chart(tuple(panels), 310 * down + 40, across, (3.0, 1.4) * down, below="time, s")
     table, run = str(piece.rows.table[rows[0]]), int(piece.rows.constants["run"][rows[0]]) + 1
-    kind = "held out" if piece.held[rows].all() else "fitted"
+    kind = "held out" if piece.held_out[rows].all() else "fitted"
     caption = (
         f"Measured and predicted motor torques over {time[-1] - time[0]:.0f} s of the table {table} (run {run}, from "
         f"{time[0]:.0f} s; rows {kind}), and below them what the model leaves, with ± 1 σ of the noise (dashed). Where "

@@ -15,7 +15,7 @@ __all__ = ["Trend", "Variable", "explained", "trend", "variables_of"]
 BINS = 12
 FLIPS = 99
 GAP = 0.1  # of a variable's range without a row: no line is drawn across
-FEWEST = 3  # rows that a median is drawn of
+MIN_ROWS_PER_MEDIAN = 3  # rows that a median is drawn of
 FEW = 8  # distinct values up to which a variable is grouped by value instead of by quantiles
 
 
@@ -146,7 +146,7 @@ def trend(x: Array, y: Array, good: Bools) -> Trend:
     before = 0
     for s, g in np.unique(np.c_[stretch, group][group >= 0], axis=0).tolist():
         rows = np.flatnonzero((stretch == s) & (group == g))
-        if len(rows) < FEWEST:
+        if len(rows) < MIN_ROWS_PER_MEDIAN:
             continue
         if columns and s != before:
             columns.append([np.nan] * 4)

@@ -66,12 +66,12 @@ def _fall(model: Model, first: Model | None, stage: Stage, found: Json | None, c
         return f"With the candidates below, {fall}; the noise floor is {floor}."
     table = _compared(comparison, stage)
     if table is not None:
-        held = (table.get("heldout") or {}).get("rms", table.get("rms"))
+        held_out = (table.get("heldout") or {}).get("rms", table.get("rms"))
         floor = error_text(table.get("noise_floor"), unit)
-        return f"The held-out error is {error_text(held, unit)}; the noise floor is {floor}."
+        return f"The held-out error is {error_text(held_out, unit)}; the noise floor is {floor}."
     if rounds:
-        held, floor = error_text(rounds[-1].heldout_rms, unit), error_text(rounds[-1].noise_floor, unit)
-        return f"The held-out error is {held}; the noise floor is {floor}."
+        held_out, floor = error_text(rounds[-1].heldout_rms, unit), error_text(rounds[-1].noise_floor, unit)
+        return f"The held-out error is {held_out}; the noise floor is {floor}."
     return ""
 
 

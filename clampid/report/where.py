@@ -91,7 +91,7 @@ def _chosen(data: StageData) -> list[Integers]:
     usable = data.good.any(axis=1)
     limit = MOST_ROWS if data.stage == "poses" else MOST_POINTS
     step = max(1, int(np.ceil(usable.sum() / limit)))
-    kept = [np.flatnonzero(usable & (data.held == held))[::step] for held in (False, True)]
+    kept = [np.flatnonzero(usable & (data.held_out == held_out))[::step] for held_out in (False, True)]
     return [*kept, np.flatnonzero(data.rejected.any(axis=1))]
 
 

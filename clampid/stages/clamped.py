@@ -26,7 +26,7 @@ __all__ = ["fixture_motion", "joint_torques", "residual", "residual_by_angle", "
 
 NEWTON_STEPS, HALVINGS = 60, 12
 SETTLED_STEP = 1e-9  # of the rated torque
-FAR = 10.0  # rated torques, at which every gap is closed
+CLOSING_TORQUE = 10.0  # rated torques, at which every gap is closed
 NONE = 1e-12  # rad/Nm: a joint that yields less, its gap closed, has no spring in the model
 STIFF = 0.1  # of the loops' compliance, for such a joint
 
@@ -169,7 +169,7 @@ def _rigid(rows: Rows, chain: Chain, theta: Array) -> Array:
     """
     T = np.asarray(rows.robot.transmission)
     first = {name: values[:1] for name, values in rows.signals.items()}
-    far = _by_torque(chain.evaluate(theta, first, FAR * rows.constants["rated"][None]))
+    far = _by_torque(chain.evaluate(theta, first, CLOSING_TORQUE * rows.constants["rated"][None]))
     yields, loops = np.abs(np.diag(far[0, : len(T)])), rows.constants["loop_compliance"]
     return np.asarray(np.where(yields < NONE, STIFF * np.diag(T.T @ np.diag(loops) @ T), 0.0))
 

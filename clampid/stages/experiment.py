@@ -129,7 +129,7 @@ class Experiment:
         if self.stage != "poses":
             return self
         return replace(
-            self, rows=replace(self.rows, signals=poses.held(self.rows, self.chain, theta[: len(self.slots)]))
+            self, rows=replace(self.rows, signals=poses.frozen_flanks(self.rows, self.chain, theta[: len(self.slots)]))
         )
 
     def with_slots(self, slots: Sequence[Slot]) -> Experiment:
@@ -152,7 +152,7 @@ class Experiment:
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
         std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
-        std = np.where(self.held(), HELD * self.sizes(), std)
+        std = np.where(self.fixed(), HELD * self.sizes(), std)
         for k, slot in enumerate(self.slots):
             if self.effects[slot.effect].event == slot.parameter:  # somewhere between two rows
                 share = self.rows.signals["sweep_progress"] % 1.0
@@ -206,7 +206,7 @@ class Experiment:
             mean[at] = linalg.solve(precision[np.ix_(at, at)], weighted, assume_a="pos")
         return precision, mean
 
-    def held(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def fixed(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Which parameters ``(P + K,)`` a fit keeps where they start."""
         return np.array([*fixed_slots(self.slots, self.effects), *([False] * self.offsets)], dtype=bool)
 

@@ -15,7 +15,7 @@ from clampid.stages.statements import stated_base_pose, statements_of
 from clampid.stages.temperatures import link_recorded, temperatures
 from experiments.campaign import Campaign, Instrument
 from experiments.columns import POSES
-from experiments.lateration import locate
+from experiments.measures.lateration import locate
 from experiments.temperatures import filled
 from kinematics.poe import forward
 from kinematics.screws import nearest_rotation

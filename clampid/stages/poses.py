@@ -27,7 +27,7 @@ __all__ = [
     "constants_of",
     "evaluate",
     "flanks",
-    "held",
+    "frozen_flanks",
     "link_vectors",
     "moved",
     "predict",
@@ -93,7 +93,7 @@ def flanks(rows: Rows, chain: Chain, theta: Array) -> Array | None:
     return None if found is None else np.sign(found)
 
 
-def held(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]:
+def frozen_flanks(rows: Rows, chain: Chain, theta: Array) -> Mapping[str, Array]:
     """The rows' signals with flanks and loads where these parameters put them.
 
     The arm stands a little lower than commanded, where its weight has another lever: a few thousandths of the load,
@@ -115,7 +115,7 @@ def evaluate(rows: Rows, chain: Chain, theta: Array) -> Deviations:
     """Deviations at the flanks and loads that are held, or else at those that these parameters give."""
     follows = chain.reads_flanks and "flank" not in rows.signals
     follows |= chain.yield_function is not None and "yielded" not in rows.signals
-    return chain.evaluate(theta, held(rows, chain, theta) if follows else rows.signals)
+    return chain.evaluate(theta, frozen_flanks(rows, chain, theta) if follows else rows.signals)
 
 
 def residual(rows: Rows, chain: Chain, theta: Array, first: int = 0) -> tuple[Array, Array]:

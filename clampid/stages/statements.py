@@ -21,7 +21,7 @@ from clampid.slots import Layout, Slot
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
 from experiments.stated import StatedBase
-from kinematics.screws import roll_pitch_yaw, rotation_of
+from kinematics.fixed_angles import roll_pitch_yaw, rotation_of
 
 __all__ = ["ScaleBar", "Statement", "about", "stated_base_pose", "stated_equations", "statements_of"]
 

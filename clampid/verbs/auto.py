@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from clampid.plain_json import finite
 from clampid.verbs.inputs import fits_geometry, read_checked, split_effects
 from clampid.verbs.options import Campaigns, Effects, EffectsFrom, Json, Quiet, Seed, Verbose
 from clampid.verbs.options import Output as OutputFile
-from clampid.verbs.output import Output, finite, output_file
+from clampid.verbs.output import Output, output_file
 from experiments.targets import OutputError, refuse_other_kind
 
 if TYPE_CHECKING:

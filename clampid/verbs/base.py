@@ -140,7 +140,7 @@ def _show(found: BaseFrame, campaign: Path, rigid: bool, out: Output) -> None:
 
 def _frame(base: Array, std: Array, bias: Array, rigid: bool) -> list[tuple[str, str]]:
     """A frame with its standard errors and what it would be off by if nothing were put back; both (w, v)."""
-    from kinematics.screws import roll_pitch_yaw
+    from kinematics.fixed_angles import roll_pitch_yaw
 
     position, angles = base[:3, 3], roll_pitch_yaw(base[:3, :3])
     places = [f"{1e3 * position[k]:.4f} mm" for k in range(3)]

@@ -33,7 +33,7 @@ def check(
     from clampid.catalogue import catalogue
     from clampid.identification.identify import TABLES_OF, stages_of, standard_effects
     from experiments.campaign import CampaignError, read_campaign
-    from experiments.check import check_campaign, holdings
+    from experiments.checks.check import check_campaign, holdings
     from experiments.long_log import LONG_ROWS
 
     out = Output(quiet, json, verbose)
@@ -90,7 +90,7 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
     from clampid.stages.pose_rows import pose_rows
     from clampid.verbs.errors import CallError
     from clampid.verbs.placing import show_iso9283
-    from experiments.metrics import norm_metrics
+    from experiments.measures.metrics import norm_metrics
 
     found: dict[str, Any] = {}
     for table in ("poses", "verification"):

@@ -24,7 +24,7 @@ def check_screen(
     Parameters
     ----------
     holds
-        As `experiments.check.holdings` gives it.
+        As `experiments.checks.check.holdings` gives it.
     stages
         Stage → its standard effects and the others known.
     findings

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from clampid.plain_json import finite
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import read_checked
 from clampid.verbs.options import Campaigns, EffectsFrom, Json, ModelFile, Quiet, Seed, Verbose
-from clampid.verbs.output import Output, finite, output_file
+from clampid.verbs.output import Output, output_file
 from clampid.verbs.plan_options import names_of
 from experiments.targets import OutputError, refuse_other_kind
 
@@ -52,9 +53,9 @@ def diagnose(
     """Say where a model fails, and which effect is missing."""
     out = Output(quiet, json, verbose)
 
+    from clampid.diagnosis.candidate_scores import refuse_few_flips
     from clampid.diagnosis.diagnose import diagnose as look_for_missing
     from clampid.diagnosis.headline import listed
-    from clampid.diagnosis.look import refuse_few_flips
     from clampid.loop.kept_diagnosis import keep_diagnosis, kept_file
     from clampid.models.model import load_model
     from clampid.role_slots import any_of_role

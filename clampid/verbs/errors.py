@@ -5,11 +5,9 @@ from __future__ import annotations
 import errno
 import sys
 
+from clampid.wrong_call import CallError
+
 __all__ = ["CallError", "is_wrong_input"]
-
-
-class CallError(ValueError):
-    """A call that cannot be meant; the message says what was expected. Verbs of other packages may derive from it."""
 
 
 _WRONG_INPUT = (

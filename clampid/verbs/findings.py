@@ -28,11 +28,11 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
     """Table by table: the error on fitted rows, on held-out rows, and the noise floor."""
     rows, motors = [], []
     for name, table in data["tables"].items():
-        unit, held = table["unit"], table.get("heldout") or {}
+        unit, held_out = table["unit"], table.get("heldout") or {}
         floor = error_text(table.get("noise_floor"), unit)
         source = f" ({table['noise_source']})" if "noise_source" in table else ""
-        both = [("fitted", table), ("held out", held)]
-        if held and all(table.get(key) == held.get(key) for key in ("rows", "rms")):
+        both = [("fitted", table), ("held out", held_out)]
+        if held_out and all(table.get(key) == held_out.get(key) for key in ("rows", "rms")):
             both = both[1:]  # nothing of this campaign was fitted
         for which, part in both:
             errors = [error_text(part.get(key), unit) for key in ("rms", "mean", "max")]
@@ -47,10 +47,10 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
     if any(table.get("measured") == "distances" for table in data["tables"].values()):
         out.say("distances: errors are of measured distances, one number each, not of points")
     for name, table in data["tables"].items():
-        held = table.get("heldout") or {}
-        if wrong := held.get("outliers"):
+        held_out = table.get("heldout") or {}
+        if wrong := held_out.get("outliers"):
             listed = ", ".join(map(str, wrong[:8])) + (f" and {len(wrong) - 8} more" if len(wrong) > 8 else "")
-            whole = error_text(held["rms_with_outliers"], table["unit"])
+            whole = error_text(held_out["rms_with_outliers"], table["unit"])
             out.say(f"{name}: held-out rows left out as wrong: verification row {listed}; with them rms {whole}")
         beyond = table.get("extrapolating")
         if beyond and beyond["rows"]:

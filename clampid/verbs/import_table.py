@@ -17,7 +17,7 @@ from experiments.targets import check_folder
 
 if TYPE_CHECKING:
     from experiments.campaign import Campaign
-    from experiments.finding import Finding
+    from experiments.checks.finding import Finding
     from experiments.foreign import Imported, Mapping
     from experiments.header import Header
     from experiments.pairing import Pairing
@@ -137,7 +137,7 @@ def _campaign(header: dict[str, Any], tables: tuple[Imported, ...]) -> Campaign:
 def _look_at(campaign: Campaign, mapping: Path, tables: tuple[Imported, ...], out: Output) -> None:
     """Print warnings; refuse numbers that cannot mean what the mapping says. Rows are those of the files."""
     from experiments.campaign import CampaignError
-    from experiments.check import check_campaign
+    from experiments.checks.check import check_campaign
 
     sources = {table.table: table.source for table in tables}
 

@@ -14,7 +14,7 @@ from clampid.verbs.output import Output
 if TYPE_CHECKING:
     from clampid.effect import Stage
     from experiments.campaign import Campaign
-    from experiments.finding import Finding
+    from experiments.checks.finding import Finding
 
 __all__ = ["finding_text", "fits_geometry", "numbers_of", "read_checked", "split_effects", "split_terms"]
 
@@ -31,7 +31,7 @@ def read_checked(folders: Sequence[Path], out: Output, held: float = inf, *, fit
         A folder does not follow the contract, or its numbers cannot mean what the contract says.
     """
     from experiments.campaign import CampaignError, read_campaign
-    from experiments.check import check_campaign
+    from experiments.checks.check import check_campaign
 
     campaigns = []
     for folder in folders:

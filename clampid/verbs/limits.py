@@ -12,7 +12,7 @@ from clampid.verbs.output import Output
 __all__ = ["show_limits", "show_plan"]
 
 Json = Mapping[str, Any]
-MOST = 8
+MAX_LINES = 8
 
 
 def show_limits(testability: Sequence[Json], out: Output) -> None:
@@ -20,9 +20,9 @@ def show_limits(testability: Sequence[Json], out: Output) -> None:
     rows = limit_rows(testability)
     if rows:
         title = "an effect of more than this would have been found with 90 % probability"
-        if len(rows) > MOST:
-            title += f"; the {MOST} seen best of {len(rows)}, all in --json"
-        out.table(title, ("absent effect", "at", "detection limit"), rows[:MOST], left=2)
+        if len(rows) > MAX_LINES:
+            title += f"; the {MAX_LINES} seen best of {len(rows)}, all in --json"
+        out.table(title, ("absent effect", "at", "detection limit"), rows[:MAX_LINES], left=2)
     groups = not_testable(testability)
     if groups:
         listed = "; ".join(f"{', '.join(names)} ({why})" for why, names in groups.items())

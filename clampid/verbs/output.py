@@ -6,7 +6,6 @@ Details (``say``, ``table``) are printed before the screen, of verbs that have `
 from __future__ import annotations
 
 import json as json_module
-import math
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,15 +14,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clampid.plain_json import finite
 from clampid.verbs.streams import write_result
 from experiments.targets import Kind, check_output, is_stdout
+
+__all__ = ["Output", "output_file"]
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from clampid.screen import Screen
 
-__all__ = ["Output", "finite", "output_file"]
 
 LINES_APART = 5.0  # seconds
 WIDTH = 120  # of details that go to a file or a pipe, where neither a terminal nor COLUMNS says
@@ -149,23 +150,6 @@ class _ProgressLines:
             self.last = now
             part = f"{self.text}: {names}" if names else self.text
             self.say(f"  {part}; {now - self.start:.0f} s so far{left}")
-
-
-def finite(data: Any) -> Any:
-    """The same data for JSON: tuples as lists, numpy scalars as numbers, what is not finite as None."""
-    match data:
-        case Mapping():
-            return {str(key): finite(value) for key, value in data.items()}
-        case str() | bool() | int() | None:
-            return data
-        case float():
-            return data if math.isfinite(data) else None
-        case Iterable():
-            return [finite(value) for value in data]
-        case _ if hasattr(data, "item"):
-            return finite(data.item())
-        case _:
-            raise TypeError(f"cannot write {type(data).__name__} as JSON")
 
 
 def output_file(path: Path, kind: Kind | None = None) -> Path:

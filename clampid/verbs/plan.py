@@ -49,15 +49,14 @@ def free_air(
     out = begin(output, json, quiet, verbose)
     with refusals():
         from clampid.planning.free_air import plan_free_air
-        from clampid.standard_sets import STANDARD
+        from clampid.planning.program import LogWishes
 
         cell, limits, assumed = where.cell(acceleration)
         noise, more = torques.noise(cell)
         with out.working("choosing configurations"):
+            wished = LogWishes(time, numbers_of("--speeds", speeds) or (), names_of(effects) or None, seed=seed)
             made = plan_free_air(
-                cell, limits, noise, time=time, speeds=numbers_of("--speeds", speeds) or (),
-                effects=names_of(effects) or STANDARD["free_air"], scene=where.scene(cell), seed=seed,
-                assumed=(*assumed, *more),
+                cell, limits, noise, wished, scene=where.scene(cell), assumed=(*assumed, *more)
             )  # fmt: skip
         finish(made, output, out, f"{len(made.runs[0].course.duration)} stops at {len(made.runs)} speeds")
 
@@ -80,15 +79,14 @@ def wrist(
     """Plan swings of a coupled wrist that separate friction of the motors from friction of the arm's side."""
     out = begin(output, json, quiet, verbose)
     with refusals():
+        from clampid.planning.program import LogWishes
         from clampid.planning.wrist import SWING_STOPS, plan_wrist
 
         cell, limits, assumed = where.cell(acceleration)
         noise, more = torques.noise(cell)
         with out.working("choosing swings"):
-            made = plan_wrist(
-                cell, limits, noise, time=time, speeds=numbers_of("--speeds", speeds) or (), effects=names_of(effects),
-                scene=where.scene(cell), seed=seed, assumed=(*assumed, *more),
-            )  # fmt: skip
+            wished = LogWishes(time, numbers_of("--speeds", speeds) or (), names_of(effects), seed=seed)
+            made = plan_wrist(cell, limits, noise, wished, scene=where.scene(cell), assumed=(*assumed, *more))
         swings = sum(len(run.course.duration) for run in made.runs) // SWING_STOPS
         finish(made, output, out, f"{swings} swings in {len(made.runs)} runs")
 
@@ -134,8 +132,9 @@ def clamping(
 
         import numpy as np
 
-        from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
+        from clampid.planning.clamping import ClampingWishes, plan_clamping
         from clampid.planning.least_torque import search_for
+        from clampid.planning.press import Press, press_limits, stiffness_of
         from clampid.standard_sets import STANDARD
         from experiments.plans.press import rated_motor_torque
 
@@ -148,10 +147,12 @@ def clamping(
         held = press_limits(limits, rated, torque=max_torque, force=max_force, moment=max_moment)
         press = Press(share, rated, stiffness, margin, dwell, clamping_time)
         with out.working("choosing sweeps"):
+            wished = ClampingWishes(
+                time=time, effects=names_of(effects) or STANDARD["clamped"], joints=_joints(joints, cell.robot.n),
+                postures=_postures(posture, cell.robot.n, where.units), seed=seed,
+            )  # fmt: skip
             made = plan_clamping(
-                cell, held, noise, press, time=time, effects=names_of(effects) or STANDARD["clamped"],
-                joints=_joints(joints, cell.robot.n), postures=_postures(posture, cell.robot.n, where.units),
-                scene=where.scene(cell), seed=seed, assumed=(*assumed, *more, *usual),
+                cell, held, noise, press, wished, scene=where.scene(cell), assumed=(*assumed, *more, *usual),
             )  # fmt: skip
         if least_torque:
             made = replace(made, least_torque=search_for(cell.robot, press))
@@ -220,7 +221,8 @@ def poses(
     """Plan poses to measure: visible, clear of obstacles, informative, approached from both sides, in a short order."""
     out = begin(output, json, quiet, verbose)
     with refusals():
-        from clampid.planning.poses import PoseWishes, balance_of, plan_poses
+        from clampid.planning.direction_balance import balance_of
+        from clampid.planning.poses import PoseWishes, plan_poses
         from clampid.planning.region import box_of, sphere_part_of
 
         if box is not None and sphere is not None:

@@ -80,7 +80,7 @@ def iso9283(
     """Plan the cycles of ISO 9283 through five poses of a cube: accuracy, repeatability, drift."""
     out = begin(output, json, quiet, verbose)
     with refusals():
-        from clampid.planning.returns import plan_cube
+        from clampid.planning.returns import Cube, plan_cube
 
         cell, limits, assumed = where.cell(acceleration)
         numbers = where.units.lengths(numbers_of("--cube", cube))
@@ -88,8 +88,8 @@ def iso9283(
             raise CallError(f"--cube: expected X,Y,Z,EDGE, found {cube!r}")
         wanted = measuring.returns(cell, where.units, way, not both_sides)
         made = plan_cube(
-            cell, limits, where.scene(cell), wanted, _three("--cube", numbers[:3]), numbers[3],
-            plane=plane, cycles=cycles, assumed=assumed,
+            cell, limits, where.scene(cell), wanted,
+            Cube(_three("--cube", numbers[:3]), numbers[3], plane), cycles=cycles, assumed=assumed,
         )  # fmt: skip
         finish(made, output, out, f"{cycles} cycles of 5 poses")
 

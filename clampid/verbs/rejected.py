@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.display import error_text
 from clampid.fitting.accuracy import predicted
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from clampid.stages.rows import lengths
 from experiments.campaign import Campaign
@@ -48,7 +48,7 @@ def rejected_words(model: Model, campaigns: Sequence[Campaign], effects_from: Pa
 
 def _visits(model: Model, campaigns: Sequence[Campaign], effects_from: Path | None) -> list[str]:
     """Visits with rejected points, the worst first."""
-    opened = reopen(model, campaigns, effects_from)
+    opened = on_campaign(model, campaigns, effects_from)
     rows = opened.rows("poses")
     residual = predicted(opened.experiment("poses", rows), model.stages["poses"].theta)
     visits: dict[tuple[int, str, int, int], list[tuple[str, float]]] = {}

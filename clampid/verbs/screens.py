@@ -89,9 +89,9 @@ def fit_screen(
         facts.append((name, f"{effects}; {known} of {part['parameters']} parameters are identifiable"))
         if (part["heldout_rms"] or 0.0) > OVERFITTED * (part["rms"] or float("inf")):
             fitted = error_text(part["rms"], unit)
-            held = error_text(part["heldout_rms"], unit)
+            held_out = error_text(part["heldout_rms"], unit)
             said.append(
-                f"{name}: {held} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
+                f"{name}: {held_out} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
                 "parameters. Measure more, or fit fewer effects."
             )
         if weighted := weights_text(part.get("weights")):
@@ -140,11 +140,11 @@ def comparison_screen(
     """What ``compare`` found."""
     rows, judged, said = [], [], []
     for name, table in data["tables"].items():
-        held = (table.get("heldout") or {}).get("rms", table.get("rms"))
+        held_out = (table.get("heldout") or {}).get("rms", table.get("rms"))
         floor = table.get("noise_floor")
-        errors = (_of(nominal, name), held, floor)
+        errors = (_of(nominal, name), held_out, floor)
         rows.append((name, tuple(error_text(e, table["unit"]) for e in errors), ""))
-        judged.append((name, held, floor))
+        judged.append((name, held_out, floor))
         beyond = table.get("extrapolating")
         if beyond and beyond["rows"]:
             kinds = listed(list(dict.fromkeys(q["quantity"] for q in beyond["quantities"])))

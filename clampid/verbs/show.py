@@ -217,7 +217,7 @@ def show_drives(drives: Drives, out: Output) -> None:
         gap = _pair(degree * d.gap[j], degree * d.gap_std[j])
         limit, verdict = "–", ""
         if math.isfinite(d.gap[j]):
-            limit, verdict = f"{degree * d.gap_limit[j]:.4f}", "yes" if d.told[j] else "no"
+            limit, verdict = f"{degree * d.gap_limit[j]:.4f}", "yes" if d.gap_identified[j] else "no"
         springs = (
             _pair(d.stiffness[j], d.stiffness_std[j]),
             _pair(d.joint_stiffness[j] / 1e3, d.joint_stiffness_std[j] / 1e3),

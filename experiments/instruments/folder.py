@@ -25,7 +25,7 @@ from experiments.instruments.protocol import (
     NotStillError,
     Sample,
 )
-from experiments.instruments.still import FEWEST, moved_by, summary
+from experiments.instruments.still import MIN_READINGS, moved_by, summary
 
 __all__ = ["FolderInstrument", "Reading", "reading_of"]
 
@@ -250,7 +250,7 @@ class FolderInstrument:
         readings: Array = np.array(seen, dtype=np.float64)
         if np.any(np.abs(readings) > FARTHEST):
             raise InstrumentError(f"{file}: expected m within {FARTHEST:g}, found more; is it the right unit?")
-        moved = moved_by(readings) if len(readings) >= FEWEST else 0.0
+        moved = moved_by(readings) if len(readings) >= MIN_READINGS else 0.0
         if moved:
             raise NotStillError(f"{file}: {target} moved by {moved * 1e6:.0f} µm while it was measured")
         self._temperatures = self._warmth(file, header, own)

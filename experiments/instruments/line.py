@@ -27,11 +27,11 @@ from experiments.instruments.protocol import (
     NotStillError,
     Sample,
 )
-from experiments.instruments.still import FEWEST, moved_by, summary
+from experiments.instruments.still import MIN_READINGS, moved_by, summary
 
 __all__ = ["LineInstrument"]
 
-FIRST = 5.0  # s for answers that need no measurement
+HELLO_TIMEOUT = 5.0  # s for answers that need no measurement
 AGAIN = 3  # times that a target is looked for without a line of sight
 BETWEEN = 0.5  # s between them
 LONGEST = 4_000_000  # bytes in one answer: 5000 points take 200 000
@@ -59,7 +59,7 @@ class LineInstrument:
         self._where = (host, port)
         self._socket: socket.socket | None = None
         self._rest = b""
-        named = self._ask("targets", FIRST).get("targets_m")
+        named = self._ask("targets", HELLO_TIMEOUT).get("targets_m")
         if not isinstance(named, Mapping) or not named:
             self.close()
             raise InstrumentError(f"{self}: expected targets_m with the names of targets, found {_short(named)}")
@@ -69,10 +69,10 @@ class LineInstrument:
         return f"instrument at {self._where[0]}:{self._where[1]}"
 
     def measure(self, target: str, count: int, patience: float) -> Sample:
-        """Read until the target is still; at least `FEWEST` readings, which tell that."""
+        """Read until the target is still; at least `MIN_READINGS` readings, which tell that."""
         if target not in self.targets:
             raise InstrumentError(f"{self}: expected one of {', '.join(self.targets)}, found {target!r}")
-        end, wanted, unseen, moved = time.monotonic() + patience, max(count, FEWEST), 0, 0.0
+        end, wanted, unseen, moved = time.monotonic() + patience, max(count, MIN_READINGS), 0, 0.0
         while (left := end - time.monotonic()) > 0:
             try:
                 found = self._ask(f"measure {wanted} {target}", left)
@@ -96,7 +96,7 @@ class LineInstrument:
 
     def temperatures(self) -> Mapping[str, float]:
         """Sensors ``motor1`` …, ``link1`` … and ``ambient``, as far as it has them."""
-        found = self._ask("temperatures", FIRST)
+        found = self._ask("temperatures", HELLO_TIMEOUT)
         named: dict[str, float] = {}
         for place in ("motor", "link"):
             values = found.get(f"{place}_C", [])

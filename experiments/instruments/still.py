@@ -18,11 +18,11 @@ import numpy as np
 
 from experiments.instruments.protocol import Array
 
-__all__ = ["CALM_M", "FEWEST", "moved_by", "summary"]
+__all__ = ["CALM_M", "MIN_READINGS", "moved_by", "summary"]
 
 MAD = 1.4826  # of a normal distribution
 GATE = 4.5  # standard errors
-FEWEST = 120  # readings: a pure motion has a scatter of 0.37 D and halves that differ by D/2, which 70 tell
+MIN_READINGS = 120  # readings: a pure motion has a scatter of 0.37 D and halves that differ by D/2, which 70 tell
 CALM_M = 5e-6  # m
 
 
@@ -37,7 +37,7 @@ def summary(readings: Array) -> tuple[Array, Array]:
 def moved_by(readings: Array) -> float:
     """How far the target moved between the two halves of readings ``(N, k)``, m; 0.0 if by no more than noise does.
 
-    Fewer than `FEWEST` readings do not tell a slow motion from noise.
+    Fewer than `MIN_READINGS` readings do not tell a slow motion from noise.
     """
     half = len(readings) // 2
     if half < 1:

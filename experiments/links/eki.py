@@ -28,7 +28,7 @@ from experiments.links.schema import AXES, LONGEST_PROGRAM, SAMPLE_MS, SAMPLES, 
 
 __all__ = ["EkiLink", "connect"]
 
-FIRST = 3.0  # s within which the first status has to come
+FIRST_STATUS_TIMEOUT = 3.0  # s within which the first status has to come
 PATIENCE = 10.0  # s within which the fate of a program has to be learned
 PAUSE = 0.02  # s between two attempts
 LONGEST_PATIENCE = 600.0
@@ -215,7 +215,7 @@ def connect(address: LinkAddress) -> EkiLink:
         patience,
     )
     try:
-        link.wait_connected(FIRST)
+        link.wait_connected(FIRST_STATUS_TIMEOUT)
     except LinkLostError:
         link.close()
         raise

@@ -35,7 +35,7 @@ __all__ = ["Cycle", "RsiCounts", "RsiLink", "connect", "cycle_of"]
 
 Array = npt.NDArray[np.float64]
 
-FIRST = 3.0  # s within which the first datagram has to come
+FIRST_DATAGRAM_TIMEOUT = 3.0  # s within which the first datagram has to come
 LARGEST = 4096  # bytes of a datagram; others are cut, and then malformed
 KEPT = 20_000  # cycles: 80 s at 4 ms
 CYCLES = ("4", "12")  # ms
@@ -209,7 +209,9 @@ class RsiLink(ReadOnly):
             self.counts.received += 1
             if self._kept:
                 step = found.ipoc - self._kept[-1].ipoc
-                restarted = step < -1000 * FIRST or time.monotonic() - self._received > FIRST
+                restarted = (
+                    step < -1000 * FIRST_DATAGRAM_TIMEOUT or time.monotonic() - self._received > FIRST_DATAGRAM_TIMEOUT
+                )
                 if step <= 0 and not restarted:
                     self.counts.late += 1
                     return
@@ -272,11 +274,11 @@ def connect(address: LinkAddress) -> RsiLink:
     """
     chosen = address.chosen(cycle=CYCLES)
     link = RsiLink(address.host, address.port, int(chosen.get("cycle", "4")))
-    end = time.monotonic() + FIRST
+    end = time.monotonic() + FIRST_DATAGRAM_TIMEOUT
     while time.monotonic() < end:
         with contextlib.suppress(LinkLostError):
             link.status()
             return link
         time.sleep(0.02)
     link.close()
-    raise LinkLostError(f"rsi: no datagram came to {address.host}:{address.port} within {FIRST:g} s")
+    raise LinkLostError(f"rsi: no datagram came to {address.host}:{address.port} within {FIRST_DATAGRAM_TIMEOUT:g} s")

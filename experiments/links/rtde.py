@@ -25,7 +25,7 @@ from experiments.links.turning import Turning
 
 __all__ = ["RtdeLink", "connect"]
 
-FIRST = 3.0  # s within which the first status has to come
+FIRST_STATUS_TIMEOUT = 3.0  # s within which the first status has to come
 SILENCE = 1.0  # s without anything, after which the connection counts as dead
 RATES = ("10", "125", "500")  # Hz; controllers of the CB series give 125 at most
 VERSION = 2
@@ -187,7 +187,7 @@ def connect(address: LinkAddress) -> RtdeLink:
     """
     link = RtdeLink(address.host, address.port, float(address.chosen(rate=RATES).get("rate", "125")))
     try:
-        link.wait_first(FIRST)
+        link.wait_first(FIRST_STATUS_TIMEOUT)
     except LinkLostError:
         link.close()
         raise

@@ -34,7 +34,7 @@ __all__ = ["VarProxyLink", "axes_of", "connect"]
 
 Array = npt.NDArray[np.float64]
 
-FIRST = 3.0  # s within which the first status has to come
+FIRST_STATUS_TIMEOUT = 3.0  # s within which the first status has to come
 SILENCE = 1.0  # s that one answer may take
 PERIOD = 0.1  # s between two statuses
 SLOW = 20  # statuses between two readings of temperatures
@@ -203,7 +203,7 @@ def connect(address: LinkAddress) -> VarProxyLink:
     units = chosen.get("torque", UNKNOWN_UNIT), chosen.get("current", UNKNOWN_UNIT)
     link = VarProxyLink(address.host, address.port, *units)
     try:
-        link.wait_first(FIRST)
+        link.wait_first(FIRST_STATUS_TIMEOUT)
     except LinkLostError:
         link.close()
         raise

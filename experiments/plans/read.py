@@ -36,7 +36,7 @@ __all__ = ["parse_plan", "read_plan"]
 LONGEST_SENTENCE = 2000  # characters
 LONGEST_WAIT_S = 7 * 86400.0
 MOST_TIMES = 100_000  # swings of one visit: days
-STEPS = {"free_air": "run", "wrist": "run", "clamping": "sweep", "poses": "visit"}
+STEP_KINDS = {"free_air": "run", "wrist": "run", "clamping": "sweep", "poses": "visit"}
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -79,13 +79,13 @@ def parse_plan(text: str, file: Path) -> Plan:
     cell = _cell(root, file)
     n = cell.robot.n
     limits = _limits(root.section("limits"), n)
-    steps = root.sections(STEPS[kind])
+    steps = root.sections(STEP_KINDS[kind])
     plan = Plan(
         kind=kind,
         cell=cell,
         limits=limits,
         duration=root.number("duration_s", 0.0),
-        runs=tuple(_run(s, n) for s in steps) if STEPS[kind] == "run" else (),
+        runs=tuple(_run(s, n) for s in steps) if STEP_KINDS[kind] == "run" else (),
         sweeps=tuple(_sweep(s, n, number) for number, s in enumerate(steps, 1)) if kind == "clamping" else (),
         visits=tuple(_visit(s, n, tuple(cell.targets)) for s in steps) if kind == "poses" else (),
         start=root.vector("start_rad", n) if root.has("start_rad") else None,

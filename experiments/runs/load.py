@@ -14,7 +14,7 @@ __all__ = ["FREE", "Watch", "loaded", "slope_of"]
 
 FREE = 0.25  # of the described stiffness: no drive was found four times as soft; less, and nothing holds the flange
 SEEN = 3.0  # standard errors by which it is below that
-FEWEST = 5  # readings that a slope is taken from
+MIN_READINGS = 5  # readings that a slope is taken from
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def loaded(motor: Array, torque: Array, stiffness: float) -> bool | None:
     The later two thirds are judged: friction turns and a clearance is crossed first.
     """
     first = len(motor) // 3
-    if len(motor) - first < FEWEST:
+    if len(motor) - first < MIN_READINGS:
         return None
     value, error = slope_of(motor[first:], torque[first:])
     return bool(value + SEEN * error >= FREE * stiffness)

@@ -18,7 +18,7 @@ from experiments.runs.warmth import steady_words
 __all__ = ["run_poses"]
 
 READINGS_PER_SECOND = 20.0  # of the plan's time for a point, the rest goes into waiting until it is still
-FEWEST, MOST = 5, 100  # readings of one target
+MIN_READINGS, MAX_READINGS = 5, 100  # readings of one target
 ANCHOR = "instrument"  # what measured distances are to
 PATIENCE = 10.0  # s on top of the plan's time
 
@@ -136,7 +136,7 @@ def _measure(context: Context, visit: Visit, targets: list[str], name: str) -> N
 
 def _seen(instrument: Instrument, target: str, measure_time: float) -> Sample:
     """Measure a target; the instrument looks for it again by itself."""
-    count = int(np.clip(round(READINGS_PER_SECOND * measure_time), FEWEST, MOST))
+    count = int(np.clip(round(READINGS_PER_SECOND * measure_time), MIN_READINGS, MAX_READINGS))
     return instrument.measure(target, count, PATIENCE + measure_time)
 
 

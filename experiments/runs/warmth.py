@@ -19,7 +19,7 @@ from experiments.plans.motion import Array
 __all__ = ["steady_since", "steady_words"]
 
 WINDOW = 3600.0  # s: an hour, over which noise of sensors is small against the slopes that count
-FEWEST = 4  # rows in it
+MIN_ROWS = 4  # rows in it
 FULL = 0.8  # of the window that rows have to span
 AIR = "temp_ambient_C"
 
@@ -50,7 +50,7 @@ def steady_since(time: Array, temperature: Array, rate: float) -> float | None:
     for now in range(len(time) - 1, -1, -1):
         own = (time > time[now] - WINDOW) & (time <= time[now])
         t = (time[own] - time[own].mean()) / 3600.0
-        if own.sum() < FEWEST or time[now] - time[own].min() < FULL * WINDOW:
+        if own.sum() < MIN_ROWS or time[now] - time[own].min() < FULL * WINDOW:
             break
         slope = t @ (temperature[own] - temperature[own].mean(axis=0)) / (t @ t)
         if np.any(np.abs(slope) >= rate):

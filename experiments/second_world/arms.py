@@ -8,6 +8,7 @@ axes of the base frame. The transmission is the identity: a motor turns its own 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import radians
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,34 +81,42 @@ def _rod(mass: float, start: Array, end: Array) -> Body:
     return Body(mass, (start + end) / 2, mass * radius**2 / 2 * outer + across * (np.eye(3) - outer))
 
 
-def _arm(
-    name: str,
-    axes: str,
-    points: Sequence[Sequence[float]],
-    flange: Sequence[float],
-    flange_rpy: Sequence[float],
-    masses: Sequence[float],
-    torques: Sequence[float],
-    speeds: Sequence[float],
-    ranges_deg: Sequence[tuple[float, float]],
-    home_deg: Sequence[float],
-) -> Arm:
-    """Build an arm from the axes (letters; small is +, capital is −) and points of its joints at the zero posture."""
-    p = np.array([*points, flange], dtype=float)
-    steps = np.diff(np.vstack([np.zeros(3), p]), axis=0)
-    directions = {c: np.eye(3)[i] for i, c in enumerate("xyz")} | {c: -np.eye(3)[i] for i, c in enumerate("XYZ")}
-    joints = tuple(
-        Joint(steps[i], np.zeros(3), directions[letter], radians(low), radians(high), speeds[i], torques[i])
-        for i, (letter, (low, high)) in enumerate(zip(axes, ranges_deg, strict=True))
-    )
-    bodies = tuple(_rod(masses[i], np.zeros(3), steps[i + 1]) for i in range(len(axes)))
-    return Arm(name, joints, bodies, steps[-1], np.array(flange_rpy), np.deg2rad(home_deg))
+class DataSheet(NamedTuple):
+    """What a maker tells of an arm: axes of its joints (letters; small is +, capital is −), and points at zero.
+
+    Lengths in m, masses in kg, torques in Nm, speeds in rad/s; ranges, and where the arm is at home, in degrees.
+    """
+
+    name: str
+    axes: str
+    points: Sequence[Sequence[float]]
+    flange: Sequence[float]
+    flange_rpy: Sequence[float]
+    masses: Sequence[float]
+    torques: Sequence[float]
+    speeds: Sequence[float]
+    ranges_deg: Sequence[tuple[float, float]]
+    home_deg: Sequence[float]
+
+    def arm(self) -> Arm:
+        """Its joints, and its links as rods."""
+        p = np.array([*self.points, self.flange], dtype=float)
+        steps = np.diff(np.vstack([np.zeros(3), p]), axis=0)
+        directions = {c: np.eye(3)[i] for i, c in enumerate("xyz")} | {c: -np.eye(3)[i] for i, c in enumerate("XYZ")}
+        joints = tuple(
+            Joint(
+                steps[i], np.zeros(3), directions[letter], radians(low), radians(high), self.speeds[i], self.torques[i]
+            )
+            for i, (letter, (low, high)) in enumerate(zip(self.axes, self.ranges_deg, strict=True))
+        )
+        bodies = tuple(_rod(self.masses[i], np.zeros(3), steps[i + 1]) for i in range(len(self.axes)))
+        return Arm(self.name, joints, bodies, steps[-1], np.array(self.flange_rpy), np.deg2rad(self.home_deg))
 
 
 ARMS: dict[str, Arm] = {
-    arm.name: arm
-    for arm in (
-        _arm(
+    sheet.name: sheet.arm()
+    for sheet in (
+        DataSheet(
             "uncoupled6",
             "zyyxyx",
             [(0, 0, 0), (0.14, 0, 0.43), (0.14, 0, 1.05), (0.14, 0, 1.16), (0.80, 0, 1.16), (0.80, 0, 1.16)],
@@ -119,7 +128,7 @@ ARMS: dict[str, Arm] = {
             ((-170, 170), (-85, 125), (-160, 70), (-185, 185), (-118, 118), (-300, 300)),
             (10, 25, 5, 20, 40, -30),
         ),
-        _arm(
+        DataSheet(
             "seven7",
             "zyzYzyz",
             [(0, 0, 0), (0, 0, 0.34), (0, 0, 0.34), (0, 0, 0.74), (0, 0, 0.74), (0, 0, 1.13), (0, 0, 1.13)],
@@ -131,7 +140,7 @@ ARMS: dict[str, Arm] = {
             ((-168, 168), (-118, 118), (-168, 168), (-118, 118), (-168, 168), (-118, 118), (-172, 172)),
             (15, 40, 10, 75, -20, 50, 30),
         ),
-        _arm(
+        DataSheet(
             "offset6",
             "zyyyZy",
             [
@@ -150,7 +159,7 @@ ARMS: dict[str, Arm] = {
             ((-180, 180), (-170, -5), (-140, 140), (-180, 180), (-180, 180), (-180, 180)),
             (-15, -80, 85, -60, 35, 20),
         ),
-        _arm(
+        DataSheet(
             "small6",
             "zyyxyx",
             [(0, 0, 0), (0, 0.02, 0.29), (0, 0, 0.55), (0, 0, 0.53), (0.29, 0, 0.53), (0.29, 0, 0.53)],
@@ -162,7 +171,7 @@ ARMS: dict[str, Arm] = {
             ((-165, 165), (-100, 110), (-200, 65), (-170, 170), (-115, 115), (-250, 250)),
             (-20, 30, 0, -35, 45, 60),
         ),
-        _arm(
+        DataSheet(
             "big6",
             "zyyxyx",
             [(0, 0, 0), (0.175, 0, 0.495), (0.175, 0, 1.395), (0.175, 0, 1.57), (1.135, 0, 1.57), (1.135, 0, 1.57)],

@@ -1,7 +1,7 @@
-"""Exact medians of streams that are too long to be held: the bits of the answer are found sixteen at a time.
+"""Exact medians of streams that are too long for the memory: the bits of the answer are found sixteen at a time.
 
 A float64 read as an integer (its sign taken care of) has the order of the float, so that counting leading bits finds
-the leading bits of any order statistic; what shares its first sixteen is mostly little enough to be held. Source:
+the leading bits of any order statistic; what shares its first sixteen is mostly little enough to be sorted. Source:
 Knuth, The Art of Computer Programming 3, section 5.2.5 (radix), as selection.
 """
 
@@ -18,14 +18,14 @@ from experiments.signals.typing_ import Array
 __all__ = ["medians"]
 
 _BITS = 16
-_HELD = 1 << 22  # numbers that are simply held and sorted
+_CAPACITY = 1 << 22  # numbers that are simply kept and sorted
 
 Keys = npt.NDArray[np.uint64]
 Counts = npt.NDArray[np.int64]
 Stream = Callable[[], Iterator[Sequence[Array]]]
 
 
-def medians(stream: Stream, held: int = _HELD) -> Array:
+def medians(stream: Stream, capacity: int = _CAPACITY) -> Array:
     """Medians of several quantities of a stream, as `numpy.median` gives them.
 
     Parameters
@@ -33,8 +33,8 @@ def medians(stream: Stream, held: int = _HELD) -> Array:
     stream
         Gives, each time it is called, the same pieces one after the other: of every quantity a vector of any length.
         A short stream is gone through once, a long one mostly twice; four times where its numbers are all alike.
-    held
-        How many numbers may be held; of a longer stream, counts, until what is left of it can be held.
+    capacity
+        How many numbers may be kept; of a longer stream, counts, until what is left of it can be.
 
     Returns
     -------
@@ -47,15 +47,15 @@ def medians(stream: Stream, held: int = _HELD) -> Array:
     for piece in stream():
         pieces.append([np.array(p, dtype=np.float64) for p in piece])
         total += sum(len(p) for p in piece)
-        if total > held:
+        if total > capacity:
             for waiting in pieces:
                 new = [_digits(_key(values), 48) for values in waiting]
                 counts = [old + more for old, more in zip(counts, new, strict=True)] if counts else new
             pieces = []
-    if total <= held:
+    if total <= capacity:
         columns = [np.concatenate(parts) for parts in zip(*pieces, strict=True)]
         return np.array([_median(c) for c in columns])
-    return _narrowed(stream, [_Middle.both_of(count) for count in counts], held)
+    return _narrowed(stream, [_Middle.both_of(count) for count in counts], capacity)
 
 
 def _median(values: Array) -> float:
@@ -107,10 +107,10 @@ class _Middle:
         self.prefix, self.rank, self.left, self.shift = int(np.partition(sharing, self.rank)[self.rank]), 0, 1, 0
 
 
-def _narrowed(stream: Stream, middles: list[tuple[_Middle, ...]], held: int) -> Array:
-    """Medians, once the first digits are known: digit by digit, until what shares those found can be held."""
+def _narrowed(stream: Stream, middles: list[tuple[_Middle, ...]], capacity: int) -> Array:
+    """Medians, once the first digits are known: digit by digit, until what shares those found can be kept."""
     while wanted := [m for both in middles for m in both if m.shift]:
-        few = held // len(wanted)
+        few = capacity // len(wanted)
         sharing: dict[int, list[Keys]] = {id(m): [] for m in wanted if m.left <= few}
         counts = {id(m): np.zeros(1 << _BITS, dtype=np.int64) for m in wanted if m.left > few}
         for piece in stream():

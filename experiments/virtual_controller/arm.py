@@ -28,7 +28,7 @@ from experiments.virtual_robot.heat import Temperatures
 from experiments.virtual_robot.hidden import hide
 from experiments.virtual_robot.measure import declared
 from experiments.virtual_robot.pose_tables import tracked_points
-from experiments.virtual_robot.remeasured import FIRST, seeds_of, set_up_anew
+from experiments.virtual_robot.remeasured import FIRST_VISIT, seeds_of, set_up_anew
 from experiments.virtual_robot.sampling import Site
 from experiments.virtual_robot.torque_tables import moving_torques
 
@@ -89,7 +89,7 @@ class Arm:
         hidden: Sequence[Hidden] = (),
         *,
         seed: int = 0,
-        session: int = FIRST,
+        session: int = FIRST_VISIT,
         posture: Array | None = None,
     ) -> None:
         if len(robot.joints) != AXES:

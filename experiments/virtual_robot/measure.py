@@ -27,7 +27,7 @@ from experiments.virtual_robot.programs import (
     pose_program,
     wrist_program,
 )
-from experiments.virtual_robot.remeasured import FIRST, seeds_of, set_up_anew
+from experiments.virtual_robot.remeasured import FIRST_VISIT, seeds_of, set_up_anew
 from experiments.virtual_robot.sampling import Site
 from experiments.virtual_robot.torque_tables import Logged, log_runs, log_sweeps, sweep_amplitudes
 
@@ -78,7 +78,7 @@ def measure(
     hidden: Sequence[Hidden] = (),
     *,
     seed: int = 0,
-    session: int = FIRST,
+    session: int = FIRST_VISIT,
     poses: int = 250,
     tables: Sequence[str] | None = None,
     outliers: float = 0.0,

@@ -10,7 +10,7 @@ from experiments.virtual_robot.description import RobotDescription
 from experiments.virtual_robot.draw import draw_plant
 from experiments.virtual_robot.plant import Plant
 
-FIRST = 1
+FIRST_VISIT = 1
 OF_SESSIONS = 5  # the branch of a robot's seed that its later sessions come from; the first one has branches 0 to 4
 
 
@@ -38,11 +38,11 @@ class Seeds:
 
 def seeds_of(seed: int, session: int) -> Seeds:
     """Return what a session, counted from 1, of the robot of a seed is drawn from."""
-    if session < FIRST:
-        raise ValueError(f"session: expected {FIRST} or more, found {session}")
+    if session < FIRST_VISIT:
+        raise ValueError(f"session: expected {FIRST_VISIT} or more, found {session}")
     plant, program, noise, spoil, hidden = np.random.SeedSequence(seed).spawn(5)
     place = None
-    if session > FIRST:
+    if session > FIRST_VISIT:
         later = np.random.SeedSequence(seed, spawn_key=(OF_SESSIONS, session))
         place, program, noise, spoil = later.spawn(4)
     return Seeds(plant, hidden, program, noise, spoil, place)

@@ -38,7 +38,7 @@ from ophyd_async.core import (
 from offline_ik.beamline.combining import AXES, Combined
 from offline_ik.beamline.line_client import RefusedError, Server
 from offline_ik.beamline.side import LENGTHS, token_of
-from offline_ik.server import parse_address
+from offline_ik.exchange.address import parse_address
 
 __all__ = ["Axis", "DetectorRobot"]
 

@@ -19,7 +19,7 @@ import socket
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from clampid.verbs.errors import CallError
+from clampid.wrong_call import CallError
 from offline_ik.beamline.combining import AXES, Combined
 from offline_ik.beamline.line_client import Server
 from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock_of, server_of
@@ -27,7 +27,7 @@ from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock
 __all__ = ["main"]
 
 LOOK = 0.1  # s between two readings of where the robot is
-MOST = {"gamma": (-180.0, 180.0), "delta": (-90.0, 90.0)}  # deg
+ANGLE_RANGES = {"gamma": (-180.0, 180.0), "delta": (-90.0, 90.0)}  # deg
 FARTHEST = 10.0  # m, of the radius: as far as the line protocol hears of
 LONGEST_MESSAGE = 65536  # bytes
 TEXT = 400  # characters
@@ -93,7 +93,7 @@ class Robot:
         metres = LENGTHS[unit]
         self.scale = {"gamma": math.degrees(1.0), "delta": math.degrees(1.0), "radius": 1.0 / metres}
         self.units = {"gamma": "deg", "delta": "deg", "radius": unit}
-        self.limits = {**MOST, "radius": (0.0, FARTHEST / metres)}
+        self.limits = {**ANGLE_RANGES, "radius": (0.0, FARTHEST / metres)}
 
     async def move(self, axis: str, value: float) -> None:
         """One axis there.

@@ -16,7 +16,7 @@ from typing import Any
 
 import orjson
 
-from clampid.verbs.errors import CallError
+from clampid.wrong_call import CallError
 
 __all__ = ["AsyncLine", "Line", "LostError", "RefusedError", "Server", "line_of"]
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from clampid.verbs.output import finite
-from offline_ik.asked import sides_of, simulation_of
+from clampid.plain_json import finite
 from offline_ik.errors import TargetError
-from offline_ik.picture import picture_of
-from offline_ik.place import place_of
-from offline_ik.requests import RequestError, number, numbers, switch
-from offline_ik.seen import check_pixels, pixel_of, poni_text
-from offline_ik.session import Later, Session, Told
+from offline_ik.exchange.asked import sides_of, simulation_of
+from offline_ik.exchange.requests import RequestError, number, numbers, switch
+from offline_ik.exchange.session import Later, Session, Told
+from offline_ik.motion.picture import picture_of
+from offline_ik.reflections.place import place_of
+from offline_ik.reflections.seen import check_pixels, pixel_of, poni_text
 
 if TYPE_CHECKING:
-    from offline_ik.answer import Answer
-    from offline_ik.detector import Detector
-    from offline_ik.protocol import Speaker
+    from offline_ik.inverse.answer import Answer
+    from offline_ik.inverse.detector import Detector
+    from offline_ik.server.protocol import Speaker
 
 __all__ = ["LOOKING"]
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clampid.verbs.errors import CallError
-from clampid.verbs.output import finite
-from offline_ik.asked import sides_of, simulated_at_once, simulation_of
+from clampid.plain_json import finite
+from clampid.wrong_call import CallError
 from offline_ik.beamline.robot import SETTLED, LinkedRobot
-from offline_ik.requests import RequestError, number, switch
-from offline_ik.session import Later, Session, Told
-from offline_ik.simulation import Simulation
+from offline_ik.exchange.asked import sides_of, simulated_at_once, simulation_of
+from offline_ik.exchange.requests import RequestError, number, switch
+from offline_ik.exchange.session import Later, Session, Told
+from offline_ik.motion.simulation import Simulation
 
 if TYPE_CHECKING:
-    from offline_ik.protocol import Speaker
+    from offline_ik.server.protocol import Speaker
 
 __all__ = ["MOVING"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from offline_ik.beamline.processes import Side, check_installed
 from offline_ik.beamline.side import LENGTHS
 from offline_ik.errors import DetectorError
-from offline_ik.server import is_loopback, parse_address
+from offline_ik.exchange.address import is_loopback, parse_address
 
 if TYPE_CHECKING:
     from clampid.verbs.output import Output

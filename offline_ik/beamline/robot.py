@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from offline_ik.place import Place, place_of
-from offline_ik.requests import RequestError
-from offline_ik.session import Session
+from offline_ik.exchange.requests import RequestError
+from offline_ik.exchange.session import Session
+from offline_ik.reflections.place import Place, place_of
 
 if TYPE_CHECKING:
-    from offline_ik.detector import Detector
-    from offline_ik.link import RobotLink
+    from offline_ik.exchange.link import RobotLink
+    from offline_ik.inverse.detector import Detector
 
 __all__ = ["LOOK", "Ended", "LinkedRobot"]
 

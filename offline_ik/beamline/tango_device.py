@@ -26,7 +26,7 @@ import tango
 from tango import AttrWriteType, DevState, SerialModel
 from tango.server import Device, attribute, command, run
 
-from clampid.verbs.errors import CallError
+from clampid.wrong_call import CallError
 from offline_ik.beamline.line_client import Line, LostError, Server
 from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock_of, server_of
 

@@ -19,9 +19,9 @@ from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, 
 from offline_ik.verbs.screen import ik_screen
 
 if TYPE_CHECKING:
-    from offline_ik.answer import Solution
-    from offline_ik.detector import Detector
-    from offline_ik.ways import Way, Ways
+    from offline_ik.inverse.answer import Solution
+    from offline_ik.inverse.detector import Detector
+    from offline_ik.motion.ways import Way, Ways
 
 __all__ = ["ik"]
 
@@ -68,10 +68,10 @@ def ik(
     out = Output(quiet, json, verbose)
     check_looks(picture, poni)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # one answer comes sooner than its compiled kernel
-    from offline_ik.assumed import assumptions
-    from offline_ik.checks import check_directions
-    from offline_ik.coordinates import check_target
-    from offline_ik.simulation import simulate_move
+    from offline_ik.cell.checks import check_directions
+    from offline_ik.cell.coordinates import check_target
+    from offline_ik.inverse.assumed import assumptions
+    from offline_ik.motion.simulation import Position, simulate_move
 
     units = Units(deg, mm)
     given_position = {"--gamma": gamma, "--delta": delta, "--r": r}
@@ -84,14 +84,14 @@ def ik(
     asked = None if sides is None else check_directions(detector.arm.n, sides)
     with out.working("solving"):
         simulation = simulate_move(
-            detector, gamma, delta, r, turned, start=here, branch=branch, approach=approach, direction=asked
+            detector, Position(gamma, delta, r, turned), start=here, branch=branch, approach=approach, direction=asked
         )
         ways = simulation.ways
         answer, data = ways.answer, _data(ways, branch, (*detector.notes, *_later(detector, ways)))
         found, seen = looked(detector, simulation, Look(picture, poni, pixel, pixels), units)
         data |= seen
     if pyfai and answer.reachable:
-        from offline_ik.pyfai import pyfai_geometry
+        from offline_ik.cell.pyfai import pyfai_geometry
 
         data["pyfai"] = pyfai_geometry(detector.cell.convention, answer.target).to_json()
     assumed = assumptions(detector)
@@ -128,7 +128,7 @@ def _roll(text: str) -> float:
 
 def _later(detector: Detector, ways: Ways) -> tuple[str, ...]:
     """How much time matters, where nobody said how much of it passed."""
-    from offline_ik.assumed import moves_by, time_effects
+    from offline_ik.inverse.assumed import moves_by, time_effects
 
     if detector.cell.running is not None or not ways.answer.reachable or not time_effects(detector.arm):
         return ()

@@ -14,8 +14,8 @@ from offline_ik.verbs.options import numbers
 
 if TYPE_CHECKING:
     from clampid.verbs.units import Units
-    from offline_ik.detector import Detector
-    from offline_ik.simulation import Simulation
+    from offline_ik.inverse.detector import Detector
+    from offline_ik.motion.simulation import Simulation
 
 __all__ = ["Look", "Picture", "Pixel", "Pixels", "Poni", "check_looks", "looked"]
 
@@ -68,7 +68,7 @@ def looked(detector: Detector, simulation: Simulation, look: Look, units: Units)
         A pixel is none, nobody says how many there are, or the position cannot be reached.
     """
     from experiments.outputs import write_text
-    from offline_ik.seen import check_pixels, pixel_of, poni_text
+    from offline_ik.reflections.seen import check_pixels, pixel_of, poni_text
 
     said: list[str] = []
     data: dict[str, Any] = {}
@@ -104,7 +104,7 @@ def looked(detector: Detector, simulation: Simulation, look: Look, units: Units)
 
 def _draw(look: Look, simulation: Simulation, said: list[str]) -> None:
     from experiments.outputs import write_text
-    from offline_ik.picture import picture_of
+    from offline_ik.motion.picture import picture_of
 
     if look.picture is not None:
         write_text(look.picture, picture_of(simulation))

@@ -12,7 +12,7 @@ from offline_ik.errors import DetectorError
 
 if TYPE_CHECKING:
     from clampid.verbs.output import Output
-    from offline_ik.detector import Detector
+    from offline_ik.inverse.detector import Detector
 
 __all__ = ["CellFile", "Robot", "Running", "numbers", "opened", "say_assumed", "seconds"]
 
@@ -74,7 +74,7 @@ def opened(
     model: Path, cell: Path | None, robot: str | None, effects_from: Path | None, running: str | None = None
 ) -> Detector:
     """The model in its cell, the robot running for so long."""
-    from offline_ik.detector import open_detector
+    from offline_ik.inverse.opening import open_detector
 
     time = seconds("--running", running)
     detector = open_detector(model, cell, robot=robot, user_effects=effects_from)
@@ -83,7 +83,7 @@ def opened(
 
 def say_assumed(detector: Detector, out: Output) -> None:
     """What nobody said, with the values that are taken for it."""
-    from offline_ik.assumed import assumptions
+    from offline_ik.inverse.assumed import assumptions
 
     assumed = assumptions(detector)
     if assumed:

@@ -17,7 +17,7 @@ from clampid.verbs.units import Degrees, Millimetres, Units
 from offline_ik.verbs.options import CellFile, Robot, Running, numbers, opened, say_assumed
 
 if TYPE_CHECKING:
-    from offline_ik.peaks import SampleFound
+    from offline_ik.reflections.peaks import SampleFound
 
 __all__ = ["sample"]
 
@@ -55,8 +55,8 @@ def sample(
     out = Output(quiet, json, verbose)
     os.environ.setdefault("CLAMPID_COMPILER", "none")  # a few postures come sooner than a compiled kernel
     from offline_ik.errors import TargetError
-    from offline_ik.peak_table import read_peaks, wavelength_of
-    from offline_ik.peaks import sample_from_peaks
+    from offline_ik.reflections.peak_table import read_peaks, wavelength_of
+    from offline_ik.reflections.peaks import sample_from_peaks
 
     units = Units(deg, mm)
     of_photons, given = wavelength_of(energy, wavelength), numbers("--near", near)
@@ -76,7 +76,7 @@ def sample(
 
 
 def _show(result: SampleFound, units: Units, model: Path, cell: Path | None, out: Output) -> None:
-    from offline_ik.peak_wording import LAB
+    from offline_ik.reflections.peak_wording import LAB
 
     position, convention = result.position, result.convention
     shown = zip(

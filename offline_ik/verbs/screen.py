@@ -13,9 +13,9 @@ from clampid.screen import Next, Screen, Tone
 
 if TYPE_CHECKING:
     from clampid.verbs.units import Units
-    from offline_ik.answer import Answer
-    from offline_ik.detector import Detector
-    from offline_ik.ways import Way, Ways
+    from offline_ik.inverse.answer import Answer
+    from offline_ik.inverse.detector import Detector
+    from offline_ik.motion.ways import Way, Ways
 
 __all__ = ["ik_screen"]
 

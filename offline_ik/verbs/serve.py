@@ -20,7 +20,7 @@ from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assumed
 
 if TYPE_CHECKING:
-    from offline_ik.link import LinkedRobot
+    from offline_ik.exchange.link import LinkedRobot
 
 __all__ = ["linked_robot", "serve"]
 
@@ -63,9 +63,10 @@ def serve(
     """Answer detector positions over TCP: one request a line, one JSON answer a line, until interrupted."""
     out = Output(quiet)
     from offline_ik.beamline.options import Given, sides_of
-    from offline_ik.protocol import Speaker
-    from offline_ik.server import is_loopback, parse_address, take
-    from offline_ik.server import serve as serve_forever
+    from offline_ik.exchange.address import is_loopback, parse_address
+    from offline_ik.server.protocol import Speaker
+    from offline_ik.server.server import serve as serve_forever
+    from offline_ik.server.server import take
 
     host, port = parse_address(listen)
     given = Given(tango, tango_listen, epics, epics_listen, radius_unit, token_file)
@@ -139,7 +140,7 @@ def linked_robot(address: str, out: Output) -> LinkedRobot:
     """The robot; one that moves for a server or a client that is gone is stopped: nobody else could do so now."""
     from experiments.links.address import open_link
     from experiments.links.protocol import LinkError
-    from offline_ik.link import LinkedRobot
+    from offline_ik.exchange.link import LinkedRobot
 
     try:
         robot = LinkedRobot(open_link(address), address)

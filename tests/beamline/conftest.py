@@ -9,7 +9,8 @@ from memory_link import MemoryLink
 from serving_thread import Serving
 
 from clampid.models.model import save_model
-from offline_ik.detector import Detector, open_detector
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
 
 
 @pytest.fixture(scope="session")

@@ -7,9 +7,9 @@ import sys
 from memory_link import MemoryLink
 
 from offline_ik.beamline.processes import Side
-from offline_ik.detector import open_detector
-from offline_ik.protocol import Speaker
-from offline_ik.server import serve
+from offline_ik.inverse.opening import open_detector
+from offline_ik.server.protocol import Speaker
+from offline_ik.server.server import serve
 
 
 def say(text: str) -> None:

@@ -11,9 +11,9 @@ from typing import Any
 
 from memory_link import MemoryLink
 
-from offline_ik.detector import Detector
-from offline_ik.protocol import Speaker
-from offline_ik.server import Limits, Server
+from offline_ik.inverse.detector import Detector
+from offline_ik.server.protocol import Speaker
+from offline_ik.server.server import Limits, Server
 
 
 class Serving:

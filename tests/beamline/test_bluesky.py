@@ -11,7 +11,7 @@ from memory_link import MemoryLink
 from peers import Peer, peer
 from serving_thread import Serving
 
-from offline_ik.detector import Detector
+from offline_ik.inverse.detector import Detector
 
 pytest.importorskip("bluesky")
 pytest.importorskip("ophyd_async")

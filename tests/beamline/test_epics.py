@@ -13,7 +13,7 @@ from peers import Peer, free_udp_and_tcp, peer, side
 from serving_thread import Serving
 
 from clampid.verbs.errors import CallError
-from offline_ik.detector import Detector
+from offline_ik.inverse.detector import Detector
 
 pytest.importorskip("caproto")
 DONE = "gamma.DMOV"

@@ -19,8 +19,8 @@ from peers import free_port, free_udp_and_tcp, peer
 from server_lines import hostile
 from serving_thread import Serving
 
-from offline_ik.client import Limits
-from offline_ik.detector import Detector
+from offline_ik.inverse.detector import Detector
+from offline_ik.server.client import Limits
 
 GOOD = b"robot id=good\n"
 COUNTS = [pytest.param(3000, id="some"), pytest.param(100_000, id="all", marks=pytest.mark.slow)]

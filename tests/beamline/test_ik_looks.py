@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from clampid.cli import app
 from clampid.verbs.units import Units
-from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
-from offline_ik.simulation import simulate_move
+from offline_ik.inverse.detector import Detector
+from offline_ik.motion.simulation import Position, simulate_move
 from offline_ik.verbs.looking import Look, looked
 
 PLACE = ["--gamma", "0.35", "--delta", "0.2", "--r", "0.8", "--near", "0.1,-1.2,1.2,0.1,0.4,0"]
@@ -43,6 +43,6 @@ def test_ik_looks(model_file: Path, cell_file: Path, tmp_path: Path, monkeypatch
     ],
 )
 def test_what_cannot_be_meant_is_refused(pixel: str, pixels: str | None, says: str, detector: Detector) -> None:
-    found = simulate_move(detector, 0.35, 0.2, 0.8)
+    found = simulate_move(detector, Position(0.35, 0.2, 0.8))
     with pytest.raises(DetectorError, match=says):
         looked(detector, found, Look(None, None, pixel, pixels), Units(False, False))

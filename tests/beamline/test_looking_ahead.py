@@ -15,16 +15,16 @@ from scipy.spatial.transform import Rotation
 from serving_thread import Serving
 
 from kinematics.poe import forward
-from offline_ik.cell import read_cell
-from offline_ik.coordinates import detector_angles, detector_pose
-from offline_ik.detector import Detector
+from offline_ik.cell.cell import read_cell
+from offline_ik.cell.coordinates import detector_angles, detector_pose
+from offline_ik.cell.frames import kuka_frame
+from offline_ik.collision.safety import check_path
 from offline_ik.errors import CellError, TargetError
-from offline_ik.frames import kuka_frame
-from offline_ik.picture import picture_of
-from offline_ik.protocol import Session, Speaker
-from offline_ik.safety import check_path
-from offline_ik.seen import pixel_of, poni_text
-from offline_ik.simulation import simulate_move, simulate_straight
+from offline_ik.inverse.detector import Detector
+from offline_ik.motion.picture import picture_of
+from offline_ik.motion.simulation import Position, simulate_move, simulate_straight
+from offline_ik.reflections.seen import pixel_of, poni_text
+from offline_ik.server.protocol import Session, Speaker
 
 PIXELS = (514, 1030)
 
@@ -57,7 +57,7 @@ def test_simulate_asks_the_same_check_as_move(detector: Detector, monkeypatch: p
     def refusing(*given: object) -> object:
         return replace(check_path(*given), reasons=("patched",))  # type: ignore[arg-type]
 
-    monkeypatch.setattr("offline_ik.ways.check_path", refusing)
+    monkeypatch.setattr("offline_ik.motion.ways.check_path", refusing)
     link = MemoryLink()
     speaker = Speaker(detector, link)
     assert ask(speaker, "simulate gamma=0.35 delta=0.2 r=0.8")["would_move"] is False
@@ -67,7 +67,7 @@ def test_simulate_asks_the_same_check_as_move(detector: Detector, monkeypatch: p
 
 
 def test_clearances_are_not_below_what_the_check_found(detector: Detector) -> None:
-    found = simulate_move(detector, 0.35, 0.2, 0.8, start=START)
+    found = simulate_move(detector, Position(0.35, 0.2, 0.8), start=START)
     assert found.way is not None
     clearances = found.clearances(200)
     assert clearances[0].distance == pytest.approx(found.way.path.clearance, abs=2e-3)
@@ -77,7 +77,7 @@ def test_clearances_are_not_below_what_the_check_found(detector: Detector) -> No
 def test_the_picture_is_an_svg_that_shows_every_body(detector: Detector) -> None:
     cell = replace(detector.cell, obstacles=tuple(replace(o, name="<stage & co>") for o in detector.cell.obstacles))
     named = detector.within(cell)
-    found = simulate_move(named, 0.35, 0.2, 0.8, start=START)
+    found = simulate_move(named, Position(0.35, 0.2, 0.8), start=START)
     root = ElementTree.fromstring(picture_of(found))
     space = "{http://www.w3.org/2000/svg}"
     titles = [t.text for t in root.iter(f"{space}title")]
@@ -89,7 +89,7 @@ def test_the_picture_is_an_svg_that_shows_every_body(detector: Detector) -> None
         float(v) for p in root.iter(f"{space}polygon") for xy in p.get("points", "").split() for v in xy.split(",")
     ]
     assert all(math.isfinite(v) and -1 < v < 921 for v in numbers)
-    refused = simulate_move(named, 0.3, 0.2, 3.0, start=START)
+    refused = simulate_move(named, Position(0.3, 0.2, 3.0), start=START)
     assert "not reachable" in picture_of(refused)
 
 
@@ -209,7 +209,7 @@ def test_a_straight_move_checked_at_once_is_the_one_that_a_search_finds(detector
         start = np.array(START) + rng.normal(size=6) * 0.2
         answer = detector.at_once(gamma, delta, r, near=start, direction="moved")
         brief = None if answer is None else simulate_straight(detector, answer, start)
-        whole = simulate_move(detector, gamma, delta, r, start=start)
+        whole = simulate_move(detector, Position(gamma, delta, r), start=start)
         if brief is None:
             searched += 1
             continue

@@ -13,8 +13,8 @@ from memory_link import START, MemoryLink
 from serving_thread import Serving
 
 from clampid.verbs.errors import CallError
-from offline_ik.detector import Detector
-from offline_ik.requests import WORDS
+from offline_ik.exchange.requests import WORDS
+from offline_ik.inverse.detector import Detector
 
 MOVE = "move gamma=0.35 delta=0.2 r=0.8"
 

@@ -13,7 +13,7 @@ from memory_link import MemoryLink
 from peers import Peer, free_port, peer, side
 from serving_thread import Serving
 
-from offline_ik.detector import Detector
+from offline_ik.inverse.detector import Detector
 
 pytest.importorskip("tango")
 START = [20.0, 11.0, 800.0]

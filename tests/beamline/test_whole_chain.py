@@ -23,7 +23,7 @@ import pytest
 from peers import free_port, free_udp_and_tcp, peer
 from serving_thread import Serving
 
-from offline_ik.detector import Detector
+from offline_ik.inverse.detector import Detector
 from offline_ik.verbs.serve import linked_robot
 
 ACCEPTED, FINISHED = 1, 3

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from import_call import call
 
 from experiments.campaign import Campaign, CampaignError, read_campaign, write_campaign
-from experiments.check import Finding, check_campaign, holdings
-from experiments.lateration import locate
+from experiments.checks.check import Finding, check_campaign, holdings
+from experiments.measures.lateration import locate
 from experiments.simulate import simulate
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from experiments.campaign import Campaign, read_campaign
-from experiments.check import Finding, check_campaign
+from experiments.checks.check import Finding, check_campaign
 from experiments.simulate import simulate
 from kinematics.poe import forward
 

@@ -12,7 +12,7 @@ import pytest
 from campaign_maker import HEADER, ROBOT, Tables, change, columns, make_tables, write
 
 from experiments.campaign import read_campaign
-from experiments.check import Finding, check_campaign, holdings
+from experiments.checks.check import Finding, check_campaign, holdings
 
 SHARED = Path(__file__).parents[2].parent / "shared"
 POINTS = ("poses", "verification")

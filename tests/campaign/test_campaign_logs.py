@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 from experiments.campaign import Campaign, read_campaign, write_campaign
-from experiments.check import Finding, check_campaign
-from experiments.check_friction import friction_findings
-from experiments.check_torques import torque_shift
-from experiments.moving_log import moving_logs
+from experiments.checks.check import Finding, check_campaign
+from experiments.checks.friction import friction_findings
+from experiments.checks.moving_log import moving_logs
+from experiments.checks.torques import torque_shift
 from experiments.signals import Shift, combine_shifts, time_shift
 from experiments.virtual_robot import Hidden, Measured, measure
 from kinematics.description import load_robot

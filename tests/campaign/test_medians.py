@@ -44,11 +44,11 @@ def test_a_long_stream_is_gone_through_twice() -> None:
         passes.append(1)
         yield from ([np.abs(piece[:, 0]), piece[:, 1]] for piece in numbers)
 
-    found = medians(stream, held=20_000)
+    found = medians(stream, capacity=20_000)
     np.testing.assert_array_equal(found, [np.median(np.abs(numbers[..., 0])), np.median(numbers[..., 1])])
     assert len(passes) == 2
 
 
 def test_numbers_that_are_all_alike_cannot_be_held_and_need_not_be() -> None:
     alike = np.full(1000, 0.004)
-    np.testing.assert_array_equal(medians(lambda: iter([[alike, alike[:0]]]), held=10), [0.004, np.nan])
+    np.testing.assert_array_equal(medians(lambda: iter([[alike, alike[:0]]]), capacity=10), [0.004, np.nan])

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.iso9283 import expected_repeatability, pose_metrics
-from experiments.metrics import (
+from experiments.measures.iso9283 import expected_repeatability, pose_metrics
+from experiments.measures.metrics import (
     accuracy,
     angle_accuracy,
     angle_repeatability,

@@ -15,7 +15,7 @@ from campaign_maker import HEADER, Tables, make_tables, write
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign, CampaignError, read_campaign, write_campaign
-from experiments.check import holdings
+from experiments.checks.check import holdings
 from experiments.sensors import placed
 from experiments.stated import Sensor
 

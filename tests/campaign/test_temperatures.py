@@ -12,7 +12,7 @@ import pytest
 from clampid.slots import Layout
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign, read_campaign
-from experiments.check import Finding, check_campaign
+from experiments.checks.check import Finding, check_campaign
 from experiments.simulate import simulate
 from experiments.temperatures import filled, readings
 
@@ -123,7 +123,7 @@ def test_fahrenheit_and_kelvin_are_refused_and_ambient_alone_is_said(campaign: C
 
 
 def test_returns_without_a_reading_are_never_fewer_than_none(campaign: Campaign) -> None:
-    from experiments.check_motion import replicates
+    from experiments.checks.motion import replicates
 
     poses = campaign.tables["poses"].copy()
     ambient = poses.drop(columns=[c for c in poses if c.startswith("temp_") and c != "temp_ambient_C"])

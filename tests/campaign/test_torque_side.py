@@ -11,7 +11,7 @@ import pytest
 from clampid.identification.identify import identify
 from clampid.identification.identify_folder import identify_folder
 from experiments.campaign import read_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.errors import CampaignError
 from experiments.simulate import simulate
 

@@ -8,9 +8,9 @@ from cli_runner import Clampid
 
 from clampid.display import error_text, quantity, readable, with_error
 from clampid.effect import UNITS
+from clampid.plain_json import finite
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import split_effects, split_terms
-from clampid.verbs.output import finite
 
 
 @pytest.mark.parametrize(

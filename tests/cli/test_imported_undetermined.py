@@ -129,11 +129,12 @@ def test_rounding_is_no_lever_of_a_candidate(found: tuple[Path, str, dict[str, A
     """A column that moves all rows by less than a millionth of the noise gives a candidate no freedom."""
     from clampid.catalogue import catalogue
     from clampid.evidence.candidates import named_candidates
-    from clampid.evidence.score import score, space_of
-    from clampid.identification.reopen import reopen
+    from clampid.evidence.score import score
+    from clampid.evidence.space import space_of
+    from clampid.identification.model_on_campaign import on_campaign
 
     folder, _, _ = found
-    estimate = reopen(load_model(folder / "m.json"), read_campaign(folder / "arm")).refit("poses").estimate
+    estimate = on_campaign(load_model(folder / "m.json"), read_campaign(folder / "arm")).refit("poses").estimate
     springs = {"joint_compliance": catalogue()["joint_compliance"]}
     scored = {s.candidate.label: s for s in score(space_of(estimate), named_candidates(estimate, springs))}
     assert scored["joint_compliance@joint1"].freedom == 0

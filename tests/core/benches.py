@@ -8,11 +8,11 @@ from clampid.diagnosis.pruning import Refit
 from clampid.diagnosis.trial import Bench
 from clampid.fitting.accuracy import noise_floor
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.reopen import Reopened
+from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.slots import Slot, Term
 
 
-def refits(opened: Reopened) -> Refit:
+def refits(opened: ModelOnCampaign) -> Refit:
     """Fits of the poses with other terms."""
     rows = opened.rows("poses")
 
@@ -22,6 +22,6 @@ def refits(opened: Reopened) -> Refit:
     return refit
 
 
-def bench_of(opened: Reopened, fitted: FittedStage, refit: Refit) -> Bench:
+def bench_of(opened: ModelOnCampaign, fitted: FittedStage, refit: Refit) -> Bench:
     floor = noise_floor(fitted.estimate.experiment.rows, fitted.estimate.residual)
     return Bench(opened.effects, refit, None, floor, seed=0, flips=49)

@@ -10,7 +10,7 @@ import pytest
 
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.result import StageDiagnosis
-from clampid.fitting.agreeing import FEWEST, RATE, agreement
+from clampid.fitting.agreeing import MIN_VISITS, RATE, agreement
 from clampid.identification.identify import identify, stage_rows
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
@@ -43,7 +43,7 @@ def test_rows_of_a_few_degrees_agree_and_others_beside_them_do_not(rows: Rows, j
     q = rows.signals["q"][:, joint - 1]
     inside = np.abs(q - np.median(q)) < np.deg2rad(8.0)
     visits = len(np.unique(rows.unit[inside]))
-    assert visits >= FEWEST
+    assert visits >= MIN_VISITS
     rng = np.random.default_rng(joint)
     elsewhere = np.zeros(len(rows), dtype=bool)
     elsewhere[rng.choice(np.flatnonzero(~inside), 9, replace=False)] = True
@@ -77,7 +77,7 @@ def test_rows_that_agree_are_those_of_the_visits_that_agree(rows: Rows):
     found = agreement(moved, bad, np.ones(len(rows)))
     assert found
     assert found[0].variable == "x"
-    assert found[0].rows.sum() >= FEWEST
+    assert found[0].rows.sum() >= MIN_VISITS
 
 
 def truth(campaign: Campaign) -> dict[str, float]:

@@ -15,9 +15,10 @@ from clampid.catalogue import catalogue
 from clampid.chain.chain import build_chain
 from clampid.comparison.compare import compare
 from clampid.effect import EffectError
-from clampid.evidence.alignment import STRONG, Alignment, Curves, align, alignment_of, turned
+from clampid.evidence.alignment import STRONG, Alignment, align, alignment_of
+from clampid.evidence.curves import Curves, turned
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.loop.undo import undo
 from clampid.models.curves import angle_errors, shared_curve
@@ -170,7 +171,7 @@ def test_one_curve_carries_further_than_several(one_disc: Campaign, one_curve: M
 def test_the_model_is_fitted_again_as_it_was(one_disc: Campaign, one_curve: Model, tmp_path: Path):
     """A model read from its file keeps senses, deviation and the first phase, and its joints."""
     save_model(one_curve, tmp_path / "model.json")
-    again = reopen(load_model(tmp_path / "model.json"), one_disc).refit("poses")
+    again = on_campaign(load_model(tmp_path / "model.json"), one_disc).refit("poses")
     old, new = one_curve.stages["poses"].values(), again.model.values()
     assert again.model.terms == one_curve.stages["poses"].terms
     for slot, value in old.items():
@@ -197,7 +198,7 @@ def test_adding_it_takes_the_place_of_the_curves(one_disc: Campaign):
 def test_different_discs_keep_their_own_curves(simulated: Simulated):
     campaign = simulated(seed=2, poses=200, tables=("poses",), hidden=(SEVERAL,), robot="ur10")
     model = identify(campaign, OWN, holdout=0.05)
-    found = alignment_of(reopen(model, campaign).refit("poses").estimate, EFFECT)
+    found = alignment_of(on_campaign(model, campaign).refit("poses").estimate, EFFECT)
     assert found is not None
     assert found.joints == ()
     with pytest.raises(EffectError, match=r"are one curve.*joint_angle_curve gives each joint"):

@@ -12,13 +12,14 @@ from scipy import sparse
 
 from clampid.catalogue import catalogue
 from clampid.comparison.compare import compare
+from clampid.diagnosis.candidate_scores import RATE
 from clampid.diagnosis.diagnose import diagnose
-from clampid.diagnosis.look import RATE
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
 from clampid.evidence.columns import Columns, Levers, Products, Sums
-from clampid.evidence.score import flip_maxima, score, space_of
+from clampid.evidence.score import flip_maxima, score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.curves import angle_errors
 from clampid.models.model import Model
 from experiments.campaign import Campaign, read_campaign
@@ -117,7 +118,7 @@ def test_without_a_faulty_disc_the_probe_is_silent(simulated: Simulated, robot: 
     for seed in range(first, first + 20):
         campaign = simulated(seed=seed, poses=100, tables=("poses",), robot=robot)
         model = identify(campaign, STANDARD)
-        estimate = reopen(model, campaign).refit("poses").estimate
+        estimate = on_campaign(model, campaign).refit("poses").estimate
         space = space_of(estimate)
         scored = score(space, probes(estimate))
         probe = next(s for s in scored if s.candidate.name == JOINT_ANGLE_PERIODIC)

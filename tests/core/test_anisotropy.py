@@ -12,7 +12,7 @@ import pytest
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.solve import Estimate
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
 
 Simulated = Callable[..., Campaign]
@@ -34,7 +34,7 @@ def seen_deep(campaign: Campaign, seed: int) -> Campaign:
 
 
 def estimate_of(campaign: Campaign, effects: list[str] = STANDARD) -> Estimate:
-    return reopen(identify(campaign, effects), campaign).refit("poses").estimate
+    return on_campaign(identify(campaign, effects), campaign).refit("poses").estimate
 
 
 def test_noise_along_z_is_learned_and_none_of_its_rows_is_wrong(campaign: Campaign):

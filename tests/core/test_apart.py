@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from clampid.identification.apart import Moved, moved_by_joint_fit
+from clampid.identification.joint_vs_stagewise import StageDisagreement, joint_fit_disagreements
 from clampid.models.model import StageModel
 from clampid.slots import Slot, Term
 
@@ -33,16 +33,16 @@ def both(seed: int, shift: float = 0.0) -> tuple[StageModel, StageModel]:
 
 
 def test_stages_that_agree_are_called_different_as_rarely_as_it_says():
-    alarms = np.mean([bool(moved_by_joint_fit(*both(seed), SLOTS)) for seed in range(1000)])
+    alarms = np.mean([bool(joint_fit_disagreements(*both(seed), SLOTS)) for seed in range(1000)])
     assert alarms < 0.065  # 5 %, less where a variance counts as more than it is; binomial error 0.7 %
     assert alarms > 0.005
 
 
 def test_a_contradiction_is_found_and_both_values_are_kept():
-    found: tuple[Moved, ...] = ()
+    found: tuple[StageDisagreement, ...] = ()
     for seed in range(20):
         pair = both(seed, shift=0.8)
-        found = moved_by_joint_fit(*pair, SLOTS)
+        found = joint_fit_disagreements(*pair, SLOTS)
         assert SLOTS[2] in [m.slot for m in found], seed
         told = next(m for m in found if m.slot == SLOTS[2]).to_json()
         assert (told["apart"], told["joint"]) == (pair[0].theta[2], pair[1].theta[2])
@@ -51,6 +51,6 @@ def test_a_contradiction_is_found_and_both_values_are_kept():
 
 def test_what_no_stage_shares_or_no_row_determines_is_not_tested():
     alone, together = both(0, shift=2.0)
-    assert moved_by_joint_fit(alone, together, ()) == ()
+    assert joint_fit_disagreements(alone, together, ()) == ()
     unknown = replace(alone, identified=(False,) * 6)
-    assert moved_by_joint_fit(unknown, together, SLOTS) == ()
+    assert joint_fit_disagreements(unknown, together, SLOTS) == ()

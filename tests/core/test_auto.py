@@ -10,12 +10,12 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis import testability
+from clampid.diagnosis.candidate_scores import IMPOSSIBLE, RATE, scores_of
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
-from clampid.diagnosis.look import IMPOSSIBLE, RATE, look_at
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add_steps
 from clampid.loop.auto import auto
 from clampid.loop.undo import undo
@@ -109,15 +109,15 @@ def test_a_round_keeps_what_spoke_for_it_and_against_all_else(
 
 
 def test_what_was_fitted_and_refused_comes_first_and_once(arm: Campaign, first: Model):
-    opened = reopen(first, arm)
-    look = look_at(opened.refit("poses").estimate, dict(opened.effects), 39, 0)
-    best = look.best()
+    opened = on_campaign(first, arm)
+    scores = scores_of(opened.refit("poses").estimate, dict(opened.effects), 39, 0)
+    best = scores.best()
     assert best is not None
-    others = evidence_of({"p_value": 1e-9, "parameters": []}, best, look, [])
+    others = evidence_of({"p_value": 1e-9, "parameters": []}, best, scores, [])
     assert others["p_value"] == 1e-9
     assert "parameters" not in others
     same = {**others["rejected"][-1], "heldout_rms_after": 1e-4, "reason": "the held-out error does not fall"}
-    rejected = evidence_of({}, best, look, [same])["rejected"]
+    rejected = evidence_of({}, best, scores, [same])["rejected"]
     assert rejected[0] == same
     assert len(rejected) == len(others["rejected"])
     mine = {(best.candidate.name, p) for p in best.candidate.places}
@@ -138,7 +138,7 @@ def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, 
         assert all(0.0 < limit["limit"] <= IMPOSSIBLE * limit["size"] for limit in told)
     # Springs hid in their residual what a gear of the same arm would be seen by.
     start = diagnose(identify(arm, (*START, "joint_compliance", "thermal_expansion@link2")), arm).stages["poses"]
-    before = look_at(reopen(identify(arm, START), arm).refit("poses").estimate, catalogue(), 39, 0)
+    before = scores_of(on_campaign(identify(arm, START), arm).refit("poses").estimate, catalogue(), 39, 0)
     hidden = testability.testability_of(before.named, before.named_null, catalogue(), arm.robot)
     smallest = [
         min(limit["limit"] for e in several if e["name"] == "gear_eccentricity" for limit in e["limits"])

@@ -16,8 +16,8 @@ from clampid.models.model import StageModel
 from clampid.slots import Term
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
-from experiments.check import check_campaign
-from experiments.finding import Finding
+from experiments.checks.check import check_campaign
+from experiments.checks.finding import Finding
 from experiments.virtual_robot import measure
 
 Simulated = Callable[..., Campaign]

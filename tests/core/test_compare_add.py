@@ -12,7 +12,7 @@ from clampid.comparison.compare import compare
 from clampid.display import error_text
 from clampid.effect import EffectError
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.models.model import Model, ModelError
 from clampid.report.placing import placing_tables
@@ -198,7 +198,7 @@ def test_errors_before_and_after_are_in_the_same_unit(torques: Campaign):
     """A friction that is missing looks like noise in part: by its own noise, each model's error is another's number."""
     first = identify(torques, {"free_air": ("gravity", "coulomb_friction")})
     mended, addition = add(first, torques, ["free_air=viscous_friction"])
-    before, after = (reopen(model, torques).refit("free_air") for model in (first, mended))
+    before, after = (on_campaign(model, torques).refit("free_air") for model in (first, mended))
     stage = addition.stages["free_air"]
     assert stage.before.heldout_rms == pytest.approx(first.ledger[-1].heldout_rms, rel=1e-5)
     assert stage.after.heldout_rms == pytest.approx(after.errors(None, 0, before.floor).heldout_rms, rel=1e-5)

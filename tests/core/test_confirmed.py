@@ -15,7 +15,7 @@ from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.tried import Tried
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import Reopened, reopen
+from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.search_policy import Search
 from clampid.slots import Term
 from experiments.campaign import Campaign
@@ -25,30 +25,30 @@ GEAR, CABLE, OTHER = "gear_eccentricity@joint5", "dress_pack@joint5", "gear_ecce
 
 
 @pytest.fixture(scope="module")
-def opened(simulated: Simulated) -> Reopened:
+def opened(simulated: Simulated) -> ModelOnCampaign:
     hidden = ("gear_eccentricity@joint2:3", "gear_eccentricity@joint5:3")
     campaign = simulated(seed=3, poses=120, tables=("poses",), hidden=hidden)
-    return reopen(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+    return on_campaign(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
 
 
 @pytest.fixture(scope="module")
-def start(opened: Reopened) -> FittedStage:
+def start(opened: ModelOnCampaign) -> FittedStage:
     return opened.refit("poses")
 
 
 @pytest.fixture(scope="module")
-def bench(opened: Reopened, start: FittedStage) -> Bench:
+def bench(opened: ModelOnCampaign, start: FittedStage) -> Bench:
     return bench_of(opened, start, refits(opened))
 
 
 def in_turn(bench: Bench, start: FittedStage, labels: Sequence[str]) -> list[Confirmed]:
     """Steps as if these had been confirmed one after the other."""
-    look, steps, base, held = bench.look(start, 0), list[Confirmed](), start, bench.held_out(start)
+    scores, steps, base, held = bench.scores(start, 0), list[Confirmed](), start, bench.held_out(start)
     for label in labels:
-        best = next(s for s in look.named if s.candidate.label == label and s.freedom)
+        best = next(s for s in scores.named if s.candidate.label == label and s.freedom)
         terms = list(best.candidate.terms)
         fitted = bench.refit([*base.model.terms, *terms], base, best.candidate.shapes)
-        tried = Tried(best, look, fitted, terms, bench.held_out(fitted), 0.001, 1.0, "")
+        tried = Tried(best, scores, fitted, terms, bench.held_out(fitted), 0.001, 1.0, "")
         steps.append(Confirmed(tried, base, held))
         base, held = fitted, tried.held
     return steps

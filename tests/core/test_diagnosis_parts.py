@@ -12,18 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.alongside import step_towards
-from clampid.diagnosis.look import rivals_of
+from clampid.diagnosis.candidate_scores import rivals_of
+from clampid.diagnosis.linear_refit import step_towards
 from clampid.diagnosis.remains import CLEARLY, above_the_floor
 from clampid.diagnosis.tried import Tried, Undecided
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.columns import Columns
-from clampid.evidence.score import Scored, canonical, score, space_of
+from clampid.evidence.score import Scored, canonical, score
+from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import FOLDS, cross_validated
 from clampid.fitting.solve import solve
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.slots import Slot, Term
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign
@@ -54,7 +55,7 @@ def test_usual_springs_are_possible_on_robots_with_and_without_gears(robot: str,
 
 def test_folds_by_one_step_are_folds_refitted(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     rows, found = cross_validated(estimate, estimate.experiment.rows, seed=3)
     order = rows.shuffled_folds(3)
     part = dict(zip(order.tolist(), (np.arange(len(order)) % FOLDS).tolist(), strict=True))
@@ -77,7 +78,7 @@ def test_folds_by_one_step_are_folds_refitted(simulated: Callable[..., Campaign]
 def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Campaign]):
     """An eccentric gear, with the balancer granted that stands for it: neither is left, and all else is as it was."""
     campaign = simulated(seed=7, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint3",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     candidates = {c.label: c for c in named_candidates(estimate, catalogue(), set())}
     space = space_of(estimate)
     gear, balancer = (candidates[f"{name}@joint3"] for name in ("gear_eccentricity", "gravity_compensator"))
@@ -99,7 +100,7 @@ def test_what_is_granted_to_the_model_is_no_evidence(simulated: Callable[..., Ca
 
 def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     rows = len(estimate.whitened.residual)
     noise = np.random.default_rng(1).normal(size=(rows, 8))
     fitted = space_of(estimate)
@@ -134,7 +135,7 @@ def test_what_needs_many_more_numbers_to_say_the_same_is_no_rival(simulated: Cal
 def test_one_wrong_number_does_not_stand_before_several_right_ones(simulated: Callable[..., Campaign]):
     """Six numbers of which rows tell a few: a charge of ln(rows) for each made a look-alike with one number first."""
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     fitted = space_of(estimate)
     count = len(estimate.whitened.residual)
     rng = np.random.default_rng(2)
@@ -163,7 +164,7 @@ def test_one_wrong_number_does_not_stand_before_several_right_ones(simulated: Ca
 def test_a_column_of_next_to_nothing_is_absent(simulated: Callable[..., Campaign]):
     """As of a friction that would act at speeds a hundred times lower than any recorded: 1e-160 of a unit."""
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     columns = np.full((len(estimate.whitened.residual), 1), 1e-160)
     slots = (Slot("faint", "p", "joint1"),)
     faint = Candidate("faint", "faint", (Term("faint", "joint1"),), slots, {}, Columns(((0, columns),), 1), (), ())
@@ -174,7 +175,7 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
     """One of noise is not fitted; the true one is, from where a Gauss-Newton step leads."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
-    opened = reopen(model, campaign)
+    opened = on_campaign(model, campaign)
     fitted, fit = opened.refit("poses"), refits(opened)
     starts: list[dict[Slot, float]] = []
 
@@ -183,14 +184,14 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
         return fit(terms, last, start)
 
     bench = bench_of(opened, fitted, refit)
-    held, look = bench.held_out(fitted), bench.look(fitted, 0)
-    able = [s for s in look.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
+    held, scores = bench.held_out(fitted), bench.scores(fitted, 0)
+    able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     false = [s for s in able if s.candidate.places == ("joint4",)]
-    refused, _ = bench.decided(replace(look, named=false), fitted, held)
+    refused, _ = bench.decided(replace(scores, named=false), fitted, held)
     assert refused is None
     assert not starts
     (true,) = (s for s in able if s.candidate.places == ("joint2",))
-    tried, _ = bench.decided(replace(look, named=[true]), fitted, held)
+    tried, _ = bench.decided(replace(scores, named=[true]), fitted, held)
     assert isinstance(tried, Tried)
     assert tried.held.rms < held.rms
     size = tried.fitted.estimate.experiment.sizes()
@@ -202,7 +203,7 @@ def test_what_would_raise_the_error_of_other_rows_is_refused_without_a_fit(simul
 def test_a_step_that_goes_uphill_is_not_believed(simulated: Callable[..., Campaign]):
     """A step with columns that promise a hundredth of what the amplitude does."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
-    opened = reopen(identify(campaign, {"poses": ("geometry",)}), campaign)
+    opened = on_campaign(identify(campaign, {"poses": ("geometry",)}), campaign)
     estimate = opened.refit("poses").estimate
     space = space_of(estimate)
     (true,) = (
@@ -228,19 +229,19 @@ def test_look_alikes_of_which_none_lowers_the_error_of_other_rows_are_no_tie(sim
     """They are refused with their sizes; a true one among them makes it a tie."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), hidden=("gear_eccentricity@joint2:3",))
     model = identify(campaign, {"poses": ("geometry", "joint_compliance")})
-    opened = reopen(model, campaign)
+    opened = on_campaign(model, campaign)
     fitted = opened.refit("poses")
     bench = bench_of(opened, fitted, refits(opened))
-    held, look = bench.held_out(fitted), bench.look(fitted, 0)
-    able = [s for s in look.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
+    held, scores = bench.held_out(fitted), bench.scores(fitted, 0)
+    able = [s for s in scores.named if s.freedom and s.state == "testable" and s.candidate.name == "gear_eccentricity"]
     joints = {s.candidate.places: s for s in able}
     false = [joints["joint4",], joints["joint6",]]
-    refused = bench._undecided(false[0], false[1:], look, fitted, held)
+    refused = bench._undecided(false[0], false[1:], scores, fitted, held)
     assert isinstance(refused, Tried)
     assert refused.reason
     entry = refused.refusal(dict(opened.effects), held.rms)
     assert entry["parameters"]
-    tie = bench._undecided(false[0], [joints["joint2",]], look, fitted, held)
+    tie = bench._undecided(false[0], [joints["joint2",]], scores, fitted, held)
     assert isinstance(tie, Undecided)
 
 
@@ -248,7 +249,7 @@ def test_look_alikes_of_which_none_lowers_the_error_of_other_rows_are_no_tie(sim
 def test_an_error_is_above_the_floor_only_where_that_is_no_chance(simulated: Callable[..., Campaign], times: float):
     """The floor as returns of 30 degrees of freedom tell it: 5 % more may be chance, half as much more is none."""
     campaign = simulated(seed=3, poses=60, tables=("poses",))
-    opened = reopen(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
+    opened = on_campaign(identify(campaign, {"poses": ("geometry", "joint_compliance")}), campaign)
     fitted = opened.refit("poses")
     held = bench_of(opened, fitted, refits(opened)).held_out(fitted)
     floor = replace(held.floor, sigma=np.full(3, held.rms / times / 3**0.5), source="replicates", freedom=30)

@@ -20,7 +20,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.fitting.accuracy import noise_floor
 from clampid.fitting.fit import fit
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.calibrated import calibrated_chain
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Slot, slots_of
@@ -258,7 +258,7 @@ def test_a_model_file_keeps_where_the_anchors_were(tmp_path: Path):
         assert list(after.anchors) == list(ANCHORS)
         for name in ANCHORS:
             np.testing.assert_array_equal(before.anchors[name], after.anchors[name])
-    opened = reopen(again, second)
+    opened = on_campaign(again, second)
     assert opened.layout.anchors == tuple(ANCHORS)
     found = anchors_of(opened.rows("poses"))[0]
     assert all(np.array_equal(found[n], model.sessions[1].anchors[n]) for n in ANCHORS)

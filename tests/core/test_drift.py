@@ -11,9 +11,9 @@ import pytest
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.drift import blocks_of_visits, drift_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 
 NOISE = 6e-5  # m
 
@@ -51,13 +51,13 @@ def test_independent_noise_is_not(simulated):
         base = clean(simulated, seed)
         for k in range(10):
             campaign = drifting(base, 0.0, 100 * seed + k)
-            warned += drift_of(reopen(identify([campaign]), campaign).refit("poses").estimate) is not None
+            warned += drift_of(on_campaign(identify([campaign]), campaign).refit("poses").estimate) is not None
     assert warned <= 3
 
 
 def test_blocks_are_consecutive_visits(simulated):
     campaign = clean(simulated, 1)
-    rows = reopen(identify([campaign]), campaign).rows("poses")
+    rows = on_campaign(identify([campaign]), campaign).rows("poses")
     block = blocks_of_visits(rows, 5)
     for b in np.unique(block)[:-1]:
         assert len(np.unique(rows.unit[block == b])) == 5
@@ -78,7 +78,7 @@ def test_what_is_printed_is_the_clearest_of_ten_lags(simulated):
         wander[k] = 0.8 * wander[k - 4] + 0.6 * wander[k]
     table[["x_m", "y_m", "z_m"]] += 2 * NOISE * wander[visit]
     campaign = replace(base, tables={**base.tables, "poses": table})
-    found = drift_of(reopen(identify([campaign]), campaign).refit("poses").estimate)
+    found = drift_of(on_campaign(identify([campaign]), campaign).refit("poses").estimate)
     assert found is not None
     assert found.lag == 4
     assert found.correlation > 0.3
@@ -90,7 +90,7 @@ def test_a_time_that_counts_rows_is_no_clock(simulated):
     table = campaign.tables["poses"].sort_values("time_s").reset_index(drop=True)
     counted = replace(campaign, tables={**campaign.tables, "poses": table.assign(time_s=np.arange(float(len(table))))})
     for known, expected in ((campaign, True), (counted, False)):
-        found = drift_of(reopen(identify([known]), known).refit("poses").estimate)
+        found = drift_of(on_campaign(identify([known]), known).refit("poses").estimate)
         assert found is not None
         assert found.clocked is expected
         assert ("robot or instrument have drifted. Without a second run" in found.sentence) is expected

@@ -73,7 +73,14 @@ def test_a_clearance_differs_from_zero_beyond_its_limit(stage: StageModel, robot
     np.testing.assert_allclose(drives.gap_limit, DETECTION * drives.gap_std)
     theta = stage.theta.copy()
     theta[6:12] = drives.gap_limit * [0.99, 1.01, 0.0, 3.0, 0.5, 1.5]
-    assert drives_of(replace(stage, theta=theta), robot).told.tolist() == [False, True, False, True, False, True]
+    assert drives_of(replace(stage, theta=theta), robot).gap_identified.tolist() == [
+        False,
+        True,
+        False,
+        True,
+        False,
+        True,
+    ]
 
 
 def test_what_is_not_in_the_model_is_not_known(stage: StageModel, robot, capsys: pytest.CaptureFixture[str]):
@@ -83,7 +90,7 @@ def test_what_is_not_in_the_model_is_not_known(stage: StageModel, robot, capsys:
     drives = drives_of(part, robot)
     assert np.isnan(drives.gap).all()
     assert np.isnan(drives.stiffness[5])
-    assert not drives.told.any()
+    assert not drives.gap_identified.any()
     show_drives(drives, Output(False, None))
     assert "–" in capsys.readouterr().out
     friction = replace(part, slots=stage.slots[12:], theta=stage.theta[12:], covariance=stage.covariance[12:, 12:])

@@ -11,12 +11,13 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.diagnosis.diagnose import diagnose
 from clampid.evidence.events import Scan, absent_events, event_scores, time_of
-from clampid.evidence.score import Flips, space_of
+from clampid.evidence.score import Flips
+from clampid.evidence.space import space_of
 from clampid.fitting.fit import fit
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify, stage_rows
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.slots import Slot, Term, slots_of
 from clampid.stages.experiment import experiment
@@ -169,5 +170,5 @@ def test_a_slip_is_named_and_mended(slipped: Campaign, still: Campaign):
     best = identify(still, {"clamped": STANDARD}).ledger[-1].heldout_rms
     assert addition.stages["clamped"].after.heldout_rms < 1.1 * best
     # It is no property of the robot: in other sweeps of that arm it has not happened.
-    assert reopen(mended, slipped).stages["clamped"].values()[SLIPPED] == pytest.approx(2.646875)
-    assert SLIPPED not in reopen(mended, still).stages["clamped"].values()
+    assert on_campaign(mended, slipped).stages["clamped"].values()[SLIPPED] == pytest.approx(2.646875)
+    assert SLIPPED not in on_campaign(mended, still).stages["clamped"].values()

@@ -15,7 +15,7 @@ from clampid.diagnosis.stage import FAR_OFF
 from clampid.fitting.solve import FitError
 from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model, save_model
 from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.simulate import simulate
@@ -34,7 +34,7 @@ def model(arm: Campaign) -> Model:
 
 
 def fit_of(model: Model, arm: Campaign) -> FittedStage:
-    opened = reopen(model, arm, None)
+    opened = on_campaign(model, arm, None)
     return opened.refit("poses", opened.rows("poses"))
 
 

@@ -15,7 +15,7 @@ from clampid.comparison.compare import compare
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.joint import is_shared
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model, load_model, save_model
 from experiments.campaign import Campaign
 
@@ -106,7 +106,7 @@ def test_an_unloaded_joint_whose_friction_comes_out_negative_keeps_its_flanks(si
 
 def test_a_stage_fitted_again_stays_where_it_was(campaign: Campaign, joint: Model):
     """With what all other rows say of it as prior, no row counts twice."""
-    opened = reopen(joint, campaign)
+    opened = on_campaign(joint, campaign)
     for stage in ("clamped", "poses"):
         again, model = opened.refit(stage).model, joint.stages[stage]
         assert again.slots == model.slots
@@ -119,13 +119,13 @@ def test_the_model_file_says_so(joint: Model, apart: Model, tmp_path: Path):
     again = load_model(tmp_path / "joint.json")
     assert again.joint
     for name, stage in joint.stages.items():
-        told = again.stages[name].told
+        told = again.stages[name].carried_prior
         assert told is not None
-        assert stage.told is not None
-        assert told.slots == stage.told.slots
-        np.testing.assert_array_equal(told.covariance, stage.told.covariance)
+        assert stage.carried_prior is not None
+        assert told.slots == stage.carried_prior.slots
+        np.testing.assert_array_equal(told.covariance, stage.carried_prior.covariance)
     assert not apart.joint
-    assert all(s.told is None for s in apart.stages.values())
+    assert all(s.carried_prior is None for s in apart.stages.values())
 
 
 def test_the_comparison_reads_it(joint: Model, campaign: Campaign):
@@ -163,9 +163,9 @@ def test_on_the_command_line(campaign: Campaign, tmp_path: Path):
 
 
 def test_what_was_identified_replaces_what_is_carried_over(campaign: Campaign, joint: Model):
-    opened = reopen(joint, campaign)
+    opened = on_campaign(joint, campaign)
     stage = joint.stages["poses"]
-    plain = fit_stage(opened.rows("poses"), opened.effects, stage.terms, {}, stage.values(), opened.held("poses"))
+    plain = fit_stage(opened.rows("poses"), opened.effects, stage.terms, {}, stage.values(), opened.held_out("poses"))
     assert (
         plain.model.std[stage.slots.index(joint.stages["clamped"].slots[0])]
         > stage.std[stage.slots.index(joint.stages["clamped"].slots[0])]

@@ -11,7 +11,7 @@ from scipy import stats
 
 from clampid.fitting.kept_friction import AXES, with_kept_friction
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot
@@ -22,7 +22,7 @@ SEEDS = range(1, 5)
 def test_without_a_slip_nothing_is_added():
     robot = load_robot("kuka_kr20_r1810")
     campaign = measured_campaign(measure(robot, seed=3, tables=("clamped",)), robot)
-    estimate = reopen(identify(campaign, {"clamped": clamped_hidden.STANDARD}), campaign).refit("clamped").estimate
+    estimate = on_campaign(identify(campaign, {"clamped": clamped_hidden.STANDARD}), campaign).refit("clamped").estimate
     np.testing.assert_array_equal(with_kept_friction(estimate).covariance, estimate.covariance)
 
 
@@ -49,7 +49,7 @@ def test_only_clearances_leave_a_slip_open():
     measured = measure(robot, [Hidden.parse("fixture_shift")], seed=1, tables=("clamped",))
     campaign = clamped_hidden.campaign_of(measured, watched=False)
     model = identify(campaign, {"clamped": (*clamped_hidden.STANDARD, "fixture_shift")})
-    estimate = reopen(model, campaign).refit("clamped").estimate
+    estimate = on_campaign(model, campaign).refit("clamped").estimate
     gaps = [k for k, s in enumerate(estimate.slots) if s.effect == "backlash"]
     own = [k for k, s in enumerate(estimate.slots) if s.effect == "fixture_shift" and s.parameter in AXES]
     wide = with_kept_friction(estimate).covariance - estimate.covariance

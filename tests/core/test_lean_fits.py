@@ -10,10 +10,11 @@ import pytest
 
 from clampid.algebra import harmonics
 from clampid.catalogue import catalogue
-from clampid.diagnosis.alongside import alongside
+from clampid.diagnosis.linear_refit import linear_refit
 from clampid.effect import Stage
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.fitting.descent import Chord, Limits, descend
 from clampid.fitting.fit import fit
 from clampid.fitting.noise import learn_noise
@@ -107,7 +108,7 @@ def test_errors_and_steps_are_those_of_the_whole_derivative(arm: Experiment):
 def test_a_candidate_fitted_along_has_the_derivatives_of_both(arm: Experiment):
     estimate = fit(arm, reject=False)
     s = next(s for s in score(space_of(estimate), named_candidates(estimate, catalogue())) if s.freedom)
-    near = alongside(estimate, s)
+    near = linear_refit(estimate, s)
     assert near is not None
     white, old = near.whitened, estimate.whitened
     J = white.jacobian

@@ -13,7 +13,7 @@ from clampid.stages.layout import layout_of
 from clampid.stages.torques import torque_rows
 from experiments import long_log
 from experiments.campaign import Campaign, CampaignError, read_campaign, write_campaign
-from experiments.check import check_campaign, holdings
+from experiments.checks.check import check_campaign, holdings
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
 

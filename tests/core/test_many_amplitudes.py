@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clampid.catalogue import catalogue
-from clampid.evidence.score import _span
+from clampid.evidence.space import _span
 from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import stage_point

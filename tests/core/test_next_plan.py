@@ -10,22 +10,24 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.above import OneSided, above_floor, one_sided, one_sided_words
-from clampid.diagnosis.alongside import alongside
 from clampid.diagnosis.held_out import held_out
+from clampid.diagnosis.linear_refit import linear_refit
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
 from clampid.diagnosis.next_plan import parting_plan, showing_plan
-from clampid.diagnosis.parting import part, show
+from clampid.diagnosis.parting import Rivals, part, show
 from clampid.diagnosis.propose import Weak
+from clampid.diagnosis.residual_excess import OneSided, excess_over_floor, one_sided, one_sided_words
 from clampid.diagnosis.separators import something_else
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import Scored, Space, explained_together, score, space_of
+from clampid.evidence.score import Scored, explained_together, score
+from clampid.evidence.space import Space, space_of
 from clampid.fitting.accuracy import noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
-from clampid.planning.clamping import Press, planned_sweep, postures_for, press_limits, stiffness_of
+from clampid.identification.model_on_campaign import on_campaign
+from clampid.planning.clamping import planned_sweep, postures_for
+from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
 from clampid.stages.experiment import parameter_of
 from experiments.campaign import Campaign, read_campaign
@@ -45,7 +47,7 @@ FOUND = 27.5  # the noncentrality of two parameters that is found with 90 % powe
 def _seen(campaigns: Sequence[Campaign], stage: str, *labels: str) -> tuple[Estimate, Space, list[Scored]]:
     """The fit of some campaigns as sessions of one robot, and candidates' scores on what it leaves."""
     model = identify(list(campaigns), POSES if stage == "poses" else None)
-    estimate = reopen(model, list(campaigns) if len(campaigns) > 1 else campaigns[0]).refit(stage).estimate
+    estimate = on_campaign(model, list(campaigns) if len(campaigns) > 1 else campaigns[0]).refit(stage).estimate
     space = space_of(estimate)
     effects = {name: catalogue()[name] for name in (label.partition("@")[0] for label in labels)}
     by_label = {s.candidate.label: s for s in reversed(score(space, named_candidates(estimate, effects)))}
@@ -90,9 +92,8 @@ def test_pairs_that_nothing_parts_do_not_keep_others_from_being_parted():
     J, a = rng.standard_normal((80, 3)), rng.standard_normal((80, 1))
     pool_J, pool_a = rng.standard_normal((40, 3, 3)), rng.standard_normal((40, 3, 1))
     pool_c = rng.standard_normal((40, 3, 1))
-    found = part(
-        J, [a, a, a], [np.ones(1)] * 3, np.eye(3), pool_J, [pool_a, pool_a, pool_c], enough=30.0, batch=1, most=40
-    )  # fmt: skip
+    rivals = Rivals(J, [a, a, a], [np.ones(1)] * 3, np.eye(3))
+    found = part(rivals, pool_J, [pool_a, pool_a, pool_c], enough=30.0, batch=1, most=40)
     assert [pair[:2] for pair in found.never] == [(0, 1)]
     assert found.never[0][2] == pytest.approx(1.0, abs=1e-6)
     assert found.before == pytest.approx(0.0, abs=1e-6)
@@ -183,26 +184,26 @@ def test_what_else_would_tell_is_worked_out_from_where_effects_act():
 
 def test_what_an_alternative_would_bring_is_what_its_fit_brings(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    opened = reopen(identify(campaign), campaign)
+    opened = on_campaign(identify(campaign), campaign)
     fitted = opened.refit("poses")
     estimate, rows = fitted.estimate, opened.rows("poses")
     floor = noise_floor(estimate.experiment.rows, estimate.residual)
     effects = {"wrist_coupling_friction": catalogue()["wrist_coupling_friction"]}
     scored = score(space_of(estimate), named_candidates(estimate, effects))
     s = next(s for s in scored if s.candidate.places == ("joint5",))
-    along = alongside(estimate, s)
+    along = linear_refit(estimate, s)
     assert along is not None
     terms, values = [*fitted.model.terms, *s.candidate.terms], fitted.model.values()
     model = opened.stages["poses"]
-    whole = fit_stage(rows, opened.effects, terms, {}, values, opened.held("poses"), model.told)
+    whole = fit_stage(rows, opened.effects, terms, model.carried_prior or {}, values, opened.held_out("poses"))
     before, said, found = (held_out(e, None, floor, 0).rms for e in (estimate, along, whole.estimate))
     assert found < 0.8 * before
     assert said == pytest.approx(found, rel=0.05)
 
 
 def test_an_error_above_its_floor_is_said_with_figures():
-    assert above_floor(1.2e-4, 1e-4, "instrument", 0, []) is None
-    found = above_floor(2e-4, 1e-4, "instrument", 3, [])
+    assert excess_over_floor(1.2e-4, 1e-4, "instrument", 0, []) is None
+    found = excess_over_floor(2e-4, 1e-4, "instrument", 3, [])
     assert found is not None
     assert found["times_floor"] == pytest.approx(2.0)
     assert found["share_of_square"] == pytest.approx(0.75)
@@ -211,7 +212,7 @@ def test_an_error_above_its_floor_is_said_with_figures():
 
 def test_joints_that_come_from_one_side_only_are_named(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    rows = reopen(identify(campaign), campaign).rows("poses")
+    rows = on_campaign(identify(campaign), campaign).rows("poses")
     assert one_sided(rows) == []
     kept = rows.take(rows.signals["direction"][:, 2] > 0)
     assert one_sided(kept) == [OneSided(3, 1, 0)]

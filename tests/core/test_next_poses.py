@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from clampid.catalogue import catalogue
 from clampid.diagnosis.next_measurement import ENOUGH
 from clampid.diagnosis.next_poses import next_poses, plan_of
-from clampid.diagnosis.parting import part
+from clampid.diagnosis.parting import Rivals, part
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from experiments.campaign import Campaign
 from experiments.plans.read import read_plan
 from experiments.plans.write import write_plan
@@ -37,7 +38,7 @@ def test_evidence_is_what_a_refit_of_the_other_leaves(seed: int):
     pool_a, pool_b = rng.standard_normal((2, 30, 3, 2))
     values = [np.array([0.3, -0.2]), np.array([0.1, 0.4])]
     found = part(
-        J, [a, b], values, 1e-9 * np.eye(4), pool_J, [pool_a, pool_b], enough=1e9, batch=5, most=10
+        Rivals(J, [a, b], values, 1e-9 * np.eye(4)), pool_J, [pool_a, pool_b], enough=1e9, batch=5, most=10
     )  # fmt: skip
     assert len(set(found.chosen)) == 10
 
@@ -57,16 +58,16 @@ def test_the_measurements_in_which_look_alikes_differ_are_chosen():
     pool_J, pool_a = rng.standard_normal((40, 3, 3)), rng.standard_normal((40, 3, 1))
     pool_b = pool_a.copy()
     pool_b[7::10] *= -1.0  # only there do they differ
-    found = part(J, [a, a], [np.ones(1)] * 2, np.eye(3), pool_J, [pool_a, pool_b], enough=1e9, batch=2, most=4)
+    found = part(Rivals(J, [a, a], [np.ones(1)] * 2, np.eye(3)), pool_J, [pool_a, pool_b], enough=1e9, batch=2, most=4)
     assert sorted(found.chosen) == [7, 17, 27, 37]
     assert found.before == pytest.approx(0.0, abs=1e-6)
-    same = part(J, [a, a], [np.ones(1)] * 2, np.eye(3), pool_J, [pool_a, pool_a], enough=1.0, batch=2, most=10)
+    same = part(Rivals(J, [a, a], [np.ones(1)] * 2, np.eye(3)), pool_J, [pool_a, pool_a], enough=1.0, batch=2, most=10)
     assert same.after == pytest.approx(0.0, abs=1e-6)  # nothing parts what is the same everywhere
 
 
 def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[..., Campaign], tmp_path: Path):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     space = space_of(estimate)
     effects = {n: catalogue()[n] for n in ("gear_eccentricity", "coupling_ratio_error")}
     scored = [s for s in score(space, named_candidates(estimate, effects)) if s.candidate.places == ("joint2",)]
@@ -88,5 +89,5 @@ def test_poses_part_an_eccentric_gear_from_a_wrong_ratio(simulated: Callable[...
 
 def test_none_where_there_is_nothing_to_part(simulated: Callable[..., Campaign]):
     campaign = simulated(seed=7, poses=60, tables=("poses",))
-    estimate = reopen(identify(campaign), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign), campaign).refit("poses").estimate
     assert next_poses(campaign, estimate, [], 1.0, seed=0) is None

@@ -13,13 +13,12 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln, logsumexp
 
-from clampid.diagnosis.look import RATE, Look
+from clampid.diagnosis.candidate_scores import RATE, CandidateScores
 from clampid.effect import Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns
 from clampid.evidence.score import (
     Flips,
-    Space,
     canonical,
     explained_together,
     flip_maxima,
@@ -28,6 +27,7 @@ from clampid.evidence.score import (
     score,
     tail_of,
 )
+from clampid.evidence.space import Space
 from clampid.fitting.noise import initial_noise, learn_noise
 from clampid.slots import Slot
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
@@ -328,10 +328,10 @@ def test_what_explains_much_by_chance_does_not_stand_before_what_stands_out():
     null = flip_maxima(sp, scored, 199, 0)
     assert max(scored, key=lambda s: s.bic).candidate.name == "loud"
     assert null.p_familywise(scored[1].log_p) > RATE
-    best = Look(sp, scored, [], null, null, None, unit).best()
+    best = CandidateScores(sp, scored, [], null, null, None, unit).best()
     assert best is not None
     assert best.candidate.name == "true"
-    assert Look(sp, scored[1:], [], null, null, None, unit).best() is None
+    assert CandidateScores(sp, scored[1:], [], null, null, None, unit).best() is None
 
 
 @settings(max_examples=100, deadline=None)

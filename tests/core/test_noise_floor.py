@@ -13,8 +13,8 @@ from clampid.fitting.accuracy import QUIET_S, _spread, noise_floor
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
-from experiments.check_motion import motion_findings
-from experiments.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
+from experiments.checks.motion import motion_findings
+from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
 SCATTER = 200e-6  # m, one axis; the instrument states less
 

@@ -13,7 +13,7 @@ from clampid.catalogue import catalogue
 from clampid.fitting.open_flanks import _fitted
 from clampid.fitting.unknown_friction import unknown_frictions
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model, StageModel, load_model, save_model
 from clampid.slots import Slot
 from clampid.stages import poses
@@ -23,8 +23,8 @@ from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Plant, measure
 from kinematics.description import load_robot
-from offline_ik.arm import Conditions, arm_of
-from offline_ik.kernels import forward_kernel
+from offline_ik.arm.identified import Conditions, arm_of
+from offline_ik.inverse.kernels import forward_kernel
 
 EFFECTS = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction")
 GAP = 1.5e-4  # rad: three times the largest that is drawn, so that flanks show
@@ -100,7 +100,7 @@ def test_the_lean_is_kept_in_the_file_and_in_commands(tmp_path: Path) -> None:
     save_model(model, tmp_path / "model.json")
     again = load_model(tmp_path / "model.json")
     np.testing.assert_array_equal(again.stages["poses"].lean, stage.lean)
-    rows = reopen(again, campaign).rows("poses")
+    rows = on_campaign(again, campaign).rows("poses")
     chain = experiment(rows, catalogue(), stage.slots, stage.lean).chain
     theta = np.maximum(stage.theta, chain.least)
     found = poses.pressing(rows, chain, theta)
@@ -118,7 +118,7 @@ def test_the_lean_is_kept_in_the_file_and_in_commands(tmp_path: Path) -> None:
 def test_a_pattern_of_flanks_is_fitted_as_if_it_were_held() -> None:
     """Sums over visits lead where the normal equations of all parameters lead, written down with the pattern held."""
     campaign = leaning(3, 0.0)
-    estimate = reopen(identify(campaign, {"poses": EFFECTS}), campaign).refit("poses").estimate
+    estimate = on_campaign(identify(campaign, {"poses": EFFECTS}), campaign).refit("poses").estimate
     theta, white, rng = estimate.theta, estimate.whitened, np.random.default_rng(0)
     visit = np.unique(estimate.experiment.rows.unit, return_inverse=True)[1]
     side = rng.choice([-1.0, 1.0], (3, visit.max() + 1, 1))

@@ -15,7 +15,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.effect import AT_A_SLIDE, UNITS
 from clampid.evidence.candidates import named_candidates
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.slots import Layout, Slot, unit_of
 from clampid.stages import poses
 from clampid.stages.experiment import experiment, parameter_of
@@ -103,7 +103,7 @@ def test_diagnosis_finds_it_at_the_joint_that_is_a_screw():
 def test_diagnosis_looks_for_it_at_screws_only():
     turning = measured_campaign(measure(arm("scara"), seed=0, poses=30, tables=("poses",)), arm("scara"))
     for campaign, places in ((measured(0), [("joint3",)]), (turning, [])):
-        opened = reopen(identify(campaign, STANDARD), campaign)
+        opened = on_campaign(identify(campaign, STANDARD), campaign)
         offered = named_candidates(opened.refit("poses").estimate, catalogue())
         assert [c.places for c in offered if c.name == "pitch_error"] == places
 

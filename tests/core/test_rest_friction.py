@@ -10,11 +10,11 @@ import pytest
 from virtual_arms import ARMS, arm
 
 import clampid.fitting.rest_friction
-from clampid.evidence.score import space_of
+from clampid.evidence.space import space_of
 from clampid.fitting.rest_friction import _cost, _Profile
 from clampid.fitting.solve import solve
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign
@@ -48,7 +48,7 @@ def test_a_fit_again_holds_the_frictions_where_they_were(monkeypatch: pytest.Mon
     campaign, model = robot_and_model()
     monkeypatch.setattr(clampid.fitting.rest_friction, "_solved", None)  # nothing is sought
     stage = model.stages["poses"]
-    found = reopen(model, campaign).refit("poses").model
+    found = on_campaign(model, campaign).refit("poses").model
     k = stage.slots.index(Slot("wrist_coupling_friction", "F", "joint5"))
     assert found.theta[k] == pytest.approx(stage.theta[k], abs=1e-6)
     np.testing.assert_allclose(found.theta, stage.theta, atol=0.1 * stage.std.max(), rtol=0.1)
@@ -57,7 +57,7 @@ def test_a_fit_again_holds_the_frictions_where_they_were(monkeypatch: pytest.Mon
 def test_a_profile_is_what_fits_with_the_friction_held_there():
     """To first order: linear in all but the product of friction and compliance, so near the fit."""
     campaign, model = robot_and_model()
-    estimate = reopen(model, campaign).refit("poses").estimate
+    estimate = on_campaign(model, campaign).refit("poses").estimate
     k = estimate.slots.index(Slot("wrist_coupling_friction", "F", "joint5"))
     profile = _Profile.of(estimate, k)
     best = int(np.argmin(profile.cost))
@@ -79,7 +79,7 @@ def test_a_profile_is_what_fits_with_the_friction_held_there():
 def test_what_a_held_friction_may_be_is_no_evidence(simulated):
     """Its column is the fit's own to the score test, although the search held it."""
     campaign = simulated(seed=2, poses=150, tables=("free_air", "wrist", "poses"))
-    estimate = reopen(identify([campaign]), campaign).refit("poses").estimate
+    estimate = on_campaign(identify([campaign]), campaign).refit("poses").estimate
     held = [
         k
         for k, slot in enumerate(estimate.slots)

@@ -8,12 +8,12 @@ from types import MappingProxyType
 
 import pytest
 
+from clampid.diagnosis.candidate_scores import scores_of, simplest_of
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
-from clampid.diagnosis.look import look_at, simplest_of
 from clampid.diagnosis.tried import Undecided
 from clampid.evidence.candidates import terms_not_active
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.auto import mend
 from clampid.models.model import Model
 from clampid.slots import Term
@@ -79,13 +79,15 @@ def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable
     """An offset of the torque and an asymmetric friction are the same columns; a cable pulls at the poses, too."""
     tables = ("free_air", "wrist", "poses", "verification")
     campaign = simulated(seed=2, poses=100, tables=tables, hidden=("torque_offset@joint2",))
-    opened = reopen(identify(campaign, {"free_air": ["gravity", "coulomb_friction", "viscous_friction"]}), campaign)
+    opened = on_campaign(
+        identify(campaign, {"free_air": ["gravity", "coulomb_friction", "viscous_friction"]}), campaign
+    )
     fitted = opened.refit("free_air", opened.rows("free_air"))
-    look = look_at(fitted.estimate, dict(opened.effects), flips=19, seed=0).remembered
-    at = {s.candidate.name: s for s in look.named if s.candidate.places == ("joint2",)}
+    scores = scores_of(fitted.estimate, dict(opened.effects), flips=19, seed=0).remembered
+    at = {s.candidate.name: s for s in scores.named if s.candidate.places == ("joint2",)}
     offset, friction, cable = (at[name] for name in ("torque_offset", "asymmetric_friction", "dress_pack"))
-    assert Undecided([offset, friction], look).alike(opened.effects, ["poses"])
-    assert not Undecided([offset, friction, cable], look).alike(opened.effects, ["poses"])
+    assert Undecided([offset, friction], scores).alike(opened.effects, ["poses"])
+    assert not Undecided([offset, friction, cable], scores).alike(opened.effects, ["poses"])
 
 
 def test_the_model_of_a_log_alone_takes_the_name_that_moves_no_flange(simulated: Callable[..., Campaign]):
@@ -108,14 +110,16 @@ def test_the_model_of_a_log_alone_takes_the_name_that_moves_no_flange(simulated:
 def test_a_drift_is_named_only_if_it_is_seen(simulated: Callable[..., Campaign]):
     """Beside a constant offset at joint 4 a drift with a room that hardly warmed explains what chance explains."""
     campaign = simulated(seed=2, poses=60, tables=("free_air", "wrist"), hidden=("torque_offset@joint4",))
-    opened = reopen(identify(campaign), campaign)
-    look = look_at(opened.refit("free_air", opened.rows("free_air")).estimate, dict(opened.effects), flips=19, seed=0)
+    opened = on_campaign(identify(campaign), campaign)
+    scores = scores_of(
+        opened.refit("free_air", opened.rows("free_air")).estimate, dict(opened.effects), flips=19, seed=0
+    )
     drifting = next(
         s
-        for s in look.named
+        for s in scores.named
         if s.candidate.label == "ambient_torque_offset@joint4" and s.candidate.places == ("joint4",)
     )
-    assert simplest_of(look.named, drifting).candidate.name == "torque_offset"
+    assert simplest_of(scores.named, drifting).candidate.name == "torque_offset"
 
 
 @pytest.mark.parametrize("reading", [None, 24.0], ids=["not recorded", "constant"])
@@ -136,6 +140,6 @@ def test_a_drift_with_a_temperature_that_never_varies_is_not_looked_for(
 
 def sought(campaign: Campaign) -> set[str]:
     """The effects that diagnosis of a log looks for."""
-    opened = reopen(identify(campaign), campaign)
+    opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("free_air", opened.rows("free_air")).estimate
     return {term.effect for term in terms_not_active(estimate, dict(opened.effects))}

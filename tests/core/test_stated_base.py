@@ -17,7 +17,7 @@ from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 from experiments.stated import Stated, StatedBase
-from kinematics.screws import roll_pitch_yaw
+from kinematics.fixed_angles import roll_pitch_yaw
 
 GAPS = (431e-6, 487e-6)  # rad
 GAP = Slot("backlash", "gap", "joint1")

@@ -38,7 +38,7 @@ def test_parted_derivatives_are_those_of_one_function(tiny: Campaign, curve: str
         np.testing.assert_allclose(mine.values, expected.values, rtol=1e-12, atol=1e-15)
         np.testing.assert_array_equal(mine.parameter, expected.parameter)
         np.testing.assert_allclose(mine.partials, expected.partials, rtol=1e-12, atol=1e-15)
-        held, other = (poses.held(e.rows, e.chain, theta) for e in (parted, whole))
+        held, other = (poses.frozen_flanks(e.rows, e.chain, theta) for e in (parted, whole))
         for name in other:
             np.testing.assert_allclose(held[name], other[name], rtol=1e-12, atol=1e-12)
 

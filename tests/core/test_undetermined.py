@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
+from clampid.diagnosis.candidate_scores import FEWEST_FLIPS, RATE, refuse_few_flips
 from clampid.diagnosis.entries import entry_of
 from clampid.diagnosis.headline import equally_good
-from clampid.diagnosis.look import FEWEST_FLIPS, RATE, refuse_few_flips
 from clampid.display import compact, scale_for, with_error
 from clampid.effect import EffectError
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import Flips, Scored, score, space_of
+from clampid.evidence.score import Flips, Scored, score
+from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.slots import fixed_slots
 
@@ -26,7 +27,7 @@ def gravity(simulated) -> tuple[Scored, float]:
     """Masses of all links as poses alone score them: most of the combinations bend nothing."""
     campaign = simulated(seed=3, poses=60, tables=("poses",), robot="ur10")
     estimate = (
-        reopen(identify([campaign], {"poses": ["geometry", "joint_compliance"]}), campaign).refit("poses").estimate
+        on_campaign(identify([campaign], {"poses": ["geometry", "joint_compliance"]}), campaign).refit("poses").estimate
     )
     space = space_of(estimate)
     scored = score(space, named_candidates(estimate, {"gravity": catalogue()["gravity"]}))
@@ -38,7 +39,7 @@ def gravity(simulated) -> tuple[Scored, float]:
 def test_a_candidate_that_was_not_fitted_has_no_value_beyond_what_is_reasonable(gravity):
     best, scale = gravity
     assert np.abs(best.value).max() < 1e6  # columns of rounding are no directions
-    entry = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 1.0, None, scale=scale)
+    entry = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), (1.0, None), scale=scale)
     size = dict(zip([s.label for s in best.candidate.slots], best.candidate.reasonable, strict=True))
     assert all(p["identified"] == (p["std"] < size[p["name"]]) for p in entry["parameters"])
     assert not all(p["identified"] for p in entry["parameters"])
@@ -47,7 +48,7 @@ def test_a_candidate_that_was_not_fitted_has_no_value_beyond_what_is_reasonable(
 
 def test_an_alternative_of_undetermined_parameters_is_not_offered_as_equally_good(gravity):
     best, scale = gravity
-    vague = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), 4e-4, 1.33e-3, scale=scale)
+    vague = entry_of(best, Flips(np.zeros(19)), dict(catalogue()), (4e-4, 1.33e-3), scale=scale)
     clear = {**vague, "effect": "backlash", "heldout_rms_after": 1.08e-4, "parameters": [{"identified": True}]}
     both = [{**entry, "alternative": True, "group": 1} for entry in (clear, vague)]
     assert equally_good(both) == both[:1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pydoc
 import re
 import runpy
 from pathlib import Path
@@ -20,7 +21,7 @@ def script(name: str) -> dict[str, Any]:
     return runpy.run_path(str(DOCS / name))
 
 
-@pytest.mark.parametrize("name", ["make_effects.py", "make_verbs.py"])
+@pytest.mark.parametrize("name", ["make_effects.py", "make_folders.py", "make_verbs.py"])
 def test_a_generated_page_is_up_to_date(name: str) -> None:
     made = script(name)
     assert made["PAGE"].read_text(encoding="utf-8") == made["page"]()
@@ -42,6 +43,13 @@ def test_every_verb_and_option_that_a_page_names_exists() -> None:
                 wrong += [f"{page.name}: {words[0]}"] if words[0] not in verbs else []
             wrong += [f"{page.name}: {option}" for option in named if option.rstrip(",.") not in options]
     assert wrong == []
+
+
+def test_every_function_on_the_way_from_a_row_to_a_verdict_exists() -> None:
+    text = (DOCS / "explanation" / "from-a-row-to-a-verdict.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"`((?:clampid|experiments|kinematics|offline_ik)\.[\w.]+)`", text))
+    assert len(names) > 15
+    assert [name for name in names if pydoc.locate(name) is None] == []
 
 
 def test_every_effect_has_words_on_its_signature() -> None:

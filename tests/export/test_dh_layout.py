@@ -14,7 +14,8 @@ from clampid.exports.dh_layout import thesis_layout
 from clampid.models.model import Model
 from kinematics.description import load_robot
 from kinematics.dh import Convention, DHRow, DHTable, forward
-from kinematics.screws import rotation_of, transform
+from kinematics.fixed_angles import rotation_of
+from kinematics.screws import transform
 
 Make = Callable[..., Model]
 ROBOT = "kuka_kr20_r1810"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.exports.determined import hold_undetermined
+from clampid.exports.determined import fix_undetermined
 from clampid.exports.dh_export import HELD, dh_export, dh_table
 from clampid.exports.urdf_export import urdf_export
 from clampid.identification.identify import identify
@@ -33,19 +33,19 @@ def loose(make_model) -> tuple[Model, int, int]:
 
 def test_what_is_not_determined_is_held_and_what_is_known_stays(loose):
     model, a, b = loose
-    held = hold_undetermined(model)
-    assert held.combinations == ("base_y@session1, flange_y@session1",)
-    old, new = model.stages["poses"].theta, held.model.stages["poses"].theta
+    fixed = fix_undetermined(model)
+    assert fixed.combinations == ("base_y@session1, flange_y@session1",)
+    old, new = model.stages["poses"].theta, fixed.model.stages["poses"].theta
     assert new[a] + new[b] == pytest.approx(old[a] + old[b], abs=1e-7)
     assert abs(new[a] - new[b]) < 1e-6
     others = np.delete(np.arange(len(old)), [a, b])
     np.testing.assert_array_equal(new[others], old[others])
-    assert held.model.stages["poses"].std[a] < 1e-5
+    assert fixed.model.stages["poses"].std[a] < 1e-5
 
 
 def test_a_determined_model_is_left_alone(make_model):
     model = make_model("ur10")
-    assert hold_undetermined(model).model is model
+    assert fix_undetermined(model).model is model
     assert set(dh_table(model, "hayati")[HELD]) == {""}
 
 

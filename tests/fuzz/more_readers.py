@@ -53,7 +53,7 @@ def _tables(folder: Path) -> Known:
     from campaign_maker import make_tables, write
 
     from experiments.campaign import read_campaign
-    from experiments.check import check_campaign
+    from experiments.checks.check import check_campaign
 
     def read(path: Path) -> object:
         return check_campaign(read_campaign(path.parent))

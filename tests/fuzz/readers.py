@@ -114,26 +114,27 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from clampid.models.model import load_model, save_model
     from clampid.planning.free_air import plan_free_air
     from clampid.planning.logs import torque_noise_of
+    from clampid.planning.program import LogWishes
     from clampid.planning.scene import read_obstacles
     from clampid.trusted import list_of_trusted, trust, trust_file
     from experiments.campaign import read_campaign
-    from experiments.check import check_campaign
+    from experiments.checks.check import check_campaign
     from experiments.foreign import import_tables, read_mapping
     from experiments.plans import cell_of, limits_of, read_plan, write_plan
     from experiments.simulate import simulate
     from experiments.touched import read_touched
     from kinematics.description import load_robot
     from kinematics.kuka_text import machine_data_text, read_machine_data
-    from offline_ik.arm import arm_of
-    from offline_ik.cell import read_cell
-    from offline_ik.mesh import read_mesh
-    from offline_ik.peak_table import read_peaks
+    from offline_ik.arm.identified import arm_of
+    from offline_ik.cell.cell import read_cell
+    from offline_ik.collision.mesh import read_mesh
+    from offline_ik.reflections.peak_table import read_peaks
 
     arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
     parquet = simulate(folder / "arm2", "ur10", seed=3, poses=8, tables=("poses",))
     save_model(drawn_model(effects=("geometry", "joint_compliance", "backlash")), folder / "model.json")
     cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
-    plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], time=60.0)
+    plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], LogWishes(time=60.0))
     write_plan(plan, folder / "plan.toml")
     os.environ["XDG_CONFIG_HOME"] = str(folder / "config")
     (folder / "own.py").write_text("EFFECT = 1\n")
@@ -220,7 +221,7 @@ def is_refusal(error: Exception) -> bool:
     from experiments.links.protocol import LinkError
     from experiments.virtual_controller.errors import ControllerError
     from kinematics.kuka import MachineDataError
-    from offline_ik.mesh import MeshError
+    from offline_ik.collision.mesh import MeshError
 
     # Verbs make wrong calls of the last three.
     known = (MeshError, MachineDataError, InstrumentError, LinkError, ControllerError)

@@ -16,7 +16,7 @@ from experiments.instruments import (
     connect_instrument,
 )
 from experiments.instruments import line as line_module
-from experiments.instruments.still import FEWEST
+from experiments.instruments.still import MIN_READINGS
 
 LOST = line({"error": "line of sight lost"})
 
@@ -39,7 +39,7 @@ def test_median_and_scatter_of_one_reading() -> None:
 
 def test_few_readings_are_made_enough_to_tell_motion() -> None:
     with connected(usual) as instrument:
-        assert instrument.measure("T1", 5, 2.0).count == FEWEST
+        assert instrument.measure("T1", 5, 2.0).count == MIN_READINGS
 
 
 def test_a_distance_has_one_axis() -> None:

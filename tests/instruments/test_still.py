@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.instruments.still import FEWEST, moved_by, summary
+from experiments.instruments.still import MIN_READINGS, moved_by, summary
 
 
 @pytest.mark.parametrize("noise", [6e-5, 1e-6, 0.0])
 def test_a_resting_target_is_still(noise: float) -> None:
     rng = np.random.default_rng(3)
-    assert not any(moved_by(rng.normal(0, noise, (FEWEST, 3))) for _ in range(2000))
+    assert not any(moved_by(rng.normal(0, noise, (MIN_READINGS, 3))) for _ in range(2000))
 
 
 def test_motion_beyond_the_noise_is_found() -> None:
     rng = np.random.default_rng(4)
-    way = 4 * 6e-5 * np.linspace(0, 1, FEWEST)[:, None] * [0, 0, 1]
-    found = np.mean([moved_by(rng.normal(0, 6e-5, (FEWEST, 3)) + way) > 0 for _ in range(300)])
+    way = 4 * 6e-5 * np.linspace(0, 1, MIN_READINGS)[:, None] * [0, 0, 1]
+    found = np.mean([moved_by(rng.normal(0, 6e-5, (MIN_READINGS, 3)) + way) > 0 for _ in range(300)])
     assert found > 0.95
 
 

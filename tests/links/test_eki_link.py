@@ -240,14 +240,14 @@ def test_a_controller_that_says_nothing_of_a_program_is_asked_over_a_new_connect
 def test_of_two_clients_one_has_the_robot_and_the_other_learns_it(
     controller: FakeController, link: EkiLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(eki, "FIRST", 0.3)
+    monkeypatch.setattr(eki, "FIRST_STATUS_TIMEOUT", 0.3)
     with pytest.raises(LinkLostError, match="closed the connection; another client may have the channel"):
         connect(LinkAddress("eki", "127.0.0.1", controller.port))
     assert link.wait(link.execute(to(1)), 5.0).phase is Phase.FINISHED
 
 
 def test_nobody_there_is_said_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(eki, "FIRST", 0.3)
+    monkeypatch.setattr(eki, "FIRST_STATUS_TIMEOUT", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with pytest.raises(LinkLostError, match="refused"):

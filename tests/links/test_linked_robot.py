@@ -11,12 +11,12 @@ import pytest
 from fake_controller import FakeController
 from variable_server import VariableServer
 
-from clampid.verbs.output import finite
+from clampid.plain_json import finite
 from experiments.links.eki import EkiLink
 from experiments.links.protocol import Program, RefusedError
 from experiments.links.varproxy import connect as connect_varproxy
 from offline_ik.errors import DetectorError
-from offline_ik.link import LinkedRobot
+from offline_ik.exchange.link import LinkedRobot
 
 HOME = np.radians([0.0, -90.0, 90.0, 0.0, 45.0, 0.0])
 

@@ -176,7 +176,7 @@ def test_the_unmodified_rsipi_as_the_controller_with_the_config_that_is_shipped(
 
 
 def test_a_port_that_is_taken_and_a_stream_that_does_not_come(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.links.rsi.FIRST", 0.1)
+    monkeypatch.setattr("experiments.links.rsi.FIRST_DATAGRAM_TIMEOUT", 0.1)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(LinkLostError, match="cannot listen"):

@@ -150,7 +150,7 @@ def test_silence_and_a_clock_that_stands_make_it_old(controller: Controller, lin
 def test_a_controller_that_does_not_agree_is_said(
     refuses: bytes, controller: Controller, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("experiments.links.rtde.FIRST", 0.7)
+    monkeypatch.setattr("experiments.links.rtde.FIRST_STATUS_TIMEOUT", 0.7)
     controller.refuses = refuses
     with pytest.raises(LinkLostError, match="RTDE: "):
         connect(LinkAddress("rtde", "127.0.0.1", controller.port))

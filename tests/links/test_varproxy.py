@@ -137,7 +137,7 @@ def test_a_proxy_that_goes_and_comes_back(server: VariableServer, variables: dic
 
 
 def test_nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("experiments.links.varproxy.FIRST", 0.2)
+    monkeypatch.setattr("experiments.links.varproxy.FIRST_STATUS_TIMEOUT", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with pytest.raises(LinkLostError):

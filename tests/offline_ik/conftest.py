@@ -6,7 +6,8 @@ import pytest
 from ik_arms import CELL, drawn_model
 
 from clampid.models.model import save_model
-from offline_ik.detector import Detector, open_detector
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of, evaluate, predict
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, Instrument, Tool
-from offline_ik.arm import Conditions, IdentifiedArm
+from offline_ik.arm.identified import Conditions, IdentifiedArm
 
 Array = npt.NDArray[np.float64]
 

@@ -19,11 +19,12 @@ from clampid.models.ranges import MARGIN, Ranges
 from clampid.stages.loads import gravity_signals
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
-from offline_ik.approach import approach_through
-from offline_ik.arm import arm_of
-from offline_ik.beyond import Outside
-from offline_ik.detector import Detector, open_detector
-from offline_ik.protocol import Session, Speaker
+from offline_ik.arm.beyond import Outside
+from offline_ik.arm.identified import arm_of
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
+from offline_ik.motion.approach import approach_through
+from offline_ik.server.protocol import Session, Speaker
 
 HERE = (0.3, 0.2, 0.8)
 SOMEWHERE = ((0.3, 0.2, 0.8), (-0.2, 0.1, 0.7), (0.1, 0.4, 0.9), (0.3, 0.2, 0.8, 0.5))

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offline_ik import bragg
-from offline_ik.bragg import FALSE_ALARM, Reflection, SamplePosition, sample_position, scattering_angle
-from offline_ik.coordinates import CONVENTIONS, detector_pose
+from offline_ik.cell.coordinates import CONVENTIONS, detector_pose
 from offline_ik.errors import TargetError
+from offline_ik.reflections import bragg
+from offline_ik.reflections.bragg import FALSE_ALARM, Reflection, SamplePosition, sample_position, scattering_angle
 
 CONVENTION = replace(CONVENTIONS["thesis"], beam=(0.6, 0.8, 0.0), sample=(0.3, 0.2, 0.9))
 SIGMA = 5e-5  # rad
@@ -149,7 +149,7 @@ def test_a_direction_that_is_not_determined_is_said_and_kept() -> None:
 
 
 def test_a_search_that_does_not_settle_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bragg, "STEPS", 2)
+    monkeypatch.setattr(bragg, "MAX_STEPS", 2)
     points, angles = rays(PLACES, np.add(CONVENTION.sample, (5e-2, -3e-2, 4e-2)))
     with pytest.raises(TargetError, match="did not settle within 2 steps"):
         sample_position(CONVENTION, [Reflection(p, a, SIGMA) for p, a in zip(points, angles, strict=True)])

@@ -10,9 +10,9 @@ import pytest
 from ik_arms import CELL
 
 from kinematics.description import load_robot
-from offline_ik.cell import default_cell, read_cell
-from offline_ik.detector import open_detector
+from offline_ik.cell.cell import default_cell, read_cell
 from offline_ik.errors import CellError
+from offline_ik.inverse.opening import open_detector
 
 ROBOT = load_robot("kuka_kr20_r1810")
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from offline_ik.coordinates import CONVENTIONS, Convention, check_target, detector_angles, detector_pose, pose_sx
+from offline_ik.cell.coordinates import CONVENTIONS, Convention, check_target, detector_angles, detector_pose, pose_sx
 from offline_ik.errors import CellError, TargetError
 
 NAMES = st.sampled_from(sorted(CONVENTIONS))

@@ -10,14 +10,15 @@ import pytest
 from ik_arms import drawn_model
 
 from kinematics.description import load_robot
-from offline_ik.approach import approach_through
-from offline_ik.branches import parse_choice, status_and_turn
-from offline_ik.cell import default_cell
-from offline_ik.coordinates import detector_angles
-from offline_ik.detector import Detector, open_detector
+from offline_ik.cell.cell import default_cell
+from offline_ik.cell.coordinates import detector_angles
 from offline_ik.errors import CellError, DetectorError, TargetError
-from offline_ik.ortho import ortho_arm
-from offline_ik.uncertainty import Uncertainty
+from offline_ik.inverse.branches import parse_choice, status_and_turn
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
+from offline_ik.inverse.ortho import ortho_arm
+from offline_ik.inverse.uncertainty import Uncertainty
+from offline_ik.motion.approach import approach_through
 
 HERE = (0.3, 0.2, 0.8)
 

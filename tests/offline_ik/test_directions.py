@@ -11,12 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 from clampid.cli import app
-from offline_ik.approach import BACK, approach_through
-from offline_ik.checks import check_directions
-from offline_ik.detector import Detector
+from offline_ik.cell.checks import check_directions
 from offline_ik.errors import TargetError
-from offline_ik.protocol import Session, Speaker
-from offline_ik.ways import ways_to
+from offline_ik.inverse.detector import Detector
+from offline_ik.motion.approach import BACK, approach_through
+from offline_ik.motion.ways import ways_to
+from offline_ik.server.protocol import Session, Speaker
 
 HERE = (0.3, 0.2, 0.8)
 NEAR = np.array([0.1, -1.2, 1.2, 0.1, 0.4, 0.0])
@@ -54,8 +54,7 @@ def test_the_approach_comes_from_the_asked_sides_and_leaves_the_rest_to_gravity(
 
 def test_a_limit_in_the_way_of_an_asked_side_is_said(detector: Detector) -> None:
     answer = detector.locate(*HERE, near=NEAR)
-    narrow = object.__new__(Detector)
-    narrow.__dict__.update(detector.__dict__)
+    narrow = detector.within(replace(detector.cell, running=1.0))
     narrow.lower = np.where(np.arange(6) == 1, answer.solutions[0].q[1] - 0.01, detector.lower)
     assert approach_through(narrow, answer).direction[1] == -1.0  # chosen, it gives way
     with pytest.raises(TargetError, match=r"A2 cannot come from below: it is 0\.01 rad from its limit"):

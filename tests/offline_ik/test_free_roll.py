@@ -10,12 +10,13 @@ import pytest
 from ik_arms import drawn_model
 
 from kinematics.description import load_robot
-from offline_ik import free_roll
-from offline_ik.cell import default_cell
-from offline_ik.coordinates import detector_pose
-from offline_ik.detector import Detector, open_detector
+from offline_ik.cell.cell import default_cell
+from offline_ik.cell.coordinates import detector_pose
 from offline_ik.errors import TargetError
-from offline_ik.free_roll import GRID
+from offline_ik.inverse import free_roll
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.free_roll import GRID
+from offline_ik.inverse.opening import open_detector
 
 FINE = 10 * GRID  # rolls all round
 

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from server_lines import GOOD
 from test_server import Link, ask, connected, serving, until
 
-from offline_ik.client import KEEPALIVE, Limits
-from offline_ik.detector import Detector
 from offline_ik.errors import DetectorError
-from offline_ik.protocol import Session, Speaker
-from offline_ik.requests import WORDS
-from offline_ik.server import Server
+from offline_ik.exchange.requests import WORDS
+from offline_ik.inverse.detector import Detector
+from offline_ik.server.client import KEEPALIVE, Limits
+from offline_ik.server.protocol import Session, Speaker
+from offline_ik.server.server import Server
 from offline_ik.verbs.serve import _token
 
 ODD = ["free", "all", "1,2,3,4,5,6", "1e400"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from detector_sphere import EFFECTS, detector_of, errors, identified, measured_robot, nominal, octant
 
-from offline_ik.detector import Detector
+from offline_ik.inverse.detector import Detector
 
 
 @pytest.mark.slow

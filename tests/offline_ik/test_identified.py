@@ -16,8 +16,8 @@ from clampid.stages.experiment import parameter_of
 from kinematics.description import load_robot
 from kinematics.poe import forward
 from kinematics.screws import log_so3
-from offline_ik.arm import Conditions, nominal_arm
-from offline_ik.solver import Solver
+from offline_ik.arm.identified import Conditions, nominal_arm
+from offline_ik.inverse.solver import Solver
 
 POSES = sorted(name for name, effect in catalogue().items() if "poses" in effect.stages)
 

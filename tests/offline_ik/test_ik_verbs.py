@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from clampid.cli import app
 from clampid.display import number, readable
 from clampid.models.model import save_model
-from offline_ik.detector import open_detector
+from offline_ik.inverse.opening import open_detector
 
 CLAMPID = Path(sys.executable).parent / "clampid"
 PLACE = ("--gamma", "0.3", "--delta", "0.2", "--r", "0.8")

@@ -10,9 +10,9 @@ from scipy.spatial.transform import RigidTransform
 from kinematics.description import load_robot, robot_names
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
-from offline_ik.arm import nominal_arm
-from offline_ik.ortho import SIGNS, ortho_arm, signs_of
-from offline_ik.solver import Solver
+from offline_ik.arm.identified import nominal_arm
+from offline_ik.inverse.ortho import SIGNS, ortho_arm, signs_of
+from offline_ik.inverse.solver import Solver
 
 ORTHO = [name for name in robot_names() if ortho_arm(load_robot(name)) is not None]
 

@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 
 from clampid.cli import app
 from experiments.errors import CampaignError
-from offline_ik.detector import Detector
 from offline_ik.errors import TargetError
-from offline_ik.peak_table import HC, read_peaks, wavelength_of
-from offline_ik.peaks import Peak, _Stands, sample_from_peaks
-from offline_ik.protocol import Session, Speaker
+from offline_ik.inverse.detector import Detector
+from offline_ik.reflections.peak_table import HC, read_peaks, wavelength_of
+from offline_ik.reflections.peaks import Peak, _Stands, sample_from_peaks
+from offline_ik.server.protocol import Session, Speaker
 from offline_ik.verbs.sample import sample as sample_verb
 
 SIGMA = 5e-5  # rad

@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ik_arms import drawn_arm
 
-from offline_ik.detector import Detector
-from offline_ik.protocol import WORDS, Session, Speaker
-from offline_ik.safety import check_path
+from offline_ik.collision.safety import check_path
+from offline_ik.inverse.detector import Detector
+from offline_ik.server.protocol import WORDS, Session, Speaker
 
 START = (0.1, -1.2, 1.2, 0.1, 0.4, 0.0)
 GOOD = b"where gamma=0.3 delta=0.2 r=0.8"

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from offline_ik.coordinates import CONVENTIONS, detector_pose
-from offline_ik.pyfai import pyfai_geometry
+from offline_ik.cell.coordinates import CONVENTIONS, detector_pose
+from offline_ik.cell.pyfai import pyfai_geometry
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # of pyFAI's own imports

@@ -10,10 +10,11 @@ import pytest
 from ik_arms import drawn_model
 from scipy.optimize import minimize
 
-from offline_ik.cell import read_cell
-from offline_ik.coordinates import detector_angles
-from offline_ik.detector import Detector, open_detector
-from offline_ik.reach import nearest_reachable
+from offline_ik.cell.cell import read_cell
+from offline_ik.cell.coordinates import detector_angles
+from offline_ik.cell.reach import nearest_reachable
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
 
 AS_FAR = 1e-4  # m by which a search from everywhere may find a nearer place
 

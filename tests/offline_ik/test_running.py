@@ -15,11 +15,12 @@ from typer.testing import CliRunner
 
 from clampid.cli import app
 from clampid.models.model import save_model
-from offline_ik.assumed import SHIFT, moves_by, time_effects
-from offline_ik.detector import Detector, open_detector
 from offline_ik.errors import CellError, DetectorError, TargetError
-from offline_ik.protocol import Job, Session, Speaker
-from offline_ik.server import Server
+from offline_ik.inverse.assumed import SHIFT, moves_by, time_effects
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.opening import open_detector
+from offline_ik.server.protocol import Job, Session, Speaker
+from offline_ik.server.server import Server
 from offline_ik.verbs.options import seconds
 
 HOUR = 3600.0

@@ -10,12 +10,12 @@ import pytest
 from ik_arms import drawn_arm
 
 from kinematics.description import load_robot
-from offline_ik.arm import nominal_arm
-from offline_ik.cell import Cell, Obstacle, default_cell
-from offline_ik.detector import Detector
+from offline_ik.arm.identified import nominal_arm
+from offline_ik.cell.cell import Cell, Obstacle, default_cell
+from offline_ik.collision.safety import LongCheckError, check_path, move_time
+from offline_ik.collision.world import world_of
 from offline_ik.errors import CellError
-from offline_ik.safety import LongCheckError, check_path, move_time
-from offline_ik.world import world_of
+from offline_ik.inverse.detector import Detector
 
 START = np.array([-0.8, -1.2, 1.3, 0.0, 0.5, 0.0])
 END = np.array([0.8, -1.2, 1.3, 0.0, 0.5, 0.0])

@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 from server_lines import GOOD, rubbish
 
-from offline_ik.detector import Detector
+from offline_ik.collision.safety import LongCheckError, PathReport, check_path
 from offline_ik.errors import DetectorError
-from offline_ik.protocol import Speaker
-from offline_ik.safety import LongCheckError, PathReport, check_path
-from offline_ik.server import LINE_BYTES, Limits, Server, is_loopback, parse_address
+from offline_ik.exchange.address import is_loopback, parse_address
+from offline_ik.inverse.detector import Detector
+from offline_ik.server.protocol import Speaker
+from offline_ik.server.server import LINE_BYTES, Limits, Server
 
 Talk = Callable[[Server, str, int], Awaitable[Any]]
 
@@ -143,9 +144,9 @@ class Held:
             assert self.go.wait(60)
             return check_path(detector, postures)
 
-        monkeypatch.setattr("offline_ik.simulation.AT_ONCE", 0)  # or a short move would be checked on the loop
-        monkeypatch.setattr("offline_ik.ways.check_path", check)
-        monkeypatch.setattr("offline_ik.protocol.check_path", check)
+        monkeypatch.setattr("offline_ik.motion.simulation.AT_ONCE", 0)  # or a short move would be checked on the loop
+        monkeypatch.setattr("offline_ik.motion.ways.check_path", check)
+        monkeypatch.setattr("offline_ik.server.protocol.check_path", check)
 
     async def until_begun(self) -> None:
         await until(self.begun.is_set)

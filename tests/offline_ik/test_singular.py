@@ -14,12 +14,12 @@ from scipy.optimize import brentq
 
 from kinematics.description import load_robot
 from kinematics.poe import forward, joint_transforms
-from offline_ik.arm import Conditions, nominal_arm
-from offline_ik.coordinates import detector_angles
-from offline_ik.detector import Detector
-from offline_ik.postures import PostureSearch
-from offline_ik.singular import wrist_of
-from offline_ik.solver import Solver
+from offline_ik.arm.identified import Conditions, nominal_arm
+from offline_ik.cell.coordinates import detector_angles
+from offline_ik.inverse.detector import Detector
+from offline_ik.inverse.postures import PostureSearch
+from offline_ik.inverse.singular import wrist_of
+from offline_ik.inverse.solver import Solver
 
 ARMS = ("nominal", "calibrated")
 PARTS = (

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from offline_ik.detector import Detector
-from offline_ik.protocol import Speaker
-from offline_ik.server import Server
+from offline_ik.inverse.detector import Detector
+from offline_ik.server.protocol import Speaker
+from offline_ik.server.server import Server
 
 CLAMPID = Path(sys.executable).parent / "clampid"
 

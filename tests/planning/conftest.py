@@ -6,6 +6,7 @@ import pytest
 
 from clampid.planning.free_air import plan_free_air
 from clampid.planning.logs import torque_noise_of
+from clampid.planning.program import LogWishes
 from experiments.plans import Cell, Limits, Plan, cell_of, limits_of, write_plan
 
 
@@ -21,7 +22,7 @@ def limits(cell: Cell) -> Limits:
 
 @pytest.fixture(scope="session")
 def free_air(cell: Cell, limits: Limits) -> Plan:
-    return plan_free_air(cell, limits, torque_noise_of(cell, None, None)[0], time=300.0)
+    return plan_free_air(cell, limits, torque_noise_of(cell, None, None)[0], LogWishes(time=300.0))
 
 
 @pytest.fixture

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from clampid.identification.identify import identify
-from clampid.planning.clamping import Press, plan_clamping, press_limits, stiffness_of
+from clampid.planning.clamping import ClampingWishes, plan_clamping
 from clampid.planning.logs import torque_noise_of
+from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.plan import plan as plan_verb
 from experiments.campaign import read_campaign
@@ -42,7 +43,7 @@ def held(cell: Cell, limits: Limits) -> Limits:
 
 @pytest.fixture(scope="module")
 def clamping(cell: Cell, held: Limits) -> Plan:
-    return plan_clamping(cell, held, torque_noise_of(cell, None, None)[0], press_of(cell), time=3000.0)
+    return plan_clamping(cell, held, torque_noise_of(cell, None, None)[0], press_of(cell), ClampingWishes(time=3000.0))
 
 
 def test_every_step_keeps_the_limits_worked_out_by_virtual_work(clamping: Plan, cell: Cell) -> None:
@@ -197,22 +198,22 @@ def test_promised_errors_hold_on_the_virtual_robot(clamping: Plan, tmp_path: Pat
 )
 def test_wrong_wishes_are_refused(cell: Cell, held: Limits, options: dict, words: str) -> None:
     with pytest.raises(PlanError, match=words):
-        plan_clamping(cell, held, torque_noise_of(cell, None, None)[0], press_of(cell), **options)
+        plan_clamping(cell, held, torque_noise_of(cell, None, None)[0], press_of(cell), ClampingWishes(**options))
 
 
 def test_a_time_that_is_too_short_is_told_the_least_that_is_not(cell: Cell, held: Limits) -> None:
     """All six joints take two clampings here; what one would take is above none of it."""
     noise, press = torque_noise_of(cell, None, None)[0], press_of(cell)
     with pytest.raises(PlanError, match="and a sweep of each joint") as refused:
-        plan_clamping(cell, held, noise, press, time=1.01 * press.clamping_time)
+        plan_clamping(cell, held, noise, press, ClampingWishes(time=1.01 * press.clamping_time))
     found = re.search(r"expected at least (\d+) s, for (one|\d+) clampings?", str(refused.value))
     assert found is not None
     enough = float(found[1]) + 1.0
-    made = plan_clamping(cell, held, noise, press, time=enough)
+    made = plan_clamping(cell, held, noise, press, ClampingWishes(time=enough))
     assert made.duration <= enough
     assert made.sweeps[-1].clamping == (1 if found[2] == "one" else int(found[2]))
     with pytest.raises(PlanError, match=f"at least {found[1]} s.*found {enough - 10:g} s"):
-        plan_clamping(cell, held, noise, press, time=enough - 10)
+        plan_clamping(cell, held, noise, press, ClampingWishes(time=enough - 10))
 
 
 def test_wrong_amplitudes_and_limits_are_refused(cell: Cell, limits: Limits, held: Limits) -> None:

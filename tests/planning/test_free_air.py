@@ -13,11 +13,12 @@ from clampid.planning import log_det
 from clampid.planning.expected import prior_precision
 from clampid.planning.free_air import plan_free_air
 from clampid.planning.logs import LogBench, torque_noise_of
+from clampid.planning.program import LogWishes
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.standard_sets import STANDARD
 from experiments.campaign import read_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError, cell_of, limits_of
 from experiments.plans.limits import course_of, motion_faults
 from experiments.plans.virtual import VirtualRobot, run_virtually
@@ -97,7 +98,7 @@ def test_what_cannot_be_known_is_said(free_air: Plan) -> None:
 def test_what_is_asked_decides_what_is_told(cell: Cell, limits: Limits) -> None:
     noise, _ = torque_noise_of(cell, 0.02, None)
     plan = plan_free_air(
-        cell, limits, noise, time=120.0, effects=("coulomb_friction@joint2", "viscous_friction@joint2")
+        cell, limits, noise, LogWishes(time=120.0, effects=("coulomb_friction@joint2", "viscous_friction@joint2"))
     )
     assert plan.expected is not None
     assert [p.name for p in plan.expected.parameters] == ["coulomb_friction.Fc@joint2", "viscous_friction.Fv@joint2"]
@@ -116,13 +117,13 @@ def test_what_is_asked_decides_what_is_told(cell: Cell, limits: Limits) -> None:
 def test_wrong_wishes_are_refused(cell: Cell, limits: Limits, options: dict, words: str) -> None:
     noise, _ = torque_noise_of(cell, None, None)
     with pytest.raises(PlanError, match=words):
-        plan_free_air(cell, limits, noise, **{"time": 60.0, **options})
+        plan_free_air(cell, limits, noise, LogWishes(**{"time": 60.0, **options}))
 
 
 def test_a_scene_that_leaves_no_room_is_refused(cell: Cell, limits: Limits) -> None:
     noise, _ = torque_noise_of(cell, None, None)
     with pytest.raises(PlanError, match="clear of floor and obstacles, found"):
-        plan_free_air(cell, limits, noise, time=60.0, scene=Scene(cell, floor=5.0))
+        plan_free_air(cell, limits, noise, LogWishes(time=60.0), scene=Scene(cell, floor=5.0))
 
 
 def test_missing_data_are_asked_for() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clampid.planning.returns import Returns, off_line, plan_cube, plan_fixed, plan_line
+from clampid.planning.returns import Cube, Returns, off_line, plan_cube, plan_fixed, plan_line
 from clampid.planning.scene import Obstacle, Scene
 from clampid.planning.visiting import Approach
 from clampid.planning.warm_up import WarmUp, plan_warm_up
@@ -45,7 +45,7 @@ def places(plan: Plan) -> dict[int, np.ndarray]:
 
 
 def test_five_poses_of_the_cube(cell: Cell, limits: Limits, scene: Scene) -> None:
-    plan = plan_cube(cell, limits, scene, wanted(), CENTRE, 0.4, cycles=3)
+    plan = plan_cube(cell, limits, scene, wanted(), Cube(CENTRE, 0.4), cycles=3)
     assert [(v.pose, v.visit) for v in plan.visits] == [(p, c) for c in (1, 2, 3) for p in (1, 5, 4, 3, 2)]
     # Plane C1-C2-C7-C8: x and y as in the cube, z falls with y; corners at 0.8 of half an edge.
     expected = {1: (0, 0, 0), 2: (-1, -1, 1), 3: (1, -1, 1), 4: (1, 1, -1), 5: (-1, 1, -1)}
@@ -54,12 +54,12 @@ def test_five_poses_of_the_cube(cell: Cell, limits: Limits, scene: Scene) -> Non
 
 
 def test_every_cycle_comes_from_the_same_side(cell: Cell, limits: Limits, scene: Scene) -> None:
-    plan = plan_cube(cell, limits, scene, wanted(), CENTRE, 0.4, cycles=4)
+    plan = plan_cube(cell, limits, scene, wanted(), Cube(CENTRE, 0.4), cycles=4)
     for pose in range(1, 6):
         directions = np.array([v.direction for v in plan.visits if v.pose == pose])
         assert np.all(directions == directions[0])
         assert np.all(directions != 0)
-    both = plan_cube(cell, limits, scene, wanted(one_side=False), CENTRE, 0.4, cycles=4)
+    both = plan_cube(cell, limits, scene, wanted(one_side=False), Cube(CENTRE, 0.4), cycles=4)
     for pose in range(1, 6):
         directions = np.array([v.direction for v in both.visits if v.pose == pose])
         assert np.array_equal(directions[0::2], -directions[1::2])
@@ -168,13 +168,13 @@ def test_the_runner_in_one_process_refuses_what_it_cannot(
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda c, k, s: plan_cube(c, k, s, wanted(), CENTRE, 3.0), "place 2 at -0.1, -1.2, 2.2 m out of reach"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(), np.full(3, 9.0), 0.4), "place 1 at 9, 9, 9 m out of reach"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(), CENTRE, -0.4), "an edge above 0 m"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(), CENTRE, 0.4, plane="e"), "plane: expected one of a, b, c, d"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(), CENTRE, 0.4, cycles=0), "cycles: expected 1 or more"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(targets=("T9",)), CENTRE, 0.4), "expected some of T1, T2, T3"),
-        (lambda c, k, s: plan_cube(c, k, s, wanted(way=np.zeros(3)), CENTRE, 0.4), "a direction for the flange"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(CENTRE, 3.0)), "place 2 at -0.1, -1.2, 2.2 m out of reach"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(np.full(3, 9.0), 0.4)), "place 1 at 9, 9, 9 m out of reach"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(CENTRE, -0.4)), "an edge above 0 m"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(CENTRE, 0.4, "e")), "plane: expected one of a, b, c, d"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(), Cube(CENTRE, 0.4), cycles=0), "cycles: expected 1 or more"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(targets=("T9",)), Cube(CENTRE, 0.4)), "expected some of T1, T2, T3"),
+        (lambda c, k, s: plan_cube(c, k, s, wanted(way=np.zeros(3)), Cube(CENTRE, 0.4)), "a direction for the flange"),
         (lambda c, k, s: plan_line(c, k, s, wanted(), ENDS, stops=1), "stops: expected 2 or more"),
         (lambda c, k, s: plan_line(c, k, s, wanted(), ENDS[[0, 0]]), "two different ends"),
         (lambda c, k, s: plan_line(c, k, s, wanted(), ENDS, repetitions=10_000), "at most 20000 visits"),

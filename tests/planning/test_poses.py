@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from clampid.identification.identify import identify
+from clampid.planning.direction_balance import balance_of
 from clampid.planning.directions import balanced, confounded, covariates_of
 from clampid.planning.pose_bench import PoseBench
-from clampid.planning.poses import PoseWishes, balance_of, plan_poses
+from clampid.planning.poses import PoseWishes, plan_poses
 from clampid.planning.reach import reaching
 from clampid.planning.region import Box, SpherePart, box_of, sphere_part_of
 from clampid.planning.sampling import configurations
@@ -26,7 +27,7 @@ from clampid.planning.tour import short_tour, tour_length
 from clampid.verbs.errors import is_wrong_input
 from clampid.verbs.plan import plan as plan_verb
 from experiments.campaign import read_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.plans import Cell, Limits, Plan, PlanError, Visit, cell_of, read_plan, write_plan
 from experiments.plans.limits import course_of
 from experiments.plans.validate import visit_course

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from clampid.identification.identify import identify
 from clampid.planning.logs import torque_noise_of
+from clampid.planning.program import LogWishes
 from clampid.planning.scene import Scene
 from clampid.planning.wrist import SWING_STOPS, Fact, directions, facts, plan_wrist
 from experiments.campaign import read_campaign
@@ -25,7 +26,7 @@ ALLOWED = {Fact("motor", 4), Fact("joint", 4), Fact("motor", 5), Fact("joint", 5
 
 @pytest.fixture(scope="module")
 def wrist(cell: Cell, limits: Limits) -> Plan:
-    return plan_wrist(cell, limits, torque_noise_of(cell, None, None)[0], time=300.0)
+    return plan_wrist(cell, limits, torque_noise_of(cell, None, None)[0], LogWishes(time=300.0))
 
 
 def swings(plan: Plan) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -113,7 +114,7 @@ def test_a_robot_without_coupling_has_no_wrist_program(name: str) -> None:
 
 def test_too_little_time_says_how_much_it_takes(cell: Cell, limits: Limits) -> None:
     with pytest.raises(PlanError, match=r"expected at least \d+ s, to show once everything"):
-        plan_wrist(cell, limits, torque_noise_of(cell, None, None)[0], time=20.0)
+        plan_wrist(cell, limits, torque_noise_of(cell, None, None)[0], LogWishes(time=20.0))
 
 
 def identified(plan: Plan, folder: Path, seed: int) -> list[float]:

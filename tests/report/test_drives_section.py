@@ -8,7 +8,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.charts import Cells, Line, Points
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.drives import drives_of
 from clampid.report.drives import drives_section
 from clampid.report.loops import loops_figure
@@ -22,7 +22,7 @@ from experiments.simulate import simulate
 def data(tmp_path_factory: pytest.TempPathFactory) -> StageData:
     folder = simulate(tmp_path_factory.mktemp("drives") / "arm", seed=5, tables=("clamped",))
     campaign = read_campaign(folder)
-    return stage_data(reopen(identify(campaign), campaign))["clamped"]
+    return stage_data(on_campaign(identify(campaign), campaign))["clamped"]
 
 
 def test_slopes_and_clearances_are_where_the_loops_are(data: StageData):

@@ -9,7 +9,7 @@ import numpy as np
 
 from clampid.charts import Points
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.report.stage_data import StageData, stage_data
 from clampid.report.style import Figure
 from clampid.report.where import where_section
@@ -29,7 +29,7 @@ def section(rows: tuple[int, ...]) -> tuple[StageData, Figure]:
     table.loc[list(rows), "x_m"] += 5e-3
     campaign: Campaign = replace(made, tables={"poses": table})
     model = identify(campaign)
-    data = stage_data(reopen(model, campaign))["poses"]
+    data = stage_data(on_campaign(model, campaign))["poses"]
     found = where_section({"poses": data}, 0)
     assert found is not None
     return data, next(b for b in found.blocks if isinstance(b, Figure) and b.selector is not None)

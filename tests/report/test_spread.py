@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.report.spread import HeldOut, Spread, held_out, spread_of, spread_sentences, spread_table
 from clampid.report.stage_data import stage_data
 from experiments.campaign import read_campaign, write_campaign
@@ -87,7 +87,7 @@ def test_what_is_held_out_is_what_the_ledger_counts(tmp_path: Path) -> None:
     write_campaign(tmp_path / "arm", made.header, made.tables)
     campaign = read_campaign(tmp_path / "arm")
     model = identify(campaign, ("geometry",))
-    data = stage_data(reopen(model, campaign))["poses"]
+    data = stage_data(on_campaign(model, campaign))["poses"]
     found = held_out(data)
     assert found is not None
     assert not found.counts[[3, 9]].any()

@@ -9,7 +9,7 @@ import pytest
 
 from clampid.charts import Band, Line
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.report.friction import friction_figures
 from clampid.report.stage_data import stage_data
 from clampid.report.torque import torque_section
@@ -28,7 +28,7 @@ def drawn(tmp_path_factory):
     folder = tmp_path_factory.mktemp("torques") / "campaign"
     write_campaign(folder, made.header, made.tables)
     campaign = read_campaign(folder)
-    data = stage_data(reopen(identify(campaign), campaign))
+    data = stage_data(on_campaign(identify(campaign), campaign))
     return data["free_air"], made.truth.plant, {f.key: f for f in torque_section(data).blocks}
 
 

@@ -14,7 +14,8 @@ import pytest
 
 from clampid.catalogue import with_user_effects
 from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.fitting.fit import fit
 from clampid.identification.carried import is_load
 from clampid.identification.fitted_stage import active_slots

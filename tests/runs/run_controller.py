@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from clampid.planning.clamping import Press, planned_sweep, press_limits, stiffness_of
+from clampid.planning.clamping import planned_sweep
+from clampid.planning.press import Press, press_limits, stiffness_of
 from experiments.instruments import connect_instrument
 from experiments.links.address import open_link
 from experiments.plans import Cell, Course, Limits, Plan, Run, Sweep, Visit

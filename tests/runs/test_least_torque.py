@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from run_controller import CLAMPED, Controller, clamping_plan
 
-from clampid.planning.clamping import Press, stiffness_of
 from clampid.planning.least_torque import search_for
+from clampid.planning.press import Press, stiffness_of
 from experiments.plans import Cell, Limits, Plan, read_plan, write_plan
 from experiments.plans.press import rated_motor_torque
 from experiments.runs.errors import RunStopped

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.campaign import read_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.second_world import draw_robot, measure
 from experiments.signals import stale_rows
 

@@ -43,6 +43,6 @@ def test_friction_by_another_joints_load_is_found_at_its_motor(tmp_path: Path) -
     log = diagnose(identify(campaign), campaign).stages["free_air"]
     assert log.verdict == "unknown"
     assert set(log.depends_on) == {"qd1", "tau2"}
-    assert log.look is not None
-    assert log.look.probe is not None
-    assert log.look.probe.candidate.places == ("motor1",)
+    assert log.scores is not None
+    assert log.scores.probe is not None
+    assert log.scores.probe.candidate.places == ("motor1",)

@@ -13,7 +13,7 @@ from clampid.comparison.compare import compare
 from clampid.comparison.compensation import compensation_of, put_right
 from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
 from clampid.slots import Slot
 from experiments.campaign import Campaign
@@ -82,7 +82,7 @@ def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
 @pytest.mark.parametrize(("mistake", "left"), [("sign", 1.1), ("degrees", 4.0)])
 def test_a_campaign_is_put_right(mistake: str, left: float, model: Model, arm):
     """The robot was sent there, within what its springs and weights are known to."""
-    asked, sent = reopen(model, arm("none")), reopen(model, arm(mistake))
+    asked, sent = on_campaign(model, arm("none")), on_campaign(model, arm(mistake))
     found, nothing = compensation_of(sent), compensation_of(asked)
     assert found is not None
     assert nothing is not None
@@ -122,5 +122,5 @@ def test_a_good_model_has_no_mistake(model: Model, calibration: Campaign):
 
 def test_a_model_without_springs_has_nothing_to_compensate(calibration: Campaign):
     rigid = identify(calibration, {"poses": ["geometry"]})
-    assert compensation_of(reopen(rigid, calibration)) is None
+    assert compensation_of(on_campaign(rigid, calibration)) is None
     assert "compensation" not in compare(rigid, calibration).to_json()

@@ -21,7 +21,8 @@ from clampid.comparison.compare import compare
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import probes
 from clampid.diagnosis.unknown_shape import _width, shape_of
-from clampid.evidence.score import score, space_of
+from clampid.evidence.score import score
+from clampid.evidence.space import space_of
 from clampid.exports.dh_export import calibrated_chain
 from clampid.fitting.fit import fit
 from clampid.identification.fitted_stage import fit_stage
@@ -30,7 +31,7 @@ from clampid.models.model import load_model, save_model
 from clampid.slots import Term
 from clampid.stages.layout import layout_of
 from experiments.simulate import hidden_file
-from offline_ik.arm import Conditions, IdentifiedArm, arm_of
+from offline_ik.arm.identified import Conditions, IdentifiedArm, arm_of
 
 NEAR = 1.15  # of the noise floor: what a smooth shape leaves of a sharp one, and what its factors cost
 AMPLITUDE = 2e-4  # rad

@@ -1,0 +1,281 @@
+"""What a fit leaves, scored by both dictionaries, each with its null, and the best of each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from clampid.diagnosis.drift import blocks_of_visits
+from clampid.diagnosis.folds import stability_folds
+from clampid.diagnosis.next_measurement import SAME
+from clampid.diagnosis.probes import probes
+from clampid.effect import Effect, EffectError
+from clampid.evidence.candidates import Candidate, columns_of, named_candidates
+from clampid.evidence.events import event_scores
+from clampid.evidence.scan import scan
+from clampid.evidence.score import Flips, Scored, canonical, explained_together, flip_maxima, score
+from clampid.evidence.space import Space, space_of
+from clampid.fitting.solve import Estimate
+from clampid.stages.experiment import parameter_of
+from clampid.stages.rows import Integers, Rows
+from kinematics.description import RobotDescription
+
+__all__ = [
+    "ABLE",
+    "ALIASED",
+    "CONFUSABLE",
+    "FEWEST_FLIPS",
+    "IMPOSSIBLE",
+    "RATE",
+    "CandidateScores",
+    "of_other_families",
+    "refuse_few_flips",
+    "rivals_of",
+    "scores_of",
+    "simplest_of",
+    "variants_of",
+]
+
+RATE = 0.025  # false alarms of each dictionary; named effects and probes share 5 %
+CONFUSABLE = 0.8  # squared canonical correlation above which both are named: apart they are a fifth of what either is
+SHARED = 0.5  # above which they have more in common than not, so that one may be taken for the other if not linear
+ALIASED = 0.999  # above which they are one
+STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
+IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
+VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further number (Kass and Raftery, 1995)
+BY_CHANCE = 0.01
+WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
+ABLE = ("testable", "weak")
+
+
+FEWEST_FLIPS = math.ceil(1.0 / RATE) - 1
+"""With fewer, the least p that they can give is above the level, and nothing is ever found to be missing."""
+
+
+def refuse_few_flips(flips: int) -> None:
+    """Refuse fewer sign flips than the level of the test needs.
+
+    Raises
+    ------
+    EffectError
+        With the number that would do.
+    """
+    if flips < FEWEST_FLIPS:
+        raise EffectError(
+            f"flips: expected at least {FEWEST_FLIPS}, found {flips}: with so few, p cannot fall below 1/{flips + 1}, "
+            f"and the test's level is {RATE:g}, so that no effect could be confirmed"
+        )
+
+
+@dataclass(frozen=True)
+class CandidateScores:
+    """The scores of both dictionaries on what a fit leaves, with their nulls."""
+
+    space: Space
+    named: list[Scored]
+    free: list[Scored]
+    named_null: Flips
+    free_null: Flips
+    probe: Scored | None
+    folds: Integers
+
+    def best(self, rejected: Collection[str] = ()) -> Scored | None:
+        """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
+        best = _best([s for s in self.named if s.candidate.label not in rejected], self.named_null)
+        return best if best is not None and self.named_null.p_familywise(best.log_p) <= RATE else None
+
+    def standing_out(self, rejected: Collection[str] = ()) -> list[Scored]:
+        """All names that stand out of their null and pay for their numbers, but for the labels of those rejected."""
+        return [s for s in _standing_out(self.named, self.named_null) if s.candidate.label not in rejected]
+
+    @property
+    def remembered(self) -> CandidateScores:
+        """What a verdict says of it later, without what is as large as its rows."""
+        return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0].copy())
+
+    @property
+    def fires(self) -> bool:
+        """Whether the best probe stands out of its null."""
+        return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
+
+    def only_stands_in(self, best: Scored) -> bool:
+        """Whether a name only stands in for something else, which a probe says better.
+
+        It explains so much less than the probe, and nothing beside it: of errors of several joints a name may say one,
+        and the probe another; and of two effects, which two names say together, a flexible probe may say much at once.
+        Or it can follow nearly anything, and the probe is a simple one.
+        """
+        if not self.fires or self.probe is None or self.probe.bic - best.bic <= SAME:
+            return False
+        if best.candidate.sized_by is not None and self.probe.candidate.prior is None:
+            return True
+        less = best.explained < STANDS_IN * self.probe.explained
+        if not less or explained_together(self.space, best, self.probe) - self.probe.explained >= SAME:
+            return False
+        return not any(
+            explained_together(self.space, best, s) - best.cost - s.cost >= self.probe.bic
+            for s in self.named
+            if s is not best and s.freedom and s.state in ABLE and s.bic > 0 and s.candidate.prior is None
+        )
+
+
+def scores_of(
+    estimate: Estimate,
+    effects: dict[str, Effect],
+    flips: int,
+    seed: int,
+    granted: Sequence[Candidate] = (),
+    block: int = 1,
+) -> CandidateScores:
+    """Score both dictionaries on what a fit leaves, with their nulls.
+
+    Parameters
+    ----------
+    flips, seed
+        How many sign flips make a null, and their stream; the probes' is the next one.
+    granted
+        Candidates that are not fitted, and what they could explain is no evidence of anything else.
+    block
+        Of poses: how many consecutive visits the null flips together.
+    """
+    space = space_of(estimate, blocks_of_visits(estimate.experiment.rows, block)).beside(columns_of(estimate, granted))
+    free = score(space, probes(estimate))
+    free_null = flip_maxima(space, free, flips, seed + 1)
+    free = [s.remembered for s in free]
+    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
+    named = score(space, named_candidates(estimate, effects, fired))
+    events = event_scores(estimate, space, effects)
+    named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
+    named = [s.remembered for s in named] + events
+    local = scan(estimate, space, effects, flips, seed)
+    named, named_null = named + local, named_null.joined(1, seed + 2) if local else named_null
+    robot = estimate.experiment.rows.robot
+    named = [s if _plausible(s, effects, robot, space.scale) else replace(s, state="implausible") for s in named]
+    named = [replace(s, state="absent") if _without_weight(s, effects, estimate.experiment.rows) else s for s in named]
+    folds = stability_folds(estimate.experiment.rows)[estimate.whitened.entry]
+    return CandidateScores(space, named, free, named_null, free_null, _best(free, free_null), folds)
+
+
+def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
+    """The first of those that stand out of their null and pay for their numbers; where none does, the first of all.
+
+    Not all rows have the noise that the score takes them to have: what acts where there is more of it explains much by
+    chance, as its own flips say, and is not to stand before what does not.
+    """
+    able = [s for s in scored if s.freedom and s.state in ABLE]
+    return max(_standing_out(able, null) or able, key=lambda s: s.bic, default=None)
+
+
+def _standing_out(scored: Sequence[Scored], null: Flips) -> list[Scored]:
+    able = [s for s in scored if s.freedom and s.state in ABLE]
+    return [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= RATE]
+
+
+def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:
+    """Whether it would hold the weight at joints that bear none in any row."""
+    if not effects[s.candidate.name].holds_weight:
+        return False
+    bears = np.abs(rows.signals["regressor"]).max(axis=(0, 2), initial=0.0)
+    joints = [int(place.removeprefix("joint")) - 1 for place in s.candidate.places]
+    return bool(np.all(bears[joints] <= WEIGHTLESS * bears.max(initial=0.0)))
+
+
+def _plausible(s: Scored, effects: Mapping[str, Effect], robot: RobotDescription, scale: float) -> bool:
+    """Whether what the score makes of the parameters is something they can be: of a possible size and sign."""
+    value, spread = s.value, SURE * scale * s.spread
+    parameters = [parameter_of(slot, effects, robot) for slot in s.candidate.slots]
+    if any(abs(v) - sd > IMPOSSIBLE * p.size for p, v, sd in zip(parameters, value, spread, strict=True)):
+        return False
+    if len(s.candidate.terms) > 1:  # of several places, one step from zero may put a few on the wrong side
+        return True
+    # So it may of several parts of one whole, which are all of one sign and unit: these are judged by their mean.
+    parts: dict[tuple[str, tuple[float, float]], list[int]] = {}
+    for k, p in enumerate(parameters):
+        parts.setdefault((p.unit, p.bounds), []).append(k)
+    means = [(bounds, value[k].mean(), spread[k].mean()) for (_, bounds), k in parts.items()]
+    return all(v + sd >= lower and v - sd <= upper for (lower, upper), v, sd in means)
+
+
+def rivals_of(space: Space, named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
+    """Other effects, or other places, that explain as well what the best one does."""
+    found: dict[tuple[str, tuple[str, ...]], Scored] = {}
+    behind: list[Scored] = []
+    mine, there = set(best.candidate.terms), set(best.candidate.places)
+    for other in sorted(named, key=lambda s: -s.bic):
+        theirs = set(other.candidate.terms)
+        if (
+            other is best
+            or other.state not in ABLE
+            or theirs <= mine
+            or mine <= theirs
+            or other.candidate.label in rejected
+        ):
+            continue
+        overlaps = other.candidate.family == best.candidate.family and there & set(other.candidate.places)
+        if overlaps or other.candidate.is_variant_of(best.candidate):
+            continue  # one effect there, whichever of its variants and wherever else, is one verdict
+        if other.explained < best.explained - SAME - other.freedom:
+            continue
+        if other.bic < best.bic - SAME:
+            continue  # what needs more numbers explains what the simpler one does, and is no rival for it
+        if canonical(best, other) <= CONFUSABLE or explained_together(space, best, other) - other.explained >= SAME:
+            continue
+        if other.freedom > best.freedom and other.bic < best.bic - VERY_STRONG:
+            behind.append(other)
+        else:
+            found.setdefault((other.candidate.family, other.candidate.places), other)
+    # What has more numbers and is so far behind is no rival either, but for what is the same by the rows as the best
+    # one or a rival of it: they say nothing against its numbers.
+    for other in behind:
+        if any(canonical(one, other) > ALIASED for one in (best, *found.values())):
+            found.setdefault((other.candidate.family, other.candidate.places), other)
+    kept = [
+        s for s in found.values() if not any(set(o.candidate.terms) < set(s.candidate.terms) for o in found.values())
+    ]
+    return kept[:4]
+
+
+def variants_of(named: Sequence[Scored], best: Scored) -> list[Scored]:
+    """Other variants of the best candidate, at the same places, that explain much of the same."""
+    mine = best.candidate
+    own = [s for s in named if s.candidate.name != mine.name and s.candidate.is_variant_of(mine)]
+    return _alike(own, best, lambda c: c.name)
+
+
+def simplest_of(named: Sequence[Scored], best: Scored) -> Scored:
+    """The best candidate, or the variant of it with the fewest numbers, if the others explain no more than by chance.
+
+    Where no fit decides between variants, a drift is named only if it is seen: that its size explains something beside
+    the offset it comes with, chance does once in a hundred times.
+    """
+    own = [s for s in named if s.candidate.is_variant_of(best.candidate) and s.state in ABLE and s.bic > 0]
+    simpler = [
+        s
+        for s in own
+        if s.freedom < best.freedom
+        and canonical(best, s) > ALIASED
+        and best.explained - s.explained < float(stats.chi2.isf(BY_CHANCE, best.freedom - s.freedom))
+    ]
+    return min(simpler, key=lambda s: (s.freedom, -s.bic), default=best)
+
+
+def of_other_families(named: Sequence[Scored], best: Scored, rejected: Collection[str]) -> list[Scored]:
+    """What shares most with the best candidate and is of another family: the best of each, whatever its score."""
+    mine = best.candidate
+    others = [s for s in named if s.candidate.family != mine.family and not s.candidate.is_variant_of(mine)]
+    return _alike([s for s in others if s.candidate.label not in rejected], best, lambda c: c.family, SHARED)
+
+
+def _alike(
+    scored: Sequence[Scored], best: Scored, kind: Callable[[Candidate], str], above: float = CONFUSABLE
+) -> list[Scored]:
+    """Of those that explain much of the same as the best one and pay for their numbers, the first of each kind."""
+    found: dict[str, Scored] = {}
+    for other in sorted(scored, key=lambda s: -s.bic):
+        if other.state in ABLE and other.bic > 0 and canonical(best, other) > above:
+            found.setdefault(kind(other.candidate), other)
+    return list(found.values())

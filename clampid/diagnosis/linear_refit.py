@@ -1,0 +1,131 @@
+"""What an alternative would bring on rows that no fit has seen, without fitting it: a Gauss-Newton step, no search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clampid.diagnosis.next_measurement import SAME
+from clampid.evidence.score import Scored
+from clampid.fitting.descent import newton_step
+from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate, limits_of
+from clampid.stages.rows import Array, Integers
+
+__all__ = ["Step", "linear_refit", "step_towards"]
+
+
+def linear_refit(estimate: Estimate, s: Scored) -> Estimate | None:
+    """The estimate with a candidate fitted along, linear about the fit without; None of what is no amplitude of rows.
+
+    Noise and covariance stay those of the fit without it: it is there to predict, not to be reported.
+    """
+    c, white = s.candidate, estimate.whitened
+    if estimate.experiment.effects[c.name].event is not None or set(c.slots) & set(estimate.slots):
+        return None
+    shapes = {slot: value for slot, value in c.shapes.items() if slot not in estimate.slots}
+    experiment = estimate.experiment.with_slots((*estimate.slots, *c.slots, *shapes))
+    count, new, whole = len(estimate.slots), len(c.slots), len(estimate.slots) + len(c.slots) + len(shapes)
+    old = np.r_[np.arange(count), np.arange(whole, whole + len(estimate.theta) - count)]
+    theta, mean = np.zeros(len(old) + whole - count), np.zeros(len(old) + whole - count)
+    theta[old], mean[old] = estimate.theta, estimate.prior_mean
+    theta[count:whole] = mean[count:whole] = [*np.zeros(new), *shapes.values()]
+    precision = np.diag(1.0 / experiment.prior_std() ** 2)
+    if c.prior is not None:
+        precision[range(count, count + new), range(count, count + new)] = 1.0 / c.prior**2
+    precision[np.ix_(old, old)] = estimate.prior_precision
+    at, D = np.arange(count, count + new), c.columns.dense(len(white.residual))
+    normal, moment = np.zeros_like(precision), precision @ (mean - theta)
+    cross = white.jacobian.T @ np.c_[D, white.residual]
+    normal[np.ix_(old, old)] += white.normal
+    normal[np.ix_(old, at)] += cross[:, :-1]
+    normal[np.ix_(at, old)] += cross[:, :-1].T
+    normal[np.ix_(at, at)] += D.T @ D
+    moment[old] += cross[:, -1]
+    moment[at] += D.T @ white.residual
+    free = np.ones(len(theta), dtype=bool)
+    free[old] = ~limits_of(estimate.experiment).resting(estimate.theta)
+    step = newton_step(normal + precision, moment, experiment.sizes(), 0.0, free)
+    left = white.residual - white.jacobian @ step[old] - D @ step[at]
+    joined = _Joined(white, D, normal, old, at)
+    return replace(
+        estimate,
+        experiment=experiment,
+        theta=theta + step,
+        whitened=Whitened(left, joined, white.entry, white.channel),
+        prior_precision=precision,
+        prior_mean=mean,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Joined:
+    """The Jacobian of a fit and a candidate's columns D ``(M, k)`` in it: :class:`clampid.fitting.noise.Late`.
+
+    ``old`` and ``at`` say which parameters are the fit's and the candidate's; J'J is ``square``.
+    """
+
+    white: Whitened
+    D: Array
+    square: Array
+    old: Integers
+    at: Integers
+
+    def dense(self) -> Array:
+        """J ``(M, P)``."""
+        out = np.zeros((len(self.D), len(self.square)))
+        out[:, self.old], out[:, self.at] = self.white.jacobian, self.D
+        return out
+
+    def normal(self) -> Array:
+        """J'J ``(P, P)``."""
+        return self.square
+
+
+@dataclass(frozen=True)
+class Step:
+    """One Gauss-Newton step towards a candidate.
+
+    Attributes
+    ----------
+    near
+        The estimate there, as it would be if everything were linear.
+    promised, kept
+        By how much the whitened squares of the fitted rows fall if everything is linear, and by how much they do.
+    """
+
+    near: Estimate
+    promised: float
+    kept: float
+
+    @property
+    def falls(self) -> bool:
+        """Whether the step lowers the error of the very rows it was found from."""
+        return self.kept > 0.0
+
+    @property
+    def linear(self) -> bool:
+        """Whether the score, which is that of a linear model, says what the candidate explains."""
+        return abs(self.kept - self.promised) <= SAME
+
+    def may_reach(self, other: Step | None) -> bool:
+        """Whether a search from here may explain as much as the other does, as far as the curvature met tells."""
+        return other is None or max(self.kept, self.promised) + abs(self.kept - self.promised) >= other.kept
+
+
+def step_towards(estimate: Estimate, s: Scored) -> Step | None:
+    """A step towards a candidate and what it keeps of its promise; None of what is no amplitude of rows.
+
+    A gap that closes, or a time constant, is not linear: then only a search tells.
+    """
+    near = linear_refit(estimate, s)
+    if near is None:
+        return None
+    trial = near.experiment.with_flanks(near.theta)
+    residual = trial.error(limits_of(trial).clipped(near.theta))
+    if not np.all(np.isfinite(residual)):
+        return Step(near, 0.0, -np.inf)
+    white = near.noise.whiten(trial.rows, residual, np.zeros((*residual.shape, 0)))
+    before, linear = estimate.point.cost, float(near.whitened.residual @ near.whitened.residual)
+    return Step(near, before - linear, before - float(white.residual @ white.residual))

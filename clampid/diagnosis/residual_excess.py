@@ -1,0 +1,146 @@
+"""Where nothing is confirmed though the error lies above the noise floor: by how much, what cannot be seen, and why.
+
+Also the joints that were approached or moved from one side only, of which an error that has a side cannot be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from clampid.diagnosis.candidate_scores import ABLE
+from clampid.display import counted
+from clampid.effect import Effect
+from clampid.evidence.score import Scored
+from clampid.signals import SIGNALS
+from clampid.stages.rows import Rows
+
+__all__ = ["EXCESS_FACTOR", "OneSided", "excess_over_floor", "one_sided", "one_sided_words", "unseen_by_probes"]
+
+EXCESS_FACTOR = 1.3  # noise floors: of an error that is farther above, two fifths of the square are no noise
+FEW = 3  # visits or blocks from a side: fewer do not show an error that has a side
+SIDES = frozenset(name for name, known in SIGNALS.items() if known.sided)
+WHY_FLOOR = {
+    "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
+    "instrument": "the floor is the instrument's stated noise alone, and may be too low: measure some poses again "
+    "later, from the same side",
+    "regression": "a regression on rigid-body dynamics and friction predicts these torques better than the model does, "
+    "so that the model lacks an effect that these rows determine",
+    "log": "the floor is the noise from row to row alone; slower noise is not in it",
+}
+
+
+@dataclass(frozen=True)
+class OneSided:
+    """A joint that came, or moved, from one side only.
+
+    Attributes
+    ----------
+    joint
+        From 1.
+    side
+        +1 or -1; 0 where nobody recorded any.
+    other
+        How many visits or blocks there are from the other side, fewer than :data:`FEW`.
+    """
+
+    joint: int
+    side: int
+    other: int
+
+    def to_json(self) -> dict[str, int]:
+        """For programs."""
+        return {"joint": self.joint, "side": self.side, "from_the_other": self.other}
+
+
+def one_sided(rows: Rows) -> list[OneSided]:
+    """The joints of used rows that came, or moved, from one side only; of those that moved at all."""
+    name: Literal["direction", "joint_motion"] = "direction" if rows.stage == "poses" else "joint_motion"
+    if rows.stage == "clamped" or name not in rows.signals:  # every sweep goes both ways
+        return []
+    used = rows.used.any(axis=1)
+    sign, unit = np.sign(rows.signals[name][used]), rows.unit[used]
+    found = []
+    for j in range(sign.shape[1]):
+        counts = [len(np.unique(unit[sign[:, j] == side])) for side in (1.0, -1.0)]
+        if min(counts) >= FEW or (rows.stage == "free_air" and max(counts) == 0):
+            continue
+        side = 0 if max(counts) == 0 else 1 if counts[0] >= counts[1] else -1
+        found.append(OneSided(j + 1, side, min(counts)))
+    return found
+
+
+def one_sided_words(found: Sequence[OneSided], rows: Rows, effects: Mapping[str, Effect]) -> str:
+    """For people: the joints, and which effects depend on the side, so that they are not identifiable there; or empty.
+
+    A side that every one of the joints has is said once.
+    """
+    if not found:
+        return ""
+    names = sorted(n for n, e in effects.items() if rows.stage in e.stages and SIDES & set(e.needs))
+    what = "approached" if rows.stage == "poses" else "moved"
+    many, was = ("s", "were") if len(found) > 1 else ("", "was")
+    said = {1: "+", -1: "-", 0: "not recorded"}
+    if {f.side for f in found} == {0}:
+        joints, why = ", ".join(str(f.joint) for f in found), "whose directions were not recorded"
+        mend = "record the direction of approach" if rows.stage == "poses" else "record the direction of motion"
+    else:
+        joints = ", ".join(f"{f.joint} ({said[f.side]})" for f in found)
+        why, mend = f"which {was} {what} from one side only", "measure from the other side, too"
+    return (
+        f"Direction-dependent effects ({', '.join(names).replace('_', ' ')}) cannot be identified at joint{many} "
+        f"{joints}, {why}: {mend}."
+    )
+
+
+def unseen_by_probes(free: Sequence[Scored]) -> dict[str, list[str]]:
+    """Place → variables on which an error there could depend unseen, for the model takes up nearly all of it."""
+    able: dict[str, set[str]] = {}
+    blind: dict[str, dict[str, None]] = {}
+    for s in free:
+        for place in s.candidate.places[:1]:
+            if s.state in ABLE and s.state != "weak":
+                able.setdefault(place, set()).update(s.candidate.depends_on)
+            else:
+                blind.setdefault(place, {}).update(dict.fromkeys(s.candidate.depends_on))
+    left = {place: [v for v in variables if v not in able.get(place, set())] for place, variables in blind.items()}
+    return {place: variables for place, variables in left.items() if variables}
+
+
+def excess_over_floor(
+    after: float, floor: float, source: str, outliers: int, free: Sequence[Scored], few: float = 1.0
+) -> dict[str, Any] | None:
+    """By how much a held-out error lies above its floor, and what may be the reason; None where it does not.
+
+    Parameters
+    ----------
+    after, floor
+        In the stage's unit.
+    source
+        Where the floor is known from.
+    outliers
+        How many rows were rejected.
+    free
+        The probes, scored on what the fit leaves.
+    few
+        How many times the floor the error may be for the error of the estimates alone, where the rows are few.
+    """
+    if not after > EXCESS_FACTOR * floor or not floor > 0:
+        return None
+    reasons = [WHY_FLOOR[source], "robot or instrument may have drifted, or noise may be larger in some places"]
+    if few > 1.0:
+        reasons.insert(
+            0, f"the poses are few: the error of the estimates alone brings the floor to {few:.2g} times itself"
+        )
+    if outliers:
+        reasons.append(f"{counted(outliers, 'row', 'was')} rejected as outliers, and others may be wrong by less")
+    reasons.append("effects below their detection limits, or that cannot be tested here, may add up")
+    return {
+        "times_floor": after / floor,
+        "share_of_square": max(1.0 - (few * floor / after) ** 2, 0.0),
+        "reasons": reasons,
+        "unseen": unseen_by_probes(free),
+    }

@@ -1,0 +1,129 @@
+"""What planned sweeps of a clamped arm would say of springs, clearances and friction: the information of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+from scipy import linalg
+
+from clampid.catalogue import catalogue
+from clampid.planning.bench import imagined
+from clampid.planning.expected import prior_precision
+from clampid.planning.logs import TorqueNoise
+from clampid.planning.press import Press
+from clampid.slots import parse_term, slots_of_terms
+from clampid.stages.clamped_rows import GAP_SOFTNESS, clamped_rows
+from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.layout import layout_of
+from clampid.stages.rows import Array, Rows
+from experiments.plans.errors import PlanError
+from experiments.plans.model import Cell, Sweep
+from experiments.plans.press import holding_torque
+
+__all__ = ["PAUSE_S", "ClampingBench", "cost_of", "duration_of"]
+
+PAUSE_S = 20.0  # between sweeps
+CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
+
+
+class ClampingBench:
+    """Finds what sweeps tell about a set of parameters."""
+
+    def __init__(self, cell: Cell, noise: TorqueNoise, press: Press, wanted: Sequence[str]) -> None:
+        self.cell, self.noise, self.press = cell, noise, press
+        effects = catalogue()
+        n = cell.robot.n
+        still = Sweep(1, 0, np.zeros(n), 1e-3 * np.array([1.0, 2.0, 1.0, 0.0]), 1.0, np.zeros(4), np.zeros(4))
+        blank = imagined(cell, clamped=self._table([still]))
+        self.layout = layout_of([blank])
+        terms = [parse_term(name, effects, self.layout) for name in wanted]
+        for term in terms:
+            if "clamped" not in effects[term.effect].stages:
+                acts = ", ".join(effects[term.effect].stages)
+                raise PlanError(f"effect {term.effect} does not act in clamped; it does in: {acts}")
+        if not any("compliance" in effects[term.effect].roles for term in terms):
+            raise PlanError("effects: expected joint_compliance among them: without springs a clamped drive is rigid")
+        self.slots = slots_of_terms(terms, effects, self.layout, "clamped")
+        self.experiment: Experiment = experiment(clamped_rows([blank], self.layout), effects, self.slots)
+        self.size = self.experiment.sizes()[: len(self.slots)]
+        self.scale = np.outer(self.size, self.size)
+        self.prior = prior_precision(self.experiment) * self.scale
+
+    def _table(self, sweeps: Sequence[Sweep]) -> pd.DataFrame:
+        """Sweeps as a campaign has them, with the torques of springs as described."""
+        robot, n = self.cell.robot, self.cell.robot.n
+        T = np.asarray(robot.transmission)
+        parts = []
+        for number, sweep in enumerate(sweeps, 1):
+            dq = np.zeros((len(sweep.offset), n))
+            dq[:, sweep.joint] = sweep.offset
+            motor = (sweep.posture + dq) @ np.linalg.inv(T)
+            tau = self._load(sweep.posture) @ T.T + (dq @ np.linalg.inv(T)) * self.press.stiffness
+            data = {"sweep": number, "joint": sweep.joint + 1, "time_s": sweep.dwell * np.arange(1.0, len(dq) + 1)}
+            data |= {f"motor{i + 1}_rad": motor[:, i] for i in range(n)}
+            data |= {f"tau{i + 1}_Nm": tau[:, i] for i in range(n)}
+            parts.append(pd.DataFrame(data))
+        return pd.concat(parts, ignore_index=True)
+
+    def _load(self, posture: Array) -> Array:
+        cell = self.cell
+        return holding_torque(cell.robot, posture, cell.gravity, cell.tool_mass, cell.tool_com)
+
+    def tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
+        """Information ``(P, P)``, SI, of each sweep, its own unknown posture taken off."""
+        out: list[Array] = []
+        for start in range(0, len(sweeps), CHUNK):
+            out += self._tell(sweeps[start : start + CHUNK])
+        return out
+
+    def _tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
+        rows = clamped_rows([imagined(self.cell, clamped=self._table(sweeps))], self.layout)
+        ratio = np.abs(np.diag(np.asarray(self.cell.robot.transmission)))
+        soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))
+        rows = replace(rows, signals={**rows.signals, "rest_direction": soft})
+        _, jacobian = self.experiment.with_rows(rows).residual(self._theta(rows, sweeps))
+        count, run = len(self.slots), rows.constants["run"]
+        out = []
+        for number in range(len(sweeps)):
+            own = np.flatnonzero(rows.constants["offset_keys"][:, 0] == number) + count
+            columns = np.r_[np.arange(count), own]
+            information = np.zeros((len(columns), len(columns)))
+            for channel in range(jacobian.shape[1]):
+                at = np.flatnonzero((run == number) & rows.used[:, channel])
+                if len(at):
+                    white = self.noise.white(rows.constants["time"][at], jacobian[at, channel][:, columns])
+                    white = white / self.noise.sigma[channel]
+                    information += white.T @ white
+            A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
+            out.append(A - B @ linalg.pinvh(C, rtol=1e-12) @ B.T)
+        return out
+
+    def _theta(self, rows: Rows, sweeps: Sequence[Sweep]) -> Array:
+        """Springs as described, everything else as usual, and the posture at which each sweep was clamped."""
+        theta = np.zeros(len(self.slots) + rows.offsets)
+        start = self.experiment.start()
+        for k, slot in enumerate(self.slots):
+            theta[k] = start[k]
+            if self.experiment.parameters[k].role == "compliance":
+                theta[k] = 1.0 / self.press.stiffness[int(slot.place.removeprefix("joint")) - 1]
+            elif self.experiment.parameters[k].role == "clearance":
+                theta[k] = self.size[k]
+        T = np.asarray(self.cell.robot.transmission)
+        C = T.T @ (T / self.press.stiffness[:, None])
+        for k, (sweep, joint) in enumerate(rows.constants["offset_keys"]):
+            posture, reference = sweeps[sweep].posture, rows.constants["reference"][sweep]
+            theta[len(self.slots) + k] = (posture - reference - C @ self._load(posture))[joint]
+        return theta
+
+
+def cost_of(sweep: Sweep) -> float:
+    """Seconds that a sweep takes, with the pause after it."""
+    return len(sweep.offset) * sweep.dwell + PAUSE_S
+
+
+def duration_of(sweeps: Sequence[Sweep], press: Press) -> float:
+    """Seconds that all sweeps take, with the clampings."""
+    return max(s.clamping for s in sweeps) * press.clamping_time + sum(map(cost_of, sweeps))

@@ -1,0 +1,50 @@
+"""How well the directions of approach of planned visits are balanced: apart from posture and time, and in number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clampid.planning.directions import confounded, covariates_of
+from clampid.stages.rows import Array
+from experiments.plans.model import Plan
+
+__all__ = ["Balance", "balance_of"]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """How the poses of a plan are approached.
+
+    Attributes
+    ----------
+    plus, minus
+        ``(n,)``: visits to which each joint comes upwards and downwards.
+    confounded
+        ``(n,)``: share of a joint's directions that posture and order explain, 0 … 1.
+    """
+
+    plus: Array
+    minus: Array
+    confounded: Array
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        each = ", ".join(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True))
+        return (
+            f"visits approached upwards/downwards, joint by joint: {each}; posture and order explain at most "
+            f"{self.confounded.max():.0%} of a joint's directions"
+        )
+
+    def to_json(self) -> dict[str, list[float]]:
+        """For programs."""
+        return {"up": self.plus.tolist(), "down": self.minus.tolist(), "confounded": self.confounded.tolist()}
+
+
+def balance_of(plan: Plan) -> Balance:
+    """How a plan's visits of the table poses are approached."""
+    visits = [v for v in plan.visits if v.table == "poses"]
+    signs, q = np.array([v.direction for v in visits]), np.array([v.q for v in visits])
+    return Balance((signs > 0).sum(axis=0), (signs < 0).sum(axis=0), confounded(signs, covariates_of(q)))

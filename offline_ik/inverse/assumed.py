@@ -1,0 +1,74 @@
+"""What nobody said: what is taken for what a cell leaves to defaults, and what a model makes nothing of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from offline_ik.arm.identified import IdentifiedArm
+from offline_ik.cell.cell import Cell
+from offline_ik.collision.shapes import radii_of
+
+if TYPE_CHECKING:
+    from offline_ik.inverse.detector import Detector
+
+__all__ = ["assumptions", "moves_by", "notes_of", "time_effects"]
+
+Array = npt.NDArray[np.float64]
+
+SHIFT = 8 * 3600.0  # s
+
+
+def assumptions(detector: Detector) -> tuple[str, ...]:
+    """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
+    cell, convention = detector.cell, detector.cell.convention
+    base, radii = radii_of(detector.robot, cell)
+    values = {
+        "convention": convention.name,
+        "sample": f"{_listed(convention.sample, 6)} m",
+        "beam": _listed(convention.beam),
+        "tool as heavy as the campaign says": f"{detector.arm.tool[0]:g} kg",
+        "gravity": f"{_listed(cell.gravity)} m/s2",
+        "link radii from the arm's reach": f"{_listed(radii)} m",
+        "base radius from the arm's reach": f"{base:.3g} m",
+    }
+    return tuple(f"{what}: {values[what]}" if what in values else what for what in cell.assumed)
+
+
+def _listed(values: Iterable[float], digits: int = 3) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in values)
+
+
+def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
+    """What a cell says and the model makes nothing of, and which time it leaves open that the model has effects of."""
+    read = {signal for slot in arm.slots for signal in arm.effects[slot.effect].needs}
+    given = {"link": cell.link_temperature, "motor": cell.motor_temperature}
+    said = [
+        f"the model has no effect of the {name} temperatures: they change nothing"
+        for name, values in given.items()
+        if values is not None and f"{name}_temperature" not in read
+    ]
+    timed = time_effects(arm)
+    if cell.running is not None and not timed:
+        said.append("the model has no effect of time: for how long the robot has been running changes nothing")
+    if cell.running is None and timed:
+        said.append(
+            f"assumed, for want of a running time: 0 s, as at a campaign's first row; the model has effects of time "
+            f"({', '.join(timed)})"
+        )
+    return tuple(said)
+
+
+def time_effects(arm: IdentifiedArm) -> tuple[str, ...]:
+    """The model's effects that read for how long the robot has been running."""
+    return tuple(dict.fromkeys(s.effect for s in arm.slots if "elapsed" in arm.effects[s.effect].needs))
+
+
+def moves_by(detector: Detector, q: Array) -> float:
+    """How far the detector moves at a posture ``(n,)`` within :data:`SHIFT` from now on, m."""
+    later = replace(detector.still, elapsed=detector.still.elapsed + SHIFT)
+    return float(np.linalg.norm((detector.pose(q[None], later) - detector.pose(q[None]))[0, :3, 3]))

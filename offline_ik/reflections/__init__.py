@@ -1,0 +1,1 @@
+"""From reflections to the sample, and from a place to what the detector sees."""

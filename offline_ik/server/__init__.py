@@ -1,0 +1,1 @@
+"""The command server: the protocol's answers, and the connections that ask."""

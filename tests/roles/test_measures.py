@@ -1,0 +1,51 @@
+"""How large modules and functions are, and that no package imports in a circle, from the source as syntax trees."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+from source_measures import MAX_LINES, MAX_PARAMETERS, PACKAGES, cycles, import_graph, long_modules, parameters_over
+
+ROOT = Path(__file__).parents[2]
+ALLOWED: dict[str, int] = json.loads((Path(__file__).parent / "many_parameters.json").read_text())
+"""``file:function`` → how many parameters it may still have. Only lower these figures; remove what has no more."""
+
+
+def test_no_module_is_longer_than_a_reader_holds() -> None:
+    assert long_modules(ROOT) == {}
+
+
+def test_functions_with_many_parameters_only_become_fewer() -> None:
+    found = parameters_over(ROOT)
+    more = {where: count for where, count in found.items() if count > ALLOWED.get(where, 0)}
+    assert not more, f"more than {MAX_PARAMETERS} parameters: make what belongs together a value"
+
+
+def test_allowed_functions_still_have_that_many_parameters() -> None:
+    assert parameters_over(ROOT) == ALLOWED
+
+
+def test_no_package_imports_in_a_circle() -> None:
+    assert cycles(import_graph(ROOT)) == []
+
+
+def test_measures_see_what_they_forbid(tmp_path: Path) -> None:
+    for package in PACKAGES:
+        (tmp_path / package).mkdir()
+    (tmp_path / "clampid" / "a.py").write_text("from clampid import b\n" + "x = 1\n" * MAX_LINES)
+    (tmp_path / "clampid" / "b.py").write_text("def f(a, b, c, d, e, f, g, h, i):\n    import clampid.a\n")
+    assert long_modules(tmp_path) == {"clampid/a.py": MAX_LINES + 1}
+    assert parameters_over(tmp_path) == {"clampid/b.py:f": 9}
+    assert cycles(import_graph(tmp_path)) == [["clampid.a", "clampid.b"]]
+
+
+@pytest.mark.parametrize("source", ["if TYPE_CHECKING:\n    import clampid.b", "import numpy", "from clampid import a"])
+def test_type_checking_and_other_packages_are_no_circle(source: str, tmp_path: Path) -> None:
+    (tmp_path / "clampid").mkdir()
+    (tmp_path / "clampid" / "a.py").write_text(source)
+    (tmp_path / "clampid" / "b.py").write_text("import clampid.a")
+    assert ast.parse(source)
+    assert cycles(import_graph(tmp_path)) == []
