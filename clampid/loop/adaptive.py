@@ -46,8 +46,8 @@ class Adaptive:
     ) -> None:
         self._length, self._before, self._budget, self._say, self._seed = _length(plan), before, budget, say, seed
 
-    def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan, str] | None:
-        """The plan that goes on, and why; None: nothing more is to be measured."""
+    def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan | None, str]:
+        """The plan that goes on, or None where nothing more is to be measured, and why."""
         left = self._budget - (_length(plan) - self._length)
         if left <= 0:
             return self._enough(f"the budget of {self._budget} is used up")
@@ -77,9 +77,10 @@ class Adaptive:
         self._say(words)
         return grown, words
 
-    def _enough(self, why: str) -> tuple[Plan, str] | None:
-        self._say(f"Adaptive: nothing more is measured: {why}.")
-        return None
+    def _enough(self, why: str) -> tuple[None, str]:
+        words = f"Adaptive: nothing more is measured: {why}."
+        self._say(words)
+        return None, words
 
 
 def rested(proposed: NextPlan) -> Plan:

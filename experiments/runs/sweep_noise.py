@@ -72,7 +72,7 @@ def line(count: int) -> Array:
 def waves(count: int, periods: int) -> Array:
     """Cosine and sine about the middle of so many rows, of length 1, ``(count, 2)``."""
     angle = 2 * np.pi * periods * (np.arange(count) - (count - 1) / 2) / count
-    return np.sqrt(2 / count) * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(np.sqrt(2 / count) * np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
 def noise_of(sweeps: Sequence[SweepRows], harmonics: int) -> Noise | None:

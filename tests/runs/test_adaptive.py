@@ -32,14 +32,16 @@ def test_a_plan_goes_on_with_numbers_of_its_own(poses: Plan, free_air: Plan, cel
 def test_what_was_decided_is_run_and_survives_a_break(controller: Controller, poses: Plan, tmp_path: Path) -> None:
     short = replace(poses, visits=poses.visits[:2])
     asked = controller.asked()
-    asked.more = lambda plan, entries: (extended(plan, poses, 2), "a reason") if len(plan.visits) == 2 else None
+    asked.more = lambda plan, entries: (extended(plan, poses, 2), "a reason") if len(plan.visits) == 2 else (None, "enough")
     asked.progress = lambda done, text: controller.operate("drives off") if "pose 4" in text else None
     with pytest.raises(RunStopped):
         run(short, tmp_path / "C", asked)
     controller.operate("drives on")
-    outcome = run(short, tmp_path / "C", controller.asked(resume=True))
+    again = controller.asked(resume=True)
+    again.more = asked.more
+    outcome = run(short, tmp_path / "C", again)
     assert outcome.rows == {"poses": 12}
-    assert outcome.notes == ("a reason",)
+    assert outcome.notes == ("a reason", "enough")
     assert read_campaign(tmp_path / "C").tables["poses"]["pose"].unique().tolist() == [1, 2, 3, 4]
     assert (tmp_path / "C" / "journals" / "poses-1-2.toml").is_file()
 
@@ -47,9 +49,9 @@ def test_what_was_decided_is_run_and_survives_a_break(controller: Controller, po
 def test_nothing_is_added_where_nothing_is_ambiguous_or_the_budget_is_used_up(poses: Plan) -> None:
     said: list[str] = []
     adaptive = Adaptive(poses, None, 2, said.append)
-    assert adaptive.more(extended(poses, poses, 2), []) is None
+    assert adaptive.more(extended(poses, poses, 2), []) == (None, said[-1])
     assert "the budget of 2 is used up" in said[-1]
-    assert adaptive.more(poses, []) is None
+    assert adaptive.more(poses, []) == (None, said[-1])
     assert "diagnose cannot judge" in said[-1]
     rows = []
     rng = np.random.default_rng(1)
@@ -60,7 +62,7 @@ def test_nothing_is_added_where_nothing_is_ambiguous_or_the_budget_is_used_up(po
             row |= {f"dir{i + 1}": int(v) for i, v in enumerate(visit.direction)}
             row |= dict(zip(("x_m", "y_m", "z_m"), rng.normal(size=3), strict=True))
             rows.append({"what": "row", "table": "poses", "row": row})
-    assert adaptive.more(poses, rows) is None
+    assert adaptive.more(poses, rows)[0] is None
     assert said[-1].startswith("Adaptive: nothing more is measured")
 
 
