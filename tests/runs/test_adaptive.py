@@ -32,7 +32,8 @@ def test_a_plan_goes_on_with_numbers_of_its_own(poses: Plan, free_air: Plan, cel
 def test_what_was_decided_is_run_and_survives_a_break(controller: Controller, poses: Plan, tmp_path: Path) -> None:
     short = replace(poses, visits=poses.visits[:2])
     asked = controller.asked()
-    asked.more = lambda plan, entries: (extended(plan, poses, 2), "a reason") if len(plan.visits) == 2 else (None, "enough")
+    grown = extended(short, poses, 2)
+    asked.more = lambda plan, entries: (grown, "a reason") if len(plan.visits) == 2 else (None, "enough")
     asked.progress = lambda done, text: controller.operate("drives off") if "pose 4" in text else None
     with pytest.raises(RunStopped):
         run(short, tmp_path / "C", asked)
