@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,9 @@ from clampid.loop.until import parse_until
 from clampid.verbs.run import run as run_verb
 from experiments.campaign import read_campaign
 from experiments.plans import Plan, PlanError, write_plan
+from experiments.runs.dry import hours_or_minutes, motions
 from experiments.runs.folder import check_folder_for
+from experiments.runs.picture import picture
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +89,7 @@ def test_a_dry_run_lists_every_motion_and_draws_it(
         starts = [m["start_s"] for m in data["motions"]]
         assert starts == sorted(starts)
         svg = (tmp_path / f"{name}.dry-run.svg").read_text()
-        assert svg.count("<circle") == 2 * sum(bool(m["measured"]) for m in data["motions"])
+        assert svg.count("<circle") == 2 * len({tuple(m["to_rad"]) for m in data["motions"] if m["measured"]})
 
 
 def test_calls_that_cannot_be_meant(app: typer.Typer, poses: Plan, tmp_path: Path) -> None:
@@ -139,3 +142,15 @@ def test_a_folder_whose_header_is_no_toml_is_refused_before_anything_moves(
     with pytest.raises(PlanError, match=r"campaign\.toml: expected a campaign's TOML"):
         check_folder_for(poses, tmp_path / "C")
     assert (tmp_path / "C" / "campaign.toml").read_bytes() == text
+
+
+def test_a_picture_of_many_cycles_draws_each_way_once(poses: Plan) -> None:
+    sizes = []
+    for cycles in (2, 20):
+        plan = replace(poses, visits=poses.visits * cycles)
+        svg = picture(plan, list(motions(plan)))
+        sizes.append((svg.count("<polyline"), svg.count("<circle")))
+        assert f"{len(poses.visits) * cycles} of them measured" in svg
+    assert sizes[0] == sizes[1]
+    assert sizes[0][1] == 2 * len({visit.q.tobytes() for visit in poses.visits})
+    assert (hours_or_minutes(90.0), hours_or_minutes(32216.0)) == ("1.5 min", "8.9 h")
