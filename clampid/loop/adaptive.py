@@ -10,8 +10,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, NextPlan
 from clampid.effect import EffectError, Stage
 from clampid.fitting.solve import FitError
-from clampid.identification.identify import identify
-from clampid.loop.live_fit import campaign_so_far
+from clampid.loop.live_fit import campaign_so_far, fit_of
 from clampid.models.model import ModelError
 from experiments.campaign import Campaign
 from experiments.errors import CampaignError
@@ -54,7 +53,7 @@ class Adaptive:
         stage = STAGE[plan.kind]
         try:
             campaign = campaign_so_far(plan, entries, self._before)
-            found = diagnose(identify(campaign), campaign, seed=self._seed, stages=(stage,)).stages[stage]
+            found = diagnose(fit_of(campaign), campaign, seed=self._seed, stages=(stage,)).stages[stage]
         except (FitError, EffectError, CampaignError, ModelError) as error:
             return self._enough(f"diagnose cannot judge what was measured: {error}")
         if found.verdict != "ambiguous":

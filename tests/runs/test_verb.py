@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 import typer
-from run_controller import Controller
+from run_controller import Controller, poses_plan
 from typer.testing import CliRunner
 
 from clampid.loop.until import parse_until
 from clampid.verbs.run import run as run_verb
 from experiments.campaign import read_campaign
-from experiments.plans import Plan, PlanError, write_plan
+from experiments.plans import Cell, Limits, Plan, PlanError, write_plan
 from experiments.runs.dry import hours_or_minutes, motions
 from experiments.runs.folder import check_folder_for
 from experiments.runs.picture import picture
@@ -35,31 +35,34 @@ def call(app: typer.Typer, *words: str) -> tuple[int, str]:
 
 
 def test_a_plan_becomes_a_campaign_with_a_fit_on_the_way(
-    app: typer.Typer, controller: Controller, poses: Plan, tmp_path: Path
+    app: typer.Typer, controller: Controller, cell: Cell, limits: Limits, tmp_path: Path
 ) -> None:
-    file, folder, said = write_plan(poses, tmp_path / "plan.toml"), tmp_path / "C", tmp_path / "said.json"
+    file = write_plan(poses_plan(cell, limits, 12), tmp_path / "plan.toml")
+    folder, said = tmp_path / "C", tmp_path / "said.json"
     code, text = call(
         app, str(file), "-o", str(folder), "--link", controller.link, "--instrument", controller.tracker, "--yes",
         "--json", str(said),
     )  # fmt: skip
     assert code == 0
-    assert len(read_campaign(folder).tables["poses"]) == 21
+    assert len(read_campaign(folder).tables["poses"]) == 39
     assert "clampid identify" in text
     assert "parameters of poses are known" in text
-    assert json.loads(said.read_text())["rows"] == {"poses": 21, "verification": 3}
+    assert json.loads(said.read_text())["rows"] == {"poses": 39, "verification": 3}
 
 
-def test_until_ends_it_when_enough_is_known(
-    app: typer.Typer, controller: Controller, poses: Plan, tmp_path: Path
+def test_until_ends_it_when_enough_is_known_and_not_before_a_fit_can_be_made(
+    app: typer.Typer, controller: Controller, cell: Cell, limits: Limits, tmp_path: Path
 ) -> None:
-    file, folder = write_plan(poses, tmp_path / "plan.toml"), tmp_path / "C"
+    """Ten poses are the fewest for three targets; the first fits of fewer would only return what was assumed."""
+    file, folder = write_plan(poses_plan(cell, limits, 16), tmp_path / "plan.toml"), tmp_path / "C"
     code, text = call(
         app, str(file), "-o", str(folder), "--link", controller.link, "--instrument", controller.tracker, "--yes",
         "--until", "std(joint_compliance@joint2) < 5 rad/Nm",
     )  # fmt: skip
     assert code == 0
     assert "Stopped early, as asked" in text
-    assert 0 < len(read_campaign(folder).tables["poses"]) < 21
+    assert 30 <= len(read_campaign(folder).tables["poses"]) < 51
+    assert "no fit yet: poses: 1 pose is fewer than" in " ".join(text.split())
 
 
 def test_no_answer_is_no_and_exit_code_3(app: typer.Typer, controller: Controller, poses: Plan, tmp_path: Path) -> None:
