@@ -64,5 +64,5 @@ def line_repeatability(frame: pd.DataFrame) -> LineRepeatability | None:
             widths.append(2.0 * sum(float(part.std(ddof=1)) for part in parts) + reversals[-1])
     if not freedom:
         return None
-    found = (max(widths), max(reversals)) if widths else (None, None)
-    return LineRepeatability(4.0 * float(np.sqrt(squares / freedom)), *found, places, freedom)
+    width, reversal = (max(widths), max(reversals)) if widths else (None, None)
+    return LineRepeatability(4.0 * float(np.sqrt(squares / freedom)), width, reversal, places, freedom)

@@ -53,7 +53,7 @@ class Adaptive:
         stage = STAGE[plan.kind]
         try:
             campaign = campaign_so_far(plan, entries, self._before)
-            found = diagnose(fit_of(campaign), campaign, seed=self._seed, stages=(stage,)).stages[stage]
+            found = diagnose(fit_of(campaign), _within(campaign, plan), seed=self._seed, stages=(stage,)).stages[stage]
         except (FitError, EffectError, CampaignError, ModelError) as error:
             return self._enough(f"diagnose cannot judge what was measured: {error}")
         if found.verdict != "ambiguous":
@@ -91,6 +91,13 @@ def rested(proposed: NextPlan) -> Plan:
         return made
     first, *others = made.visits
     return replace(made, visits=(replace(first, wait=COOLING), *others), duration=made.duration + COOLING)
+
+
+def _within(campaign: Campaign, plan: Plan) -> Campaign:
+    """The campaign of a robot that reaches no farther than the plan lets it: what is proposed keeps to that."""
+    ranges = zip(campaign.robot.joints, plan.limits.lower, plan.limits.upper, strict=True)
+    joints = tuple(replace(joint, lower=float(lower), upper=float(upper)) for joint, lower, upper in ranges)
+    return replace(campaign, robot=replace(campaign.robot, joints=joints))
 
 
 def _length(plan: Plan) -> int:

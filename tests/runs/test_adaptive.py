@@ -10,9 +10,11 @@ import pytest
 from run_controller import CLAMPED, Controller, clamping_plan
 
 from clampid.diagnosis.next_measurement import COOLING, NextPlan
+from clampid.diagnosis.pools import cell_of as limits_for_proposals
 from clampid.loop.adaptive import Adaptive, rested
-from experiments.campaign import read_campaign
-from experiments.plans import Cell, Limits, Plan, PlanError
+from experiments.campaign import Campaign, CampaignError, read_campaign
+from experiments.plans import Cell, Limits, Plan, PlanError, limits_of
+from experiments.plans.virtual import run_virtually
 from experiments.runs.errors import RunStopped
 from experiments.runs.extension import extended
 from experiments.runs.runner import run
@@ -75,3 +77,25 @@ def test_a_cold_robot_is_one_that_has_rested(poses: Plan) -> None:
     assert [v.wait for v in cold.visits] == [COOLING] + [0.0] * (len(poses.visits) - 1)
     assert cold.duration == poses.duration + COOLING
     assert warm is poses
+
+
+def test_what_is_proposed_keeps_to_the_ranges_of_the_plan(
+    free_air: Plan, cell: Cell, limits: Limits, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Diagnose takes its limits from the campaign's robot: that one reaches no farther than the plan lets it."""
+    import clampid.loop.adaptive as adaptive
+
+    narrow = replace(free_air, limits=limits_of(cell.robot, share=0.5)[0])
+    table = read_campaign(run_virtually(free_air, tmp_path / "C", seed=3)).tables["free_air"]
+    seen = []
+
+    def stopped(model: object, campaign: Campaign, **more: object) -> None:
+        seen.append(limits_for_proposals(campaign)[1])
+        raise CampaignError("enough for a test")
+
+    monkeypatch.setattr(adaptive, "diagnose", stopped)
+    log = {"what": "log", "table": "free_air", "columns": {name: values.tolist() for name, values in table.items()}}
+    for plan, wanted in ((free_air, limits), (narrow, narrow.limits)):
+        assert Adaptive(plan, None, 20, lambda text: None).more(plan, [log])[0] is None
+        assert np.all((seen[-1].lower >= wanted.lower) & (seen[-1].upper <= wanted.upper))
+    assert np.all((seen[0].lower < narrow.limits.lower) & (seen[0].upper > narrow.limits.upper))
