@@ -10,8 +10,7 @@ from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, NextPlan
 from clampid.effect import EffectError, Stage
 from clampid.fitting.solve import FitError
-from clampid.identification.identify import identify
-from clampid.loop.live_fit import campaign_so_far
+from clampid.loop.live_fit import campaign_so_far, fit_of
 from clampid.models.model import ModelError
 from experiments.campaign import Campaign
 from experiments.errors import CampaignError
@@ -46,15 +45,15 @@ class Adaptive:
     ) -> None:
         self._length, self._before, self._budget, self._say, self._seed = _length(plan), before, budget, say, seed
 
-    def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan, str] | None:
-        """The plan that goes on, and why; None: nothing more is to be measured."""
+    def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan | None, str]:
+        """The plan that goes on, or None where nothing more is to be measured, and why."""
         left = self._budget - (_length(plan) - self._length)
         if left <= 0:
             return self._enough(f"the budget of {self._budget} is used up")
         stage = STAGE[plan.kind]
         try:
             campaign = campaign_so_far(plan, entries, self._before)
-            found = diagnose(identify(campaign), campaign, seed=self._seed, stages=(stage,)).stages[stage]
+            found = diagnose(fit_of(campaign), _within(campaign, plan), seed=self._seed, stages=(stage,)).stages[stage]
         except (FitError, EffectError, CampaignError, ModelError) as error:
             return self._enough(f"diagnose cannot judge what was measured: {error}")
         if found.verdict != "ambiguous":
@@ -77,9 +76,10 @@ class Adaptive:
         self._say(words)
         return grown, words
 
-    def _enough(self, why: str) -> tuple[Plan, str] | None:
-        self._say(f"Adaptive: nothing more is measured: {why}.")
-        return None
+    def _enough(self, why: str) -> tuple[None, str]:
+        words = f"Adaptive: nothing more is measured: {why}."
+        self._say(words)
+        return None, words
 
 
 def rested(proposed: NextPlan) -> Plan:
@@ -91,6 +91,13 @@ def rested(proposed: NextPlan) -> Plan:
         return made
     first, *others = made.visits
     return replace(made, visits=(replace(first, wait=COOLING), *others), duration=made.duration + COOLING)
+
+
+def _within(campaign: Campaign, plan: Plan) -> Campaign:
+    """The campaign of a robot that reaches no farther than the plan lets it: what is proposed keeps to that."""
+    ranges = zip(campaign.robot.joints, plan.limits.lower, plan.limits.upper, strict=True)
+    joints = tuple(replace(joint, lower=float(lower), upper=float(upper)) for joint, lower, upper in ranges)
+    return replace(campaign, robot=replace(campaign.robot, joints=joints))
 
 
 def _length(plan: Plan) -> int:

@@ -19,13 +19,14 @@ from clampid.models.model import Model, StageModel
 from clampid.role_slots import has_role
 from clampid.roles import FRAMES
 from experiments.campaign import Campaign, read_campaign, write_campaign
+from experiments.check import check_campaign
 from experiments.errors import CampaignError
 from experiments.outputs import temporary_folder
 from experiments.plans.model import Plan
 from experiments.runs.context import Block
 from experiments.runs.folder import header_of, tables_of
 
-__all__ = ["LiveFit", "campaign_so_far"]
+__all__ = ["LiveFit", "campaign_so_far", "fit_of"]
 
 Entries = Sequence[Mapping[str, Any]]
 GROWN = 1.4  # times the rows of the last fit
@@ -47,6 +48,22 @@ def campaign_so_far(plan: Plan, entries: Entries, before: Campaign | None) -> Ca
         folder = Path(place) / "so_far"
         write_campaign(folder, header_of(plan.cell, folder), tables | tables_of(entries))
         return read_campaign(folder)
+
+
+def fit_of(campaign: Campaign) -> Model:
+    """Fit the standard effects, if ``clampid identify`` would.
+
+    Raises
+    ------
+    CampaignError
+        It would refuse: too few poses for the geometry, for example. What a fit says then comes from its priors.
+    FitError, EffectError
+        The fit cannot be made.
+    """
+    wrong = [f"{f.table}: {f.message}" for f in check_campaign(campaign, fits=True) if f.severity == "error"]
+    if wrong:
+        raise CampaignError("; ".join(wrong))
+    return identify(campaign)
 
 
 class LiveFit:
@@ -77,6 +94,7 @@ class LiveFit:
         self._plan, self._entries, self._before, self._say, self._until = plan, entries, before, say, until
         self._rows, self._took, self._last = 0, 0.0, time.monotonic()
         self._std: dict[str, float] = {}
+        self._refused = ""
         self.model: Model | None = None
 
     def finished(self, block: Block) -> str | None:
@@ -88,10 +106,11 @@ class LiveFit:
         start = time.monotonic()
         try:
             campaign = campaign_so_far(self._plan, self._entries(), self._before)
-            self.model = identify(campaign)
+            self.model = fit_of(campaign)
         except (FitError, EffectError, CampaignError) as error:
-            self._say(f"After {block.name}: no fit yet: {error}")
-            self._rows = rows
+            if str(error) != self._refused:
+                self._say(f"After {block.name}: no fit yet: {error}")
+            self._rows, self._refused = rows, str(error)
             return None
         self._rows, self._took, self._last = rows, time.monotonic() - start, time.monotonic()
         for line in self._lines(self.model, block, rows):

@@ -303,10 +303,22 @@ class _Search:
         return bool(self.scene.clear(via).all())
 
     def _replicates(self, q: Array) -> Integers:
-        """Which poses ``(r,)`` are visited again, spread over the run, in an order that takes little time."""
+        """Which poses ``(r,)`` are visited again, spread over the run, in an order that takes little time.
+
+        Where no way through them is clear, their neighbours in the run are tried.
+        """
         count = min(self.wishes.replicates, len(q))
         spread = ((np.arange(count) + 0.5) * len(q) / max(count, 1)).astype(np.int64)
-        return np.asarray(spread[self._toured(q[spread], q[-1])] if count else spread)
+        if not count:
+            return spread
+        first: PlanError | None = None
+        for shift in sorted(range(-int(spread[0]), len(q) - int(spread[-1])), key=abs):
+            near = spread + shift
+            try:
+                return np.asarray(near[self._toured(q[near], q[-1])])
+            except PlanError as error:
+                first = first or error
+        raise PlanError(str(first))
 
     def _verification(self, left: Array, chosen: Array) -> tuple[Array, tuple[str, ...]]:
         """Poses for verification ``(v, n)``, and what has to be said of them."""

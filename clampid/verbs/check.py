@@ -70,13 +70,28 @@ def check(
         for f in findings
     ]
     wrong = sum(f.severity == "error" for f in findings)
-    measured = {} if wrong or not iso9283 else {"iso9283": _iso9283(read, out)}
+    measured = {} if wrong or not iso9283 else _repeated(read, out)
     out.show(check_screen(holds, stages, shown, campaign, measured, list(_stated(read))))
     out.result({**holds, "stages": stages, "findings": shown, **measured})
     if wrong:
         first = next(finding_text(f) for f in findings if f.severity == "error")
         more = f" (and {wrong - 1} more)" if wrong > 1 else ""
         raise CampaignError(f"{campaign}: {first}{more}")
+
+
+def _repeated(campaign: Campaign, out: Output) -> dict[str, Any]:
+    """Metrics of ISO 9283 of points, and the repeatability along one line of distances."""
+    from dataclasses import asdict
+
+    from clampid.verbs.errors import CallError
+    from experiments.line_repeatability import line_repeatability
+
+    points = _iso9283(campaign, out)
+    line = line_repeatability(campaign.tables["distances"]) if "distances" in campaign.tables else None
+    if not points and "distances" not in campaign.tables:
+        raise CallError(f"--iso9283: expected a table poses, verification or distances, {campaign.name} has none")
+    along = {} if "distances" not in campaign.tables else {"along_a_line": None if line is None else asdict(line)}
+    return {"iso9283": points, **along}
 
 
 def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
@@ -88,7 +103,6 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
     from clampid.comparison.attained import iso9283 as metrics_of
     from clampid.stages.layout import layout_of
     from clampid.stages.pose_rows import pose_rows
-    from clampid.verbs.errors import CallError
     from clampid.verbs.placing import show_iso9283
     from experiments.measures.metrics import norm_metrics
 
@@ -100,8 +114,6 @@ def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
             norms = np.linalg.norm(error[rows.used[:, 0], :3], axis=1)
             found[table] = metrics_of(rows, error) | {"universal": norm_metrics(norms)}
             show_iso9283(table, found[table], out)
-    if not found:
-        raise CallError(f"--iso9283: expected a table poses or verification, {campaign.name} has none")
     return found
 
 

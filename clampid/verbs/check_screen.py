@@ -30,7 +30,7 @@ def check_screen(
     findings
         Errors, warnings and notes, the most severe first.
     measured
-        Metrics of ISO 9283 by table, where they were asked for.
+        Metrics of ISO 9283 by table, and repeatability along a line, where they were asked for.
     stated
         What is known beforehand, in words.
     """
@@ -40,6 +40,8 @@ def check_screen(
         position = table["position"]
         found = [f"{key} {error_text(position[key]['mean'], 'm')}" for key in ("AP", "RP") if key in position]
         facts.append((f"{name}, ISO 9283", ", ".join(found) or "not determinable from these data"))
+    if "along_a_line" in measured:
+        facts.append(("distances, one line", _along_a_line(measured["along_a_line"])))
     counts = {kind: sum(f["severity"] == kind for f in findings) for kind in ("error", "warning", "note")}
     said = [_finding(f) for f in findings]
     for stage, part in stages.items():
@@ -69,6 +71,17 @@ def _verdict(counts: Mapping[str, int], fits: bool) -> tuple[str, Tone]:
     if counts["warning"]:
         return f"The campaign can be used; read {_count(counts['warning'], 'warning')} first.", "open"
     return "The campaign can be used.", "good"
+
+
+def _along_a_line(found: Json | None) -> str:
+    """Repeatability along one line, in words."""
+    if found is None:
+        return "no place was measured twice from one side"
+    words = f"repeatability {error_text(found['one_side'], 'm')} (4 s) from one side"
+    if found["both_sides"] is None:
+        return words
+    both, reversal = (error_text(found[name], "m") for name in ("both_sides", "reversal"))
+    return f"{words}, {both} from both; the sides differ by up to {reversal}"
 
 
 def _count(number: int, what: str) -> str:

@@ -60,7 +60,9 @@ def _row(step: Motion) -> tuple[str, ...]:
 
 def _screen(plan: Plan, steps: Sequence[Motion], plan_file: Path, output: Path, svg: Path) -> Screen:
     """The motions in numbers: how many, how fast, how far, and which come nearest to a limit."""
-    seconds = steps[-1].start + steps[-1].duration
+    from experiments.runs.dry import hours_or_minutes
+
+    time = hours_or_minutes(steps[-1].start + steps[-1].duration)
     fastest = max(steps, key=lambda step: step.share)
     longest = max(steps, key=lambda step: step.travel)
     rows = [step.measured for step in steps if step.measured]
@@ -76,8 +78,7 @@ def _screen(plan: Plan, steps: Sequence[Motion], plan_file: Path, output: Path, 
     command = shlex.join(["clampid", "run", str(plan_file), "-o", str(output), "--link"])
     instrument = " --instrument tcp://HOST:PORT" if plan.kind == "poses" else ""
     return Screen(
-        f"{plan_file} would make {len(steps)} motions of {plan.cell.robot.name} in {seconds / 60:.1f} min; nothing has "
-        "moved.",
+        f"{plan_file} would make {len(steps)} motions of {plan.cell.robot.name} in {time}; nothing has moved.",
         facts=tuple(facts),
         notes=("The first motion starts wherever the robot stands. No plan has checked it.",),
         more="Every motion: --verbose, --json FILE.",

@@ -74,7 +74,9 @@ def _screen(made: Plan, output: Path, what: str, said: Sequence[str]) -> Screen:
 
 def _time(seconds: float) -> str:
     """Minutes, and from two hours on hours."""
-    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+    from experiments.runs.dry import hours_or_minutes
+
+    return hours_or_minutes(seconds)
 
 
 def _show(expected: Expected, out: Output) -> None:

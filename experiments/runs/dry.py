@@ -12,7 +12,7 @@ from experiments.plans.motion import Array, shortest
 from experiments.runs.context import SLOW
 from experiments.runs.robot import share_of
 
-__all__ = ["Motion", "motions"]
+__all__ = ["Motion", "hours_or_minutes", "motions"]
 
 SEARCHED = 3  # places of each joint that a search for the posture of least torque usually looks at
 NOT_PLANNED = "not checked by the plan: asked for"
@@ -48,6 +48,11 @@ class Motion:
     travel: float
     limit: str
     measured: str
+
+
+def hours_or_minutes(seconds: float) -> str:
+    """A duration for a person."""
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def motions(plan: Plan) -> Iterator[Motion]:

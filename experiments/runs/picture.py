@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.plans.model import Plan
 from experiments.plans.motion import Array
-from experiments.runs.dry import Motion
+from experiments.runs.dry import Motion, hours_or_minutes
 from kinematics.description import RobotDescription
 from kinematics.poe import forward
 
@@ -24,11 +24,13 @@ GRID = 0.5  # m
 def picture(plan: Plan, steps: Sequence[Motion]) -> str:
     """SVG text: the ways of the flange, with a dot wherever something is measured."""
     robot = plan.cell.robot
-    ways = [_way(robot, a.to, b.to) for a, b in pairwise(steps)]
-    stops = np.array([_flange(robot, s.to) for s in steps if s.measured])
+    different = {(a.to.tobytes(), b.to.tobytes()): (a.to, b.to) for a, b in pairwise(steps)}  # cycles repeat them
+    ways = [_way(robot, a, b) for a, b in different.values()]
+    stops = np.array([_flange(robot, q) for q in {s.to.tobytes(): s.to for s in steps if s.measured}.values()])
     every = np.vstack([*ways, stops, np.zeros((1, 3))]) if ways else np.vstack([stops, np.zeros((1, 3))])
-    minutes = (steps[-1].start + steps[-1].duration) / 60.0
-    title = f"{plan.kind} of {robot.name}: {len(steps)} motions, {minutes:.1f} min, {len(stops)} of them measured"
+    time = hours_or_minutes(steps[-1].start + steps[-1].duration)
+    measured = sum(bool(step.measured) for step in steps)
+    title = f"{plan.kind} of {robot.name}: {len(steps)} motions, {time}, {measured} of them measured"
     panels = "".join(
         _panel(ways, stops, every, axes, words, k)
         for k, (axes, words) in enumerate((((0, 1), "from above"), ((0, 2), "from the side")))

@@ -51,7 +51,7 @@ class Asked:
     say, progress, finished
         As in `experiments.runs.context.Context`.
     more
-        Asked when the plan is done, with it and the journal's entries: a plan that goes on, and why; None: enough.
+        Asked when the plan is done, with it and the journal's entries: a plan that goes on, or None, and why.
     """
 
     link: Callable[[], Link]
@@ -61,7 +61,7 @@ class Asked:
     say: Callable[[str], None] = lambda text: None
     progress: Callable[[float, str], None] = lambda done, text: None
     finished: Callable[[Block], str | None] = lambda block: None
-    more: Callable[[Plan, Sequence[Mapping[str, Any]]], tuple[Plan, str] | None] | None = None
+    more: Callable[[Plan, Sequence[Mapping[str, Any]]], tuple[Plan | None, str]] | None = None
     journal: Journal | None = field(default=None, init=False)
 
 
@@ -155,10 +155,11 @@ def _finish(plan: Plan, asked: Asked, journal: Journal) -> str | None:
         context = Context(now, robot, instrument, asked.person, journal, asked.say, asked.progress, asked.finished)
         enough = _PARTS[plan.kind](context)
         while enough is None and asked.more is not None:
-            found = asked.more(context.plan, journal.entries)
-            if found is None:
+            grown, why = asked.more(context.plan, journal.entries)
+            if grown is None:
+                journal.add("note", words=why)
                 break
-            context.plan = _keep_grown(found, journal)
+            context.plan = _keep_grown(grown, why, journal)
             enough = _PARTS[plan.kind](context)
         journal.add("complete", **({} if enough is None else {"enough": enough}))
         return enough
@@ -190,12 +191,12 @@ def _grown(plan: Plan, journal: Journal) -> Plan:
     return read_plan(journal.path.with_name(name))
 
 
-def _keep_grown(found: tuple[Plan, str], journal: Journal) -> Plan:
+def _keep_grown(grown: Plan, why: str, journal: Journal) -> Plan:
     """Put a plan that goes on on the disk, before anything of it is run."""
     file = f"plan-{2 + sum(1 for _ in journal.of('extended'))}.toml"
-    write_text(journal.path.with_name(file), plan_text(found[0], journal.path.parent))
-    journal.add("extended", file=file, why=found[1])
-    journal.add("note", words=found[1])
+    write_text(journal.path.with_name(file), plan_text(grown, journal.path.parent))
+    journal.add("extended", file=file, why=why)
+    journal.add("note", words=why)
     return read_plan(journal.path.with_name(file))
 
 

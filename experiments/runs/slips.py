@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from experiments.plans.motion import Array
-from experiments.plans.press import motor_torques
+from experiments.runs.yielding import flange_shift
 from kinematics.description import RobotDescription
 
 __all__ = ["Shift", "SweepRows", "find_shift"]
@@ -28,7 +28,6 @@ P_VALUE = 1e-10  # familywise over the rows tried; far out, because a few dozen 
 EDGE = 4  # rows on either side of a step
 LAGS = 8  # of the autocorrelation
 LEAST_INFLATION = 2.0  # motor torques drift over seconds, and a few dozen rows show that too small
-USUAL = 1e-4  # m along each axis; wrist torques alone would leave an axis open
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +102,9 @@ def find_shift(sweeps: Sequence[SweepRows], robot: RobotDescription, stiffness: 
         return None
     sweep, step = _place(int(places[best]), lengths)
     use = known[:, best]
-    size = _metres(sizes[use, best], errors[use, best], use, robot, stiffness, jacobian)
-    return Shift(sweeps[sweep].number, step, size, float(p[best]))
+    motors = np.flatnonzero(use).astype(np.int64)
+    moved = flange_shift(sizes[use, best], errors[use, best], motors, robot, stiffness, jacobian)
+    return Shift(sweeps[sweep].number, step, float(np.linalg.norm(moved)), float(p[best]))
 
 
 def _place(row: int, lengths: Sequence[int]) -> tuple[int, int]:
@@ -174,16 +174,3 @@ def inflation(rest: Array) -> float:
         return 1.0
     lags = [float(rest[k:] @ rest[:-k]) / power for k in range(1, min(LAGS, len(rest) // 4) + 1)]
     return max(1.0 + 2.0 * sum(max(lag, 0.0) for lag in lags), LEAST_INFLATION)
-
-
-def _metres(
-    size: Array, error: Array, use: npt.NDArray[np.bool_], robot: RobotDescription, stiffness: Array, jacobian: Array
-) -> float:
-    """How far a flange shifted, m, if it did not turn: least squares, with a usual size as prior."""
-    wound = -np.linalg.pinv(jacobian)[:, :3].T  # (3, n): joints are wound up by the negative of what the arm does
-    torque = motor_torques(robot, stiffness, np.zeros(robot.n), np.asarray(wound, dtype=np.float64))[
-        :, use
-    ].T  # (motors, 3)
-    prior = np.eye(3) / USUAL
-    shift = np.linalg.lstsq(np.vstack([torque / error[:, None], prior]), np.r_[size / error, np.zeros(3)])[0]
-    return float(np.linalg.norm(shift))

@@ -21,6 +21,7 @@ from experiments.runs.errors import RunStopped
 from experiments.runs.least_torque import hold, least_torque_posture, placed
 from experiments.runs.load import Watch, loaded
 from experiments.runs.logs import check_torque
+from experiments.runs.loosening import find_loosening
 from experiments.runs.robot import ARRIVED, Reading
 from experiments.runs.rocking import find_rocking
 from experiments.runs.slips import SweepRows, find_shift
@@ -29,6 +30,7 @@ __all__ = ["run_sweeps"]
 
 SETTLE = 0.3  # of the dwell, after which samples are taken
 STEP_SHARE = 0.02  # of the top speeds: a step is small, and a reading is taken at rest
+FALSE_ALARM = 1e-3  # per run: the chance that a clamp that holds is said to rock or to have come loose, half each
 ASSUMED_MARGIN = 1.6  # by which the plan's springs are stiffer than described, if it does not say
 
 
@@ -146,7 +148,8 @@ def _sweep(context: Context, sweep: Sweep, number: int, name: str, state: ClampS
         if (way := _way_to(sweep, step)) is not None:
             _check_open(context, sweep, number, way, name)
     _check_shift(context, sweep, number, watch, name)
-    _check_rocking(context, sweep, number, watch, name)
+    _check_loosening(context, sweep, watch, name)
+    _check_rocking(context, sweep, watch, name)
     context.journal.add("swept", sweep=number)
     state.current, state.step = None, 0
 
@@ -251,23 +254,59 @@ def _check_shift(context: Context, sweep: Sweep, number: int, watch: Watch, name
     _stop_for(context, words, bad, before, "Tighten the clamp")
 
 
-def _check_rocking(context: Context, sweep: Sweep, number: int, watch: Watch, name: str) -> None:
-    """Look whether the block rocked during this sweep; if so, unwind, open and stop."""
-    plan = context.plan
-    found = find_rocking(
-        _rows_of(context, number), plan.cell.robot, _described(context), watch.jacobian, sweep.joint, len(plan.sweeps)
+def _check_loosening(context: Context, sweep: Sweep, watch: Watch, name: str) -> None:
+    """Look whether the clamp gives way more than in earlier sweeps of its joints; if so, unwind, open and stop."""
+    plan, numbers = context.plan, _since_clamped(context)
+    found = find_loosening(
+        [_rows_of(context, k) for k in numbers],
+        plan.cell.robot,
+        _described(context),
+        watch.jacobian,
+        [plan.sweeps[k - 1].joint for k in numbers],
+        looks=len(plan.sweeps),
+        level=FALSE_ALARM / 2,
     )
     if found is None:
         return
     context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
     words = (
-        f"the clamp rocks: in sweep {number} it tilted {found.turns} times by about {found.size * 1e3:.2f} mm between "
-        f"two rests, where joint {sweep.joint + 1} was wound up by {math.degrees(found.forward):.3f} deg on the way "
-        f"forward and {math.degrees(found.backward):.3f} deg on the way back (p = {found.p_value:.1g} for the whole "
-        "run): there the drive looks softer than it is, and backlash seems larger"
+        f"the clamp rocks or has come loose: in {_sweeps_words(found.first, found.last)} the flange moved by about "
+        f"{found.size * 1e3:.2f} mm more from end to end than until sweep {found.before} (p = {found.p_value:.1g} for "
+        "the whole run): drives look softer than they are, and backlash seems larger"
     )
-    before = [k for k in _since_clamped(context) if k < number]
-    _stop_for(context, words, [number], before, "Put the block on firm feet before it is clamped again")
+    bad = [k for k in numbers if k > found.before]
+    _stop_for(context, words, bad, [k for k in numbers if k <= found.before], "Tighten the clamp on firm feet")
+
+
+def _check_rocking(context: Context, sweep: Sweep, watch: Watch, name: str) -> None:
+    """Look whether the block rocked in the last sweeps of this joint; if so, unwind, open and stop."""
+    plan, numbers = context.plan, _since_clamped(context)
+    found = find_rocking(
+        [_rows_of(context, k) for k in numbers],
+        plan.cell.robot,
+        _described(context),
+        watch.jacobian,
+        sweep.joint,
+        looks=len(plan.sweeps),
+        level=FALSE_ALARM / 2,
+    )
+    if found is None:
+        return
+    context.robot.go(sweep.posture, STEP_SHARE, f"{name}, unwinding")
+    words = (
+        f"the clamp rocks: in {_sweeps_words(found.first, found.last)} it tilted {found.turns} times by about "
+        f"{found.size * 1e3:.2f} mm between two rests, where joint {sweep.joint + 1} was wound up by "
+        f"{math.degrees(found.forward):.3f} deg on the way forward and {math.degrees(found.backward):.3f} deg on the "
+        f"way back (p = {found.p_value:.1g} for the whole run): there the drive looks softer than it is, and backlash "
+        "seems larger"
+    )
+    bad = [k for k in numbers if k >= found.first]
+    before = [k for k in numbers if k < found.first]
+    _stop_for(context, words, bad, before, "Put the block on firm feet before it is clamped again")
+
+
+def _sweeps_words(first: int, last: int) -> str:
+    return f"sweep {last}" if first == last else f"sweeps {first} to {last}"
 
 
 def _since_clamped(context: Context) -> list[int]:

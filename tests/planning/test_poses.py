@@ -362,3 +362,14 @@ def test_defaults_are_the_same_in_every_unit(tmp_path: Path) -> None:
     assert same(
         planned(tmp_path, "--instrument", "3,0,1"), planned(tmp_path, "--mm", "--deg", "--instrument", "3000,0,1000")
     )
+
+
+@pytest.mark.parametrize("replicates", [2, 3])
+def test_other_poses_are_visited_again_where_no_way_through_the_first_choice_is_clear(
+    cell: Cell, limits: Limits, replicates: int
+) -> None:
+    """The bundled robot over its floor: the straight way from the last pose to the first choice goes through it."""
+    plan = plan_poses(cell, limits, PoseWishes(poses=40, replicates=replicates, verification=0))
+    visits = [visit.visit for visit in plan.visits]
+    assert visits.count(1) == 40
+    assert [visits.count(number) for number in (2, 3, 4)] == [replicates] * 3

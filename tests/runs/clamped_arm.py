@@ -62,3 +62,21 @@ def sweeps_of(
         way = np.sign(np.diff(np.r_[0.0, sweep.offset]))
         found.append(SweepRows(k, np.array(time), np.array(sweep.offset), way, np.array(torque), np.abs(turn) > 1e-9))
     return found
+
+
+def noisy_sweeps(plan: Plan, seed: int, memory: float = 0.5) -> list[SweepRows]:
+    """Sweeps of one clamping in which torques are noise with a memory of so much from row to row, and a drift."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for number, sweep in enumerate(plan.sweeps, 1):
+        offset = np.asarray(sweep.offset)
+        white = rng.standard_normal((len(offset) + 50, 6))
+        slow = np.zeros(6)
+        rows = [slow := memory * slow + w for w in white][50:]
+        size = np.array([0.1, 0.05, 0.05, 0.02, 0.02, 0.02])
+        time = (number - 1) * 200.0 + 1.2 * np.arange(len(offset))
+        torque = size * (np.array(rows) + 0.02 * (time[:, None] - time[0]) / 1.2)
+        way = np.sign(np.diff(np.r_[0.0, offset]))
+        turn = np.eye(6)[sweep.joint] @ np.linalg.inv(np.asarray(plan.cell.robot.transmission))
+        found.append(SweepRows(number, time, offset, way, torque, np.abs(turn) > 1e-9))
+    return found

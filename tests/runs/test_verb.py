@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import typer
-from run_controller import Controller
+from run_controller import Controller, poses_plan
 from typer.testing import CliRunner
 
 from clampid.loop.until import parse_until
 from clampid.verbs.run import run as run_verb
 from experiments.campaign import read_campaign
-from experiments.plans import Plan, PlanError, write_plan
+from experiments.plans import Cell, Limits, Plan, PlanError, write_plan
+from experiments.runs.dry import hours_or_minutes, motions
 from experiments.runs.folder import check_folder_for
+from experiments.runs.picture import picture
 
 
 @pytest.fixture(scope="module")
@@ -32,31 +35,34 @@ def call(app: typer.Typer, *words: str) -> tuple[int, str]:
 
 
 def test_a_plan_becomes_a_campaign_with_a_fit_on_the_way(
-    app: typer.Typer, controller: Controller, poses: Plan, tmp_path: Path
+    app: typer.Typer, controller: Controller, cell: Cell, limits: Limits, tmp_path: Path
 ) -> None:
-    file, folder, said = write_plan(poses, tmp_path / "plan.toml"), tmp_path / "C", tmp_path / "said.json"
+    file = write_plan(poses_plan(cell, limits, 12), tmp_path / "plan.toml")
+    folder, said = tmp_path / "C", tmp_path / "said.json"
     code, text = call(
         app, str(file), "-o", str(folder), "--link", controller.link, "--instrument", controller.tracker, "--yes",
         "--json", str(said),
     )  # fmt: skip
     assert code == 0
-    assert len(read_campaign(folder).tables["poses"]) == 21
+    assert len(read_campaign(folder).tables["poses"]) == 39
     assert "clampid identify" in text
     assert "parameters of poses are known" in text
-    assert json.loads(said.read_text())["rows"] == {"poses": 21, "verification": 3}
+    assert json.loads(said.read_text())["rows"] == {"poses": 39, "verification": 3}
 
 
-def test_until_ends_it_when_enough_is_known(
-    app: typer.Typer, controller: Controller, poses: Plan, tmp_path: Path
+def test_until_ends_it_when_enough_is_known_and_not_before_a_fit_can_be_made(
+    app: typer.Typer, controller: Controller, cell: Cell, limits: Limits, tmp_path: Path
 ) -> None:
-    file, folder = write_plan(poses, tmp_path / "plan.toml"), tmp_path / "C"
+    """Ten poses are the fewest for three targets; the first fits of fewer would only return what was assumed."""
+    file, folder = write_plan(poses_plan(cell, limits, 16), tmp_path / "plan.toml"), tmp_path / "C"
     code, text = call(
         app, str(file), "-o", str(folder), "--link", controller.link, "--instrument", controller.tracker, "--yes",
         "--until", "std(joint_compliance@joint2) < 5 rad/Nm",
     )  # fmt: skip
     assert code == 0
     assert "Stopped early, as asked" in text
-    assert 0 < len(read_campaign(folder).tables["poses"]) < 21
+    assert 30 <= len(read_campaign(folder).tables["poses"]) < 51
+    assert "no fit yet: poses: 1 pose is fewer than" in " ".join(text.split())
 
 
 def test_no_answer_is_no_and_exit_code_3(app: typer.Typer, controller: Controller, poses: Plan, tmp_path: Path) -> None:
@@ -86,7 +92,7 @@ def test_a_dry_run_lists_every_motion_and_draws_it(
         starts = [m["start_s"] for m in data["motions"]]
         assert starts == sorted(starts)
         svg = (tmp_path / f"{name}.dry-run.svg").read_text()
-        assert svg.count("<circle") == 2 * sum(bool(m["measured"]) for m in data["motions"])
+        assert svg.count("<circle") == 2 * len({tuple(m["to_rad"]) for m in data["motions"] if m["measured"]})
 
 
 def test_calls_that_cannot_be_meant(app: typer.Typer, poses: Plan, tmp_path: Path) -> None:
@@ -139,3 +145,15 @@ def test_a_folder_whose_header_is_no_toml_is_refused_before_anything_moves(
     with pytest.raises(PlanError, match=r"campaign\.toml: expected a campaign's TOML"):
         check_folder_for(poses, tmp_path / "C")
     assert (tmp_path / "C" / "campaign.toml").read_bytes() == text
+
+
+def test_a_picture_of_many_cycles_draws_each_way_once(poses: Plan) -> None:
+    sizes = []
+    for cycles in (2, 20):
+        plan = replace(poses, visits=poses.visits * cycles)
+        svg = picture(plan, list(motions(plan)))
+        sizes.append((svg.count("<polyline"), svg.count("<circle")))
+        assert f"{len(poses.visits) * cycles} of them measured" in svg
+    assert sizes[0] == sizes[1]
+    assert sizes[0][1] == 2 * len({visit.q.tobytes() for visit in poses.visits})
+    assert (hours_or_minutes(90.0), hours_or_minutes(32216.0)) == ("1.5 min", "8.9 h")
