@@ -47,7 +47,7 @@ def for_krl(text: str) -> str:
 def for_csv(text: str) -> str:
     """A cell of text that no spreadsheet takes for a formula, and that is one line."""
     line = _CONTROLS.sub(" ", text)
-    return f"'{line}" if line[:1] in tuple("=+-@") else line
+    return f"'{line}" if line.lstrip()[:1] in tuple("=+-@＝＋－＠") else line
 
 
 def for_markdown(text: str) -> str:

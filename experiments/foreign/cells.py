@@ -38,13 +38,14 @@ def numbers(cells: Cells, at: int, *, gaps: bool = False) -> FloatArray:
     CampaignError
         A cell is no finite number.
     """
-    reading, texts = cells.readings[at], pd.Series(cells.columns[at]).astype(str).str.translate(MINUS)
+    reading = cells.readings[at]
+    texts = [str(text).translate(MINUS) for text in cells.columns[at]]
     if reading.thousands:
-        texts = texts.str.replace(reading.thousands, "", regex=False)
-    alien = texts.str.contains(".", regex=False) & (reading.decimal == ",")
-    texts = texts.str.replace(",", ".", regex=False) if reading.decimal == "," else texts
-    values = pd.to_numeric(texts.where(~alien, "?"), errors="coerce").to_numpy(dtype=np.float64)
-    empty = texts.str.strip().str.lower().isin(NOTHING).to_numpy(dtype=bool)
+        texts = [text.replace(reading.thousands, "") for text in texts]
+    if reading.decimal == ",":
+        texts = ["?" if "." in text else text.replace(",", ".") for text in texts]
+    values = np.asarray(pd.to_numeric(np.array(texts, dtype=object), errors="coerce"), dtype=np.float64)
+    empty = np.array([text.strip().lower() in NOTHING for text in texts], dtype=bool)
     bad = ~np.isfinite(values) & ~(empty & gaps)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])

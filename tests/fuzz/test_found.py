@@ -167,3 +167,11 @@ def test_a_library_without_the_function_is_not_used(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(compiled, "compile_function", lambda function: function)
     rows = compiled.compile_rows(ca.Function("wanted", [x, r], [ca.densify(x + r)]))
     assert isinstance(rows, compiled.Blocks)
+
+
+def test_a_parquet_column_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    arm = simulate(tmp_path / "arm", "ur10", seed=3, poses=8, tables=("poses",))
+    good = (arm / "poses.parquet").read_bytes()
+    (arm / "poses.parquet").write_bytes(good.replace(b"time_s", b"\x94ime_s"))
+    with pytest.raises(CampaignError, match=r"poses\.parquet: expected a whole Parquet file"):
+        read_campaign(arm)

@@ -30,7 +30,9 @@ NAMES = (
     "model", "campaign.toml", "poses.csv", "poses.parquet", "robot", "plan", "mapping", "points", "cell", "touched",
     "touches", "peaks", "obstacles", "obj", "stl", "trusted", "dh", "machine data", "torque model", "free_air.csv",
     "wrist.parquet", "clamped.csv", "verification.parquet", "journal", "truth", "events", "channel", "readings",
-    "answer", "address", "pairing", "robot's log", "effect", "until", "token",
+    "answer", "address", "pairing", "robot's log", "effect", "until", "token", "checked campaign.toml",
+    "checked poses.csv", "checked free_air.csv", "checked wrist.parquet", "checked clamped.csv",
+    "checked verification.parquet", "arm", "paired mapping", "paired robot's log",
 )  # fmt: skip
 """All but URDF, which compiled code reads: that is tried in a process of its own."""
 
