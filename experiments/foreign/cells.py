@@ -18,6 +18,7 @@ __all__ = ["counts", "dates", "labels", "numbers"]
 FloatArray = npt.NDArray[np.float64]
 Texts = npt.NDArray[np.object_]
 
+LARGEST_WHOLE = 2**53  # from here on neighbouring numbers are one float: texts tell them apart
 MINUS = str.maketrans({"\u2212": "-", "\u2013": "-", "\u00a0": ""})  # signs that word processors put for a hyphen
 # What programs write where there is no reading; only sensors may have none.
 NOTHING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")
@@ -67,7 +68,7 @@ def counts(cells: Cells, at: int, name: str) -> npt.NDArray[np.int64]:
     if empty.any():
         raise _wrong(cells, at, int(np.flatnonzero(empty)[0]), "a number or a name", int(empty.sum()))
     values = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=np.float64)
-    whole = np.isfinite(values) & (values == np.round(values))
+    whole = np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < LARGEST_WHOLE)
     if whole.all():
         return values.astype(np.int64)
     if name.startswith("dir") or name == "joint":
