@@ -189,7 +189,7 @@ def test_hundreds_of_idle_connections_lock_nobody_out(side: str, serving: Servin
     port = free_port() if tango else free_udp_and_tcp()
     searching = {} if tango else {"EPICS_CA_ADDR_LIST": f"127.0.0.1:{port}", "EPICS_CA_AUTO_ADDR_LIST": "NO"}
     with _process(side, "a/b" if tango else "X:", serving, port) as (_, at), contextlib.ExitStack() as stack:
-        for k in range(256):
+        for k in range(400):
             one = stack.enter_context(socket.create_connection(("127.0.0.1", port), 10))
             if k % 2:
                 one.sendall(b"GIOP" if tango else b"\0\0")  # half-open: no whole message
