@@ -188,3 +188,10 @@ def test_an_imported_pose_beyond_all_integers_is_a_name(other: str, tmp_path: Pa
     with np.errstate(all="raise"):
         (table,) = import_tables(mapping, load_robot("ur10"), ("T1",))
     assert table.frame["pose"].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_a_reading_that_is_a_device_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "1.csv").symlink_to("/dev/zero")
+    instrument = FolderInstrument(tmp_path, reading_of({"columns": "X,Y,Z"}))
+    with pytest.raises(InstrumentError, match=r"1\.csv: cannot be read"):
+        instrument._sample(tmp_path / "1.csv", "T1")
