@@ -137,10 +137,11 @@ def _read_parquet(path: Path) -> pa.Table:
         # Opened here, so that no directory scan or file mapping outlives the call.
         with path.open("rb") as stream:
             table = pa_parquet.read_table(stream)
+        names = table.column_names  # of another encoding than UTF-8, if the file is damaged
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         reason = str(error).strip().splitlines()[0]
         raise fault(path, expected="a whole Parquet file", found=f"a truncated or damaged one ({reason})") from error
-    refuse_duplicates(path, table.column_names)
+    refuse_duplicates(path, names)
     for column in table.schema:
         if pa.types.is_nested(column.type):
             raise fault(path, expected="a number or a text in each cell", found=str(column.type), column=column.name)

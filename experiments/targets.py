@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
@@ -99,16 +100,40 @@ def check_output(path: str | Path, kind: Kind | None = None) -> Path:
     return Path(path)
 
 
-def check_folder(path: str | Path) -> Path:
-    """Check that a folder can be made there.
+def check_folder(path: str | Path, *, kept: bool = False) -> Path:
+    """Check that a folder can be made there, and take the place of one that is there: to be called before long work.
+
+    Parameters
+    ----------
+    path
+        Where a folder is to go.
+    kept
+        One that is there is written into and not replaced.
 
     Raises
     ------
     OutputError
-        Something above is no folder, or writing is not permitted.
+        Something above is no folder, there is a file, writing is not permitted, or another file system is mounted
+        there, so that nothing can be renamed to it.
     """
-    _check_parent(path, real_path(path))
+    target = real_path(path)
+    _check_parent(path, target)
+    if os.path.lexists(target) and not target.is_dir():
+        raise OutputError(f"{path}: expected a folder to write to, found a file")
+    if not kept and _is_mounted(target):
+        raise OutputError(f"{path}: expected a folder that can be replaced, found a mount point; name one inside it")
     return Path(path)
+
+
+def _is_mounted(folder: Path) -> bool:
+    """Whether something is mounted there; of what is mounted twice from one file system only Linux's list says so."""
+    if os.path.ismount(folder):
+        return True
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/self/mountinfo").read_bytes().splitlines()
+        points = (re.sub(rb"\\([0-7]{3})", lambda m: bytes([int(m[1], 8)]), line.split()[4]) for line in lines)
+        return os.fsencode(folder) in points
+    return False
 
 
 def refuse_input(path: str | Path) -> None:

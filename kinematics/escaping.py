@@ -8,7 +8,7 @@ reach a terminal, and a cell of a table must not become a formula. Descriptions 
 
 import re
 
-__all__ = ["for_csv", "for_krl", "for_markdown", "for_terminal", "has_controls"]
+__all__ = ["for_csv", "for_krl", "for_markdown", "for_terminal", "has_controls", "is_formula"]
 
 # C1 controls, line and paragraph separators, what turns the direction of text, and what nobody sees: two names that
 # look alike would be two. (Joiners, U+200C and U+200D, are part of words in some scripts.)
@@ -23,6 +23,15 @@ _CONTROLS_BUT_LINES = re.compile(f"[\x00-\x08\x0b-\x1f{_UNSEEN}]")
 def has_controls(text: str) -> bool:
     """Whether a text has characters that are no signs: line ends, escapes, what turns the direction of text."""
     return _CONTROLS.search(text) is not None or any("\ud800" <= sign <= "\udfff" for sign in text)
+
+
+def is_formula(text: str) -> bool:
+    """Whether a spreadsheet that opens a table with such a name would work something out, or start a program.
+
+    ``+X`` and ``-X``, sides of a block, are none: it takes a call, another sheet or another program.
+    """
+    begun = text.lstrip()
+    return begun[:1] in tuple("=@＝＠") or (begun[:1] in tuple("+-＋－") and any(sign in begun for sign in "(|!"))
 
 
 def for_terminal(text: str, lines: bool = True) -> str:
@@ -47,7 +56,7 @@ def for_krl(text: str) -> str:
 def for_csv(text: str) -> str:
     """A cell of text that no spreadsheet takes for a formula, and that is one line."""
     line = _CONTROLS.sub(" ", text)
-    return f"'{line}" if line[:1] in tuple("=+-@") else line
+    return f"'{line}" if line.lstrip()[:1] in tuple("=+-@＝＋－＠") else line
 
 
 def for_markdown(text: str) -> str:

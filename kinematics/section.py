@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from kinematics.escaping import has_controls
+from kinematics.escaping import has_controls, is_formula
 from kinematics.reading import fraction_of
 from kinematics.typing_ import Array, frozen_array
 
@@ -254,6 +254,8 @@ class Section:
         for key in self.content:
             if has_controls(key) or not 0 < len(key) <= LONGEST:
                 raise self.fault("", f"names of 1 to {LONGEST} printable characters on one line", shown(key))
+            if is_formula(key):
+                raise self.fault("", "names that no spreadsheet takes for a formula", shown(key))
         self._read |= dict.fromkeys(self.content)
         return tuple(self.content)
 

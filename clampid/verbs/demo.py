@@ -26,7 +26,7 @@ def demo(
     output = Output(quiet, json, verbose)
     if out.exists() and not out.is_dir():
         raise CallError(f"{out}: expected a folder, found a file")
-    check_folder(out)
+    check_folder(out, kept=True)
 
     from clampid.loop.demo import demo as run_demo
     from clampid.loop.demo import foreign_file

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import codecs
 import io
+import re
 import sys
+import unicodedata
 
-__all__ = ["any_encoding", "write_result"]
+__all__ = ["any_encoding", "spelt", "write_result"]
 
 PLAIN = {
     "µ": "u", "μ": "u", "±": "+-", "°": "deg", "·": "*", "×": "x", "²": "^2", "³": "^3", "−": "-", "–": "-", "—": "-",
-    "…": "...", "→": "->", "≥": ">=", "≤": "<=", "σ": "sigma", "γ": "gamma", "δ": "delta", "τ": "tau", "θ": "theta",
-    "’": "'", "“": '"', "”": '"',
+    "…": "...", "⋯": "...", "→": "->", "▶": ">", "≥": ">=", "≤": "<=", "≻": ">", "≈": "~", "≠": "!=", "√": "sqrt",
+    "∫": "int", "∂": "d", "½": "1/2", "’": "'", "“": '"', "”": '"', "─": "-", "│": "|", "└": "`",
 }  # fmt: skip
 """What is printed for signs that a stream's encoding does not have."""
 
@@ -38,5 +40,35 @@ def write_result(text: str) -> None:
 def _plain(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    signs = error.object[error.start : error.end]
-    return "".join(PLAIN.get(sign, "?") for sign in signs), error.end
+    return spelt(error.object[error.start : error.end]), error.end
+
+
+def spelt(signs: str) -> str:
+    """Signs in ASCII: ``10⁻⁶`` as ``10^-6``, Greek letters by name, letters without their accents, ``?`` at worst."""
+    return _RAISED.sub(lambda found: "^" + _ascii(found[0]), signs).translate(_TABLE)
+
+
+def _ascii(signs: str) -> str:
+    plain = unicodedata.normalize("NFKD", signs).replace("−", "-")
+    return plain.encode("ascii", "ignore").decode()
+
+
+class _Table(dict[int, str]):
+    """Of `str.translate`; what is not in it is worked out once."""
+
+    def __missing__(self, number: int) -> str:
+        sign = chr(number)
+        letter = re.fullmatch(r"GREEK (SMALL|CAPITAL) LETTER (?:FINAL )?(\w+)", unicodedata.name(sign, ""))
+        if sign in PLAIN or number < 128:
+            found = PLAIN.get(sign, sign)
+        elif letter:
+            word = letter[2].replace("LAMDA", "LAMBDA")
+            found = word.lower() if letter[1] == "SMALL" else word.capitalize()
+        else:
+            found = _ascii(sign) or ("" if unicodedata.combining(sign) else "?")
+        self[number] = found
+        return found
+
+
+_RAISED = re.compile("[¹²³⁰⁴-⁹⁺⁻]+")
+_TABLE = _Table()

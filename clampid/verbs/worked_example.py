@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from clampid.display import quantity
+from clampid.verbs.errors import CallError
 from clampid.verbs.options import Json, Quiet, Seed, Verbose
 from clampid.verbs.output import Output
+from experiments.targets import check_folder
 
 if TYPE_CHECKING:
     from clampid.loop.worked_example import WorkedExample
@@ -31,6 +33,10 @@ def worked_example(
 ) -> None:
     """Repeat the worked example of the thesis on a virtual robot with its printed springs: 183.12 and 183.15 µm."""
     output = Output(quiet, json, verbose)
+    if out is not None:
+        if out.is_dir() and any(out.iterdir()):
+            raise CallError(f"{out}: expected a new or empty folder, found something there")
+        check_folder(out)
 
     from clampid.loop.worked_example import worked_example as work_out
     from clampid.verbs.show import show_drives

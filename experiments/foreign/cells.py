@@ -18,6 +18,7 @@ __all__ = ["counts", "dates", "labels", "numbers"]
 FloatArray = npt.NDArray[np.float64]
 Texts = npt.NDArray[np.object_]
 
+LARGEST_WHOLE = 2**53  # from here on neighbouring numbers are one float: texts tell them apart
 MINUS = str.maketrans({"\u2212": "-", "\u2013": "-", "\u00a0": ""})  # signs that word processors put for a hyphen
 # What programs write where there is no reading; only sensors may have none.
 NOTHING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")
@@ -38,13 +39,14 @@ def numbers(cells: Cells, at: int, *, gaps: bool = False) -> FloatArray:
     CampaignError
         A cell is no finite number.
     """
-    reading, texts = cells.readings[at], pd.Series(cells.columns[at]).astype(str).str.translate(MINUS)
+    reading = cells.readings[at]
+    texts = [str(text).translate(MINUS) for text in cells.columns[at]]
     if reading.thousands:
-        texts = texts.str.replace(reading.thousands, "", regex=False)
-    alien = texts.str.contains(".", regex=False) & (reading.decimal == ",")
-    texts = texts.str.replace(",", ".", regex=False) if reading.decimal == "," else texts
-    values = pd.to_numeric(texts.where(~alien, "?"), errors="coerce").to_numpy(dtype=np.float64)
-    empty = texts.str.strip().str.lower().isin(NOTHING).to_numpy(dtype=bool)
+        texts = [text.replace(reading.thousands, "") for text in texts]
+    if reading.decimal == ",":
+        texts = ["?" if "." in text else text.replace(",", ".") for text in texts]
+    values = np.asarray(pd.to_numeric(np.array(texts, dtype=object), errors="coerce"), dtype=np.float64)
+    empty = np.array([text.strip().lower() in NOTHING for text in texts], dtype=bool)
     bad = ~np.isfinite(values) & ~(empty & gaps)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
@@ -66,7 +68,7 @@ def counts(cells: Cells, at: int, name: str) -> npt.NDArray[np.int64]:
     if empty.any():
         raise _wrong(cells, at, int(np.flatnonzero(empty)[0]), "a number or a name", int(empty.sum()))
     values = pd.to_numeric(texts, errors="coerce").to_numpy(dtype=np.float64)
-    whole = np.isfinite(values) & (values == np.round(values))
+    whole = np.isfinite(values) & (values == np.round(values)) & (np.abs(values) < LARGEST_WHOLE)
     if whole.all():
         return values.astype(np.int64)
     if name.startswith("dir") or name == "joint":

@@ -26,6 +26,7 @@ from experiments.instruments.protocol import (
     Sample,
 )
 from experiments.instruments.still import MIN_READINGS, moved_by, summary
+from kinematics.reading import read_text
 
 __all__ = ["FolderInstrument", "Reading", "reading_of"]
 
@@ -274,7 +275,7 @@ class FolderInstrument:
         try:
             if file.stat().st_size > LARGEST:
                 raise InstrumentError(f"{file}: expected at most {LARGEST} bytes, found more")
-            text = file.read_text("utf-8-sig")
+            text = read_text(file, LARGEST)  # of a device it reads nothing
         except UnicodeDecodeError as error:
             raise InstrumentError(f"{file}: expected UTF-8, found a byte that is not, at {error.start}") from None
         except OSError as error:

@@ -15,6 +15,7 @@ from experiments.header import HEADER_FILE
 from experiments.outputs import scratch_folder, write_bytes
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell, Plan, table_of
+from experiments.targets import check_folder
 from kinematics.reading import read_text, toml_of
 
 __all__ = ["JOURNALS", "check_folder_for", "convert", "header_of", "is_in", "tables_of", "work_folder"]
@@ -84,7 +85,10 @@ def check_folder_for(plan: Plan, folder: Path) -> Campaign | None:
     ------
     PlanError
         Something else is there, it is of another cell, or it has a table of this plan.
+    OutputError
+        A folder cannot be written or replaced there.
     """
+    check_folder(folder)
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return None
     if not (folder / HEADER_FILE).is_file():

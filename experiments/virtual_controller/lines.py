@@ -1,10 +1,14 @@
-"""A small service of lines: one request a line, one JSON answer a line; bounded lines, clients and patience."""
+"""A small service of lines: one request a line, one JSON answer a line; bounded lines, clients and patience.
+
+A connection that begins with none of the service's words speaks another protocol (a web page's POST, say): it is told
+so and hung up on, and no later line of it is obeyed.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from typing import Any
 
 from experiments.virtual_controller.errors import ControllerError
@@ -25,10 +29,12 @@ class LineService:
     ----------
     answer
         Gets a line without its end; a `ControllerError` becomes ``{"error": …}``.
+    words
+        With one of which a line begins.
     """
 
-    def __init__(self, answer: Answer) -> None:
-        self._answer = answer
+    def __init__(self, answer: Answer, words: Collection[str]) -> None:
+        self._answer, self._words = answer, frozenset(word.encode() for word in words)
         self._clients: dict[asyncio.StreamWriter, float] = {}
         self.refused = 0  # lines that were none
 
@@ -40,11 +46,15 @@ class LineService:
             self._clients.pop(silent)
             silent.transport.abort()
         self._clients[writer] = loop.time()
+        known = False
         try:
             while (line := await _line(reader)) is not None:
                 self._clients[writer] = loop.time()
+                known = known or b"".join(line.split()[:1]) in self._words
                 writer.write(await self._reply(line))
                 await asyncio.wait_for(writer.drain(), PATIENCE)
+                if not known:
+                    break
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             self.refused += 1
         except asyncio.CancelledError:

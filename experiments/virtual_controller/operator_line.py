@@ -30,7 +30,12 @@ from experiments.virtual_controller.faults import Fault, parse_faults
 from experiments.virtual_controller.programs import Controller
 from experiments.virtual_controller.tracker import Tracker
 
-__all__ = ["Operator"]
+__all__ = ["WORDS", "Operator"]
+
+WORDS = frozenset({
+    "estop", "mode", "drives", "restart", "kill-link", "clamp", "release", "sight", "slip", "rock", "speed", "fault",
+    "state",
+})  # fmt: skip
 
 
 class Operator:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from experiments.virtual_controller import operator_line, tracker
 from experiments.virtual_controller.arm import Arm
 from experiments.virtual_controller.channel import Channel
 from experiments.virtual_controller.clock import Clock
@@ -115,8 +116,8 @@ class VirtualRobot:
     async def listen_besides(self, what: str, address: Address) -> tuple[str, int]:
         """Listen for the instrument's, the operator's or KUKAVARPROXY's clients; return where."""
         client = {
-            "tracker": LineService(self.tracker.answer).client,
-            "operator": LineService(self._operate).client,
+            "tracker": LineService(self.tracker.answer, tracker.WORDS).client,
+            "operator": LineService(self._operate, operator_line.WORDS).client,
             "varproxy": self.varproxy.client,
         }[what]
         sock = _bound(address.host, address.port)

@@ -25,11 +25,12 @@ from experiments.virtual_controller.errors import ControllerError
 from experiments.virtual_robot.description import Array
 from experiments.virtual_robot.draw import TARGETS
 
-__all__ = ["LOST", "Tracker"]
+__all__ = ["LOST", "WORDS", "Tracker"]
 
 PERIOD = 0.002  # s between two points
 MAX_POINTS = 5000  # in one request
 LOST = "line of sight lost"
+WORDS = frozenset({"measure", "targets", "gauges", "temperatures"})
 
 
 class Tracker:

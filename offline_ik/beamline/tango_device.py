@@ -177,6 +177,9 @@ class DetectorRobot(Device):
         self._lines = {name: Line(kind.server) for name in self._lines}
 
 
+THREADS = "600"  # of the device's server: a connection whose message is not complete holds one for as long as it lasts
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the device: ``python -m offline_ik.beamline.tango_device SERVER/INSTANCE``."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -197,7 +200,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"tango on tango://{host}:{port}/{device}#dbase=no", flush=True)
 
     # The server's own words go to stderr: of stdout one line is read, that it is ready.
-    own = ["-nodb", "-dlist", device, "-ORBendPoint", f"giop:tcp:{host}:{port}"]
+    own = ["-nodb", "-dlist", device, "-ORBendPoint", f"giop:tcp:{host}:{port}", "-ORBmaxServerThreadPoolSize", THREADS]
     try:
         run((DetectorRobot,), args=[server, instance, *own], msg_stream=sys.stderr, post_init_callback=ready)
     finally:

@@ -9,7 +9,10 @@ import numpy.typing as npt
 
 from clampid.wrong_call import CallError
 
-__all__ = ["EVERY", "GREETED", "MOVES", "WORDS", "RequestError", "is_stop", "number", "numbers", "parse", "switch"]
+__all__ = [
+    "EVERY", "GREETED", "MOVES", "WORDS", "RequestError", "is_request", "is_stop", "number", "numbers", "parse",
+    "switch",
+]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
 
@@ -57,6 +60,12 @@ class RequestError(CallError):
 def is_stop(line: bytes) -> bool:
     """Whether the first word of a line is `stop`, in whatever case."""
     return line[: len(STOP) + 64].lower().split(None, 1)[:1] == [STOP]
+
+
+def is_request(line: bytes) -> bool:
+    """Whether a line begins with the word of a request, whatever follows it."""
+    words = line.split(None, 1)
+    return is_stop(line) or bool(words and words[0].decode("ascii", "replace") in WORDS)
 
 
 def parse(line: bytes) -> tuple[str, dict[str, str]]:

@@ -1,7 +1,8 @@
 """One connection of the server: lines in, answers out in order, bounded in length, number and time.
 
 What looks like HTTP is hung up on before any of it is answered: a web page can make its reader's browser send what it
-likes to a port of the reader's own machine.
+likes to a port of the reader's own machine. A connection that begins with no request is told so, and ends: of what
+speaks another protocol (SMTP, Redis, FTP), no later line is obeyed.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from collections import deque
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
-from offline_ik.exchange.requests import is_stop
+from offline_ik.exchange.requests import is_request, is_stop
 from offline_ik.server.protocol import Job, Session, Speaker
 
 __all__ = ["LINE_BYTES", "Client", "Limits"]
 
 LINE_BYTES = 4096  # of a request
+TOO_LONG = f"expected a line of at most {LINE_BYTES} bytes"
 PENDING = 64  # requests that a client may have waiting; beyond, it is not read
 TURN = 8  # requests of one client before others have their turn
 WRITE_BYTES = 65536  # that a client may leave unread; beyond, it is answered no more until it reads
@@ -155,8 +157,7 @@ class Client(asyncio.Protocol):
             return
         parts = data.split(b"\n")
         parts[0] = self.partial + parts[0]
-        if not self.skipping and any(map(_HTTP.match, parts)):
-            self._hang_up()
+        if self._is_other_protocol(parts):
             return
         self.partial = parts.pop()
         self.heard += len(parts)
@@ -180,6 +181,20 @@ class Client(asyncio.Protocol):
             self._pace(self.transport)
         else:
             self._work()
+
+    def _is_other_protocol(self, parts: list[bytes]) -> bool:
+        """Hang up on HTTP; answer a first line that is no request, and end; nothing that came after it is looked at."""
+        if not self.skipping and any(map(_HTTP.match, parts)):
+            self._hang_up()
+            return True
+        first = parts[0]
+        if self.heard or self.skipping or (len(parts) == 1 and len(first) <= LINE_BYTES) or is_request(first):
+            return False
+        self.lines.clear()
+        self.partial = b""
+        found = self.server.reply(first, self.session) if len(first) <= LINE_BYTES else None
+        self.tell_end(found if isinstance(found, bytes) else self.server.speaker.refuse(TOO_LONG))
+        return True
 
     def eof_received(self) -> bool:
         """Answer what has come, and end; what the end cuts off is refused."""
@@ -246,7 +261,7 @@ class Client(asyncio.Protocol):
         if line == CUT_OFF:
             return speaker.refuse("expected a newline at the end of a line, found the end of the connection")
         if len(line) > LINE_BYTES:
-            return speaker.refuse(f"expected a line of at most {LINE_BYTES} bytes")
+            return speaker.refuse(TOO_LONG)
         if self.session.only_stop:  # stops are begun before their turn
             return None
         found = self.server.reply(line, self.session)

@@ -41,6 +41,7 @@ def test_hostile_lines_move_nothing(count: int, detector: Detector) -> None:
         before = None
         for greets in (False, True):
             with serving.client(hello=greets) as client:
+                client.ask("state")  # one that begins with no request is hung up on
                 sent = good = 0
                 while sent < count // 2:
                     lines = [GOOD if k == 25 else hostile(rng) + b"\n" for k in range(50)]
@@ -179,3 +180,24 @@ def _process(module: str, name: str, serving: Serving, port: int) -> Iterator[tu
             assert process.poll() is None
         finally:
             process.kill()
+
+
+@pytest.mark.parametrize("side", ["tango_device", "epics_records"])
+def test_hundreds_of_idle_connections_lock_nobody_out(side: str, serving: Serving, link: MemoryLink) -> None:
+    tango = side == "tango_device"
+    pytest.importorskip("tango" if tango else "caproto")
+    port = free_port() if tango else free_udp_and_tcp()
+    searching = {} if tango else {"EPICS_CA_ADDR_LIST": f"127.0.0.1:{port}", "EPICS_CA_AUTO_ADDR_LIST": "NO"}
+    with _process(side, "a/b" if tango else "X:", serving, port) as (_, at), contextlib.ExitStack() as stack:
+        for k in range(400):
+            one = stack.enter_context(socket.create_connection(("127.0.0.1", port), 10))
+            if k % 2:
+                one.sendall(b"GIOP" if tango else b"\0\0")  # half-open: no whole message
+        script, given = ("contrast_client.py", at) if tango else ("epics_client.py", "X:")
+        with peer(script, given, **searching) as client:
+            found = client.ask("State" if tango else "read gamma.DMOV")["ok"]
+            assert found == ("ON" if tango else [1])
+        before = len(link.stopped)
+        with serving.client(hello=False) as line:
+            assert line.ask("stop")["ok"]
+        assert len(link.stopped) > before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import subprocess
@@ -10,6 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from clampid.verbs.streams import spelt
+from kinematics.escaping import has_controls
+
+ROOT = Path(__file__).parents[2]
 PLACES = [
     {"PYTHONIOENCODING": "cp1252"},
     {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
@@ -47,3 +52,33 @@ def test_a_complaint_in_another_encoding_is_one_line(tmp_path: Path) -> None:
     assert told.returncode == 2
     assert len(told.stderr.splitlines()) == 1
     assert b"Traceback" not in told.stderr
+
+
+@pytest.mark.parametrize(
+    ("signs", "plain"),
+    [("10⁻⁶", "10^-6"), ("m²", "m^2"), ("χ² of σ", "chi^2 of sigma"), ("Λ", "Lambda"), ("Stäubli", "Staubli"),
+     ("x̄", "x"), ("──", "--"), ("→ 5 µm", "-> 5 um"), ("世", "?")],
+)  # fmt: skip
+def test_spelling(signs: str, plain: str) -> None:
+    assert spelt(signs) == plain
+
+
+def test_every_sign_that_the_program_prints_is_spelt() -> None:
+    """In all its texts; what nobody may see is refused or escaped before it is printed."""
+    signs: set[str] = set()
+    for package in ("clampid", "experiments", "kinematics", "offline_ik"):
+        for file in (ROOT / package).rglob("*.py"):
+            texts = (n.value for n in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(n, ast.Constant))
+            signs |= {sign for text in texts if isinstance(text, str) for sign in text}
+    for file in (ROOT / "appendix_data").rglob("*.toml"):
+        signs |= set(file.read_text("utf-8"))
+    kept = {sign for sign in signs if not has_controls(sign)}
+    assert len(kept) > 100
+    assert not {sign for sign in kept - {"?"} if "?" in spelt(sign)}
+
+
+def test_a_table_keeps_its_rules(poses_only: Path, tmp_path: Path) -> None:
+    told = ran({"PYTHONIOENCODING": "ascii"}, "identify", poses_only, "-o", tmp_path / "m.json", "--verbose")
+    assert told.returncode == 0, told.stderr
+    assert b"-----" in told.stdout
+    assert b"?" not in told.stdout

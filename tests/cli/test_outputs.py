@@ -171,6 +171,56 @@ def test_what_cannot_be_written_is_said_before_the_work(path: str, says: str, tm
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
 
 
+FOLDERS = {
+    "simulate": ["--robot", "ur10", "-o", "{}"],
+    "import": ["map.toml", "table.csv", "-o", "{}"],
+    "link-files": ["-o", "{}"],
+    "run": ["plan.toml", "--link", "eki://127.0.0.1:1", "--yes", "-o", "{}"],
+    "worked-example": ["--out", "{}"],
+}
+"""Verbs that make a folder; of those that read, no input is there, so that work would be refused otherwise."""
+
+
+@pytest.mark.parametrize("place", ["mounted", "file", "file/below", "full"])
+@pytest.mark.parametrize("verb", FOLDERS)
+def test_a_folder_that_cannot_be_made_is_said_before_the_work(
+    verb: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mounted").mkdir()
+    (tmp_path / "file").touch()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").touch()
+    if verb == "run":
+        make_plan(tmp_path / "plan.toml")
+    monkeypatch.setattr(os.path, "ismount", lambda path: Path(path).name == "mounted")
+    for work in ("experiments.simulate.measure", "experiments.runs.runner._finish", "kinematics.description._parse"):
+        if verb not in ("run", "worked-example") or "_parse" not in work:
+            monkeypatch.setattr(work, lambda *_, **__: pytest.fail("it works before it looks"))
+    assert run([verb, *(part.format(place) for part in FOLDERS[verb])]) == 2
+    said = capsys.readouterr().err
+    assert place in said
+    wanted = {"mounted": "found a mount point", "file": "found", "file/below": "to be a folder, found a file"}
+    assert wanted.get(place, "found") in said
+    assert "No such file" not in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "file",
+        "full",
+        "mounted",
+        *(["plan.toml"] if verb == "run" else []),
+    ]
+
+
+def make_plan(file: Path) -> None:
+    from clampid.planning.free_air import plan_free_air
+    from clampid.planning.logs import torque_noise_of
+    from experiments.plans import cell_of, limits_of, write_plan
+    from kinematics.description import load_robot
+
+    cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
+    write_plan(plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], time=60.0), file)
+
+
 @pytest.mark.parametrize("writer", ["bytes", "new_file"])
 def test_a_full_disk_names_the_file_and_leaves_the_old_one(
     writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

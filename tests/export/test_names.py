@@ -15,7 +15,7 @@ from clampid.verbs.output import Output
 from experiments.campaign import CampaignError, read_campaign, write_campaign
 from experiments.simulate import simulate
 from kinematics.description import load_robot
-from kinematics.escaping import for_csv, for_krl, for_markdown, for_terminal, has_controls
+from kinematics.escaping import for_csv, for_krl, for_markdown, for_terminal, has_controls, is_formula
 from kinematics.kuka import nominal_machine_data
 from kinematics.kuka_text import machine_data_text, read_machine_data
 from kinematics.robot import DescriptionError
@@ -30,6 +30,7 @@ HOSTILE = [
     "arm\u202egnp.exe",
     "nul\0",
 ]
+FORMULAS = ["=1+1", '=HYPERLINK("http://a","b")', "@SUM(A1)", "＝1+1", " =1+1", "+cmd|' /C calc'!A0", "-1+SUM(A1)"]
 
 
 @given(text=st.text())
@@ -39,7 +40,7 @@ def test_what_is_escaped_is_one_printable_line(text: str) -> None:
     assert krl.isprintable()
     assert not has_controls(for_terminal(text, lines=False).encode("utf-8", "replace").decode())
     assert not any(ord(sign) < 32 and sign not in "\n\t" for sign in for_terminal(text))
-    assert for_csv(text)[:1] not in ("=", "+", "-", "@")
+    assert not for_csv(text).lstrip().startswith(("=", "+", "-", "@", "＝", "＋", "－", "＠"))
     assert "\n" not in for_markdown(text)
 
 
@@ -84,3 +85,19 @@ def test_no_escape_reaches_a_terminal(name: str, capsys) -> None:
 def test_cells_are_no_formulas() -> None:
     frame = pd.DataFrame({"name": ["=1+2", "@x", "T1", "-3"], "value_m": [-1.0, 2.0, 3.0, 4.0]})
     assert table_text(frame).splitlines()[1:] == ["'=1+2,-1.0", "'@x,2.0", "T1,3.0", "'-3,4.0"]
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_a_target_is_no_formula_of_a_spreadsheet(name: str, tmp_path: Path) -> None:
+    """A campaign's tables name targets as they are: what would be escaped there would be another target."""
+    arm = simulate(tmp_path / "arm", "ur10", seed=1, poses=5, tables=("poses",))
+    campaign = read_campaign(arm)
+    header = {**campaign.header, "targets_m": {**campaign.header["targets_m"], name: [0.0, 0.0, 0.1]}}
+    again = write_campaign(tmp_path / "again", header, {"poses": campaign.tables["poses"]}, "csv")
+    with pytest.raises(CampaignError, match="expected names that no spreadsheet takes for a formula"):
+        read_campaign(again)
+
+
+@pytest.mark.parametrize("name", ["+X", "-Z", "T1", "T-1", "A=B"])
+def test_a_side_of_a_block_is_no_formula(name: str) -> None:
+    assert not is_formula(name)

@@ -48,6 +48,16 @@ def more_readers(folder: Path) -> Known:
     return {**_tables(folder), **_of_runs(folder), **_of_instruments(folder), **_two_logs(folder), **_of_models(folder)}
 
 
+def table_of(name: str, targets: tuple[str, ...]) -> Reader:
+    """What reads a table of that name of a robot with six joints, and nothing beside it."""
+    from experiments.columns import table_format
+    from experiments.tables import TableFile, read_table
+    from experiments.validate import validate_table
+
+    layout = table_format(name, 6)
+    return lambda path: validate_table(read_table(path), layout, TableFile(path), targets)
+
+
 def _tables(folder: Path) -> Known:
     sys.path.insert(0, str(TESTS / "campaign"))
     from campaign_maker import make_tables, write
@@ -66,7 +76,9 @@ def _tables(folder: Path) -> Known:
             at = f"{name}-{ending}/{name}.{ending}"
             tables = {name: table} if name != "verification" else {"poses": make_tables()["poses"], name: table}
             write(folder / f"{name}-{ending}", tables, file_format=ending)
-            known[f"{name}.{ending}"] = ((folder / at).read_bytes(), at, read)
+            good = (folder / at).read_bytes()
+            known[f"{name}.{ending}"] = (good, at, table_of(name, ("T1", "T2", "T3")))
+            known[f"checked {name}.{ending}"] = (good, at, read)
     return known
 
 
@@ -161,7 +173,8 @@ def _two_logs(folder: Path) -> Known:
     sys.path.insert(0, str(TESTS / "pairing"))
     import log_maker
 
-    from experiments.foreign import import_tables, read_mapping
+    from experiments.foreign import import_tables, read_mapping, two_logs
+    from experiments.foreign.files import read_cells
     from kinematics import forward, load_robot
 
     robot = load_robot("kuka_kr20_r1810")
@@ -170,7 +183,7 @@ def _two_logs(folder: Path) -> Known:
         poses = forward(robot.screws, robot.flange, q @ robot.linkage.T)
         return poses[:, :3, :3] @ [0.101, -0.002, 0.12] + poses[:, :3, 3] + [3.0, 1.0, 0.5]
 
-    made = log_maker.make_logs(5, poses=8, rate=10.0, point=tracked)
+    made = log_maker.make_logs(5, poses=6, rate=5.0, robot_rate=5.0, point=tracked)
     place = folder / "logs"
     place.mkdir()
     tracker = pd.DataFrame(np.c_[made.time, 1e3 * made.points].round(4), columns=["t", "X", "Y", "Z"])
@@ -184,10 +197,32 @@ def _two_logs(folder: Path) -> Known:
         mapping = read_mapping(place / "mapping.toml", [place / "tracker.csv", place / "robot.csv"])
         return import_tables(mapping, robot, ("T1",))
 
+    good = read_mapping(place / "mapping.toml", [place / "tracker.csv", place / "robot.csv"])
+    part = good.tables[0]
+    assert part.pairing is not None
+    log = part.pairing
+
+    def mapping(path: Path) -> object:
+        return read_mapping(path, [place / "tracker.csv", place / "robot.csv"])
+
+    def seen(path: Path) -> object:
+        cells = read_cells(part.files, part.reading)
+        time = two_logs._times(good.path, part.columns.get("time"), cells, "columns.time")
+        return time, two_logs._points(good.path, part, cells)
+
+    def driven(path: Path) -> object:
+        cells = read_cells(log.files, log.reading)
+        time = two_logs._times(good.path, log.time, cells, "pairing.time")
+        return time, two_logs._joints(good.path, part, cells, robot)
+
+    tracker_csv, robot_csv = (place / "tracker.csv").read_bytes(), (place / "robot.csv").read_bytes()
     return {
-        "pairing": (PAIRED.encode(), "logs/mapping.toml", read),
-        "tracker's log": ((place / "tracker.csv").read_bytes(), "logs/tracker.csv", read),
-        "robot's log": ((place / "robot.csv").read_bytes(), "logs/robot.csv", read),
+        "pairing": (PAIRED.encode(), "logs/mapping.toml", mapping),
+        "tracker's log": (tracker_csv, "logs/tracker.csv", seen),
+        "robot's log": (robot_csv, "logs/robot.csv", driven),
+        "paired mapping": (PAIRED.encode(), "logs/mapping.toml", read),
+        "paired tracker's log": (tracker_csv, "logs/tracker.csv", read),
+        "paired robot's log": (robot_csv, "logs/robot.csv", read),
     }
 
 

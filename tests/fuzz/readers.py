@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import json
 import os
@@ -17,26 +18,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from more_readers import more_readers
+from more_readers import more_readers, table_of
 from spoil import misstated, spoilt
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 10.0
 MEMORY = "/dev/shm" if os.path.isdir("/dev/shm") else None  # a disk takes longer than most readers
-MIDDLE = {"robot", "mapping", "touched", "plan"}
-"""Readers that take a few milliseconds a file."""
-TABLES = ("csv", "parquet")
-SLOW = {
-    "model", "torque model", "campaign.toml", "poses.csv", "poses.parquet", "points", "touches", "peaks", "pairing",
-    "tracker's log", "robot's log",
-    *(f"{table}.{ending}" for table in ("free_air", "wrist", "clamped", "verification") for ending in TABLES),
+MIDDLE = {
+    "poses.csv", "free_air.csv", "wrist.csv", "clamped.csv", "verification.csv", "free_air.parquet", "touches",
+    "robot's log", "points", "mapping", "torque model", "plan",
 }  # fmt: skip
-"""Readers that take 5 to 30 ms a file: tables, and what is worked out of them."""
+"""Readers that take 2 to 5 ms a file."""
 
 
-def share_of(name: str) -> int:
-    """How many spoilt files a reader gets, so that all of them take about three minutes of a quiet core."""
-    return 150 if name in SLOW else 1500 if name in MIDDLE else 10_000
+def share_of(name: str, whole: bool = False) -> int:
+    """How many spoilt files a reader gets: five minutes of a quiet core for all, or a quarter of an hour (``whole``).
+
+    Readers called ``checked`` or ``paired``, and ``arm``, go on to what is worked out of a file, 10 to 90 ms each.
+    """
+    if name.startswith(("checked ", "paired ")) or name == "arm":
+        return 500 if whole else 100
+    return 1500 if name in MIDDLE and not whole else 10_000
 
 
 MAPPING = """format = "clampid-mapping/1"
@@ -120,6 +122,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from experiments.campaign import read_campaign
     from experiments.checks.check import check_campaign
     from experiments.foreign import import_tables, read_mapping
+    from experiments.header import read_header
     from experiments.plans import cell_of, limits_of, read_plan, write_plan
     from experiments.simulate import simulate
     from experiments.touched import read_touched
@@ -132,7 +135,8 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
 
     arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
     parquet = simulate(folder / "arm2", "ur10", seed=3, poses=8, tables=("poses",))
-    save_model(drawn_model(effects=("geometry", "joint_compliance", "backlash")), folder / "model.json")
+    save_model(drawn_model(effects=("geometry", "joint_compliance", "backlash")), folder / "large.json")
+    save_model(drawn_model(effects=("joint_compliance", "backlash")), folder / "model.json")
     cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
     plan = plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], LogWishes(time=60.0))
     write_plan(plan, folder / "plan.toml")
@@ -147,12 +151,10 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     def campaign(path: Path) -> object:
         return check_campaign(read_campaign(path.parent))
 
-    def imported(path: Path) -> object:
-        mapping = read_mapping(folder / "map.toml", [folder / "p.csv"])
-        return import_tables(mapping, load_robot("ur10"), ("T1",))
+    named, good_mapping = load_robot("ur10"), read_mapping(folder / "map.toml", [folder / "p.csv"])
 
-    def model(path: Path) -> object:
-        return arm_of(load_model(path))
+    def imported(path: Path) -> object:
+        return import_tables(read_mapping(path, [folder / "p.csv"]), named, ("T1",))
 
     from kinematics.kuka import nominal_machine_data
 
@@ -160,15 +162,27 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     data = machine_data_text(nominal_machine_data(robot), {})
     table = table_text(dh_table(drawn_model(), "hayati"))
     return {
-        "model": ((folder / "model.json").read_bytes(), "model.json", model),
-        "campaign.toml": ((arm / "campaign.toml").read_bytes(), "arm/campaign.toml", campaign),
-        "poses.csv": ((arm / "poses.csv").read_bytes(), "arm/poses.csv", campaign),
-        "poses.parquet": ((parquet / "poses.parquet").read_bytes(), "arm2/poses.parquet", campaign),
+        "model": ((folder / "model.json").read_bytes(), "model.json", load_model),
+        "campaign.toml": (
+            (arm / "campaign.toml").read_bytes(),
+            "arm/campaign.toml",
+            lambda path: read_header(path.parent),
+        ),
+        "poses.csv": ((arm / "poses.csv").read_bytes(), "arm/poses.csv", table_of("poses", ("T1", "T2", "T3"))),
+        "poses.parquet": (
+            (parquet / "poses.parquet").read_bytes(),
+            "arm2/poses.parquet",
+            table_of("poses", ("T1", "T2", "T3")),
+        ),
+        "checked campaign.toml": ((arm / "campaign.toml").read_bytes(), "arm/campaign.toml", campaign),
+        "checked poses.csv": ((arm / "poses.csv").read_bytes(), "arm/poses.csv", campaign),
+        "checked poses.parquet": ((parquet / "poses.parquet").read_bytes(), "arm2/poses.parquet", campaign),
+        "arm": ((folder / "large.json").read_bytes(), "large.json", lambda path: arm_of(load_model(path))),
         "robot": (description, "robot.toml", load_robot),
         "urdf": (_urdf(robot), "robot.urdf", load_robot),
         "plan": ((folder / "plan.toml").read_bytes(), "plan.toml", read_plan),
         "mapping": (MAPPING.encode(), "map.toml", imported),
-        "points": (POINTS.encode(), "p.csv", imported),
+        "points": (POINTS.encode(), "p.csv", lambda path: import_tables(good_mapping, named, ("T1",))),
         "cell": (CELL.encode(), "cell.toml", lambda path: read_cell(path, robot)),
         "touched": (TOUCHED.encode(), "touched.toml", read_touched),
         "touches": (TOUCHES.encode(), "touches.csv", lambda path: read_touched(folder / "touched.toml")),
@@ -228,14 +242,16 @@ def is_refusal(error: Exception) -> bool:
     return is_wrong_input(error) or isinstance(error, known)
 
 
-def outcomes(names: list[str], count: int | None, seed: int) -> Iterator[dict[str, Any]]:
+def outcomes(names: list[str], count: int | str, seed: int) -> Iterator[dict[str, Any]]:
     """Read spoilt files; what was neither read nor refused in words, and the counts of each reader.
 
-    ``count`` is of each reader; None: `share_of` it.
+    ``count`` is of each reader; ``share`` and ``whole``: what `share_of` says.
     """
 
     def late(*_: object) -> None:
         raise TimeoutError(f"not read within {SECONDS:g} s")
+
+    from kinematics import description
 
     signal.signal(signal.SIGALRM, late)
     with tempfile.TemporaryDirectory(dir=MEMORY) as place:
@@ -243,6 +259,7 @@ def outcomes(names: list[str], count: int | None, seed: int) -> Iterator[dict[st
         every = readers(folder)
         warnings.simplefilter("error", RuntimeWarning)  # a user would see its lines
         warnings.simplefilter("ignore", SyntaxWarning)  # of spoilt effect files, which are code
+        description._parse = functools.lru_cache(maxsize=4)(description._parse)  # the robots that good files name
         gc.collect()
         gc.freeze()  # what is imported need not be looked at again and again
         for name in names or list(every):
@@ -250,7 +267,7 @@ def outcomes(names: list[str], count: int | None, seed: int) -> Iterator[dict[st
             counts: Counter[str] = Counter()
             slowest = 0.0
             read(_put(folder / at, good))  # as it is, it is read
-            for k in range(share_of(name) if count is None else count):
+            for k in range(share_of(name, count == "whole") if isinstance(count, str) else count):
                 number = seed * 1_000_003 + k
                 path = _put(folder / at, misspelt(name, at, good, number) if k % 2 else spoilt(good, number))
                 print(json.dumps({"trying": name, "seed": number}), flush=True)  # the last one, if a signal ends it
@@ -297,5 +314,7 @@ def _put(path: Path, data: bytes) -> Path:
 
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    for found in outcomes(sys.argv[3:], None if sys.argv[1] == "share" else int(sys.argv[1]), int(sys.argv[2])):
+    for found in outcomes(
+        sys.argv[3:], sys.argv[1] if sys.argv[1] in ("share", "whole") else int(sys.argv[1]), int(sys.argv[2])
+    ):
         print(json.dumps(found), flush=True)

@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ik_arms import drawn_model
 
@@ -19,18 +20,18 @@ from clampid.effect import EffectError
 from clampid.models.model import ModelError, load_model, save_model
 from clampid.trusted import list_of_trusted, trust, trust_file
 from experiments.campaign import CampaignError, read_campaign
+from experiments.foreign import import_tables, read_mapping
 from experiments.instruments import InstrumentError
 from experiments.instruments.folder import FolderInstrument, reading_of
 from experiments.instruments.line import _number
 from experiments.simulate import simulate
+from kinematics.description import load_robot
 from kinematics.escaping import for_terminal, has_controls
 from kinematics.kuka import MachineDataError, nominal_machine_data
 from kinematics.kuka_text import machine_data_text, read_machine_data
 
 
 def test_a_word_of_a_megabyte_in_machine_data_takes_no_minute() -> None:
-    from kinematics.description import load_robot
-
     good = machine_data_text(nominal_machine_data(load_robot("kuka_kr20_r1810")), {})
     begun = time.monotonic()
     with pytest.raises(MachineDataError):
@@ -167,3 +168,30 @@ def test_a_library_without_the_function_is_not_used(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(compiled, "compile_function", lambda function: function)
     rows = compiled.compile_rows(ca.Function("wanted", [x, r], [ca.densify(x + r)]))
     assert isinstance(rows, compiled.Blocks)
+
+
+def test_a_parquet_column_whose_name_is_no_text_is_refused(tmp_path: Path) -> None:
+    arm = simulate(tmp_path / "arm", "ur10", seed=3, poses=8, tables=("poses",))
+    good = (arm / "poses.parquet").read_bytes()
+    (arm / "poses.parquet").write_bytes(good.replace(b"time_s", b"\x94ime_s"))
+    with pytest.raises(CampaignError, match=r"poses\.parquet: expected a whole Parquet file"):
+        read_campaign(arm)
+
+
+@pytest.mark.parametrize("other", ["1e30", "9007199254740993", "-1e308"])
+def test_an_imported_pose_beyond_all_integers_is_a_name(other: str, tmp_path: Path) -> None:
+    from readers import MAPPING, POINTS
+
+    (tmp_path / "map.toml").write_text(MAPPING)
+    (tmp_path / "p.csv").write_text(POINTS.replace("\n1;", f"\n{other};").replace("\n2;", "\n9007199254740992;"))
+    mapping = read_mapping(tmp_path / "map.toml", [tmp_path / "p.csv"])
+    with np.errstate(all="raise"):
+        (table,) = import_tables(mapping, load_robot("ur10"), ("T1",))
+    assert table.frame["pose"].tolist() == [1, 2, 3, 4, 5]
+
+
+def test_a_reading_that_is_a_device_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "1.csv").symlink_to("/dev/zero")
+    instrument = FolderInstrument(tmp_path, reading_of({"columns": "X,Y,Z"}))
+    with pytest.raises(InstrumentError, match=r"1\.csv: cannot be read"):
+        instrument._sample(tmp_path / "1.csv", "T1")

@@ -67,6 +67,49 @@ def test_what_looks_like_http_is_hung_up_on_and_changes_nothing(sent: bytes, pie
     serving(detector, talk)
 
 
+FOREIGN = [
+    b"EHLO mail.example\r\n",
+    b"*1\r\n$4\r\nPING\r\n",
+    b"PING\r\n",
+    b"USER anonymous\r\n",
+    b"SSH-2.0-OpenSSH_9.6\r\n",
+    b"\r\n",
+    b"\x00\x01\xff\n",
+    b"x" * 5000,
+    b"SELECT 1;\n",
+]
+"""How other protocols begin: SMTP, Redis, FTP, SSH, and what is none."""
+
+
+@pytest.mark.parametrize("begun", FOREIGN)
+@pytest.mark.parametrize("together", [True, False])
+def test_of_another_protocol_no_later_line_is_obeyed(begun: bytes, together: bool, detector: Detector) -> None:
+    link = Link(detector.locate(0.3, 0.2, 0.8).solutions[0].q)
+    rest = b"\nhello\n" + WARM + b"\nmove gamma=0.35 delta=0.2 r=0.8\n"
+
+    async def talk(server: Server, host: str, port: int) -> None:
+        server.speaker.link, before = link, server.speaker.detector
+        async with connected(host, port) as (reader, writer):
+            got = b""
+            with contextlib.suppress(ConnectionError):
+                writer.write(begun + rest if together else begun)
+                if not together:
+                    await asyncio.sleep(0.05)
+                    writer.write(rest)
+                got = await asyncio.wait_for(reader.read(), 10)
+            assert got.count(b"\n") <= 1
+            assert not got or not json.loads(got)["ok"]
+        await until(lambda: not server.clients)
+        assert server.speaker.detector is before
+        assert not link.sent
+        async with connected(host, port) as other:
+            assert (await ask(*other, GOOD))["ok"]
+            assert not (await ask(*other, b"wher gamma=0.3"))["ok"]  # a slip of one who has spoken it
+            assert (await ask(*other, GOOD))["ok"]
+
+    serving(detector, talk)
+
+
 @pytest.mark.parametrize(
     "line", [WARM, b"move gamma=0.35 delta=0.2 r=0.8", b"start q=0,0,0,0,0,0", b"stream gamma=0.3 delta=0.2 r=0.8"]
 )

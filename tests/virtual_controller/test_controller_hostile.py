@@ -135,3 +135,16 @@ def test_slow_sender_keeps_nobody_else_waiting(tmp_path: Path) -> None:
         used = robot.cpu()
         time.sleep(2.0)
         assert robot.cpu() - used < 0.1  # standing costs nothing
+
+
+def test_of_another_protocol_no_later_line_is_obeyed() -> None:
+    begun = [b"POST / HTTP/1.1\r\nHost: a\r\n\r\n", b"EHLO a\r\n", b"\r\n", b"\xff\xfe\n"]
+    with process("--speed", "100", wants=("operator", "tracker")) as robot:
+        for name, first in ((name, first) for name in ("operator", "tracker") for first in begun):
+            got = b""
+            with socket.create_connection(robot.at[name], 10) as sock, contextlib.suppress(ConnectionError):
+                sock.sendall(first + b"estop\nmeasure 1\n")
+                while more := sock.recv(4096):
+                    got += more
+            assert got.count(b"\n") <= 1, (name, first)
+            assert not robot.line("operator", "state")["estop"], (name, first)
