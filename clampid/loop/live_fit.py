@@ -19,7 +19,7 @@ from clampid.models.model import Model, StageModel
 from clampid.role_slots import has_role
 from clampid.roles import FRAMES
 from experiments.campaign import Campaign, read_campaign, write_campaign
-from experiments.check import check_campaign
+from experiments.checks.check import check_campaign
 from experiments.errors import CampaignError
 from experiments.outputs import temporary_folder
 from experiments.plans.model import Plan

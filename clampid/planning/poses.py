@@ -21,7 +21,7 @@ from clampid.planning.expected import expected_of
 from clampid.planning.pose_bench import PoseBench
 from clampid.planning.reach import reaching
 from clampid.planning.region import Region, SpherePart
-from clampid.planning.sampling import DIGITS, configurations
+from clampid.planning.sampling import DIGITS, configurations, far_apart
 from clampid.planning.scene import Scene
 from clampid.planning.sight import Sight
 from clampid.planning.tour import short_tour
@@ -219,7 +219,7 @@ class _Search:
     def _choose(self, pool: Array) -> list[int]:
         """Numbers of the poses in the pool: some far apart in joint space, the others D-optimal."""
         wishes = self.wishes
-        apart = _far_apart(self._scaled(pool), round(wishes.spread * wishes.poses))
+        apart = far_apart(self._scaled(pool), round(wishes.spread * wishes.poses))
         signs = self.rng.choice([-1.0, 1.0], pool.shape)
         return choose(self.bench.factors(pool, signs), self.bench.prior, wishes.poses, start=apart, passes=2)
 
@@ -324,7 +324,7 @@ class _Search:
         """Poses for verification ``(v, n)``, and what has to be said of them."""
         part, count = self.wishes.part, self.wishes.verification
         if part is None:
-            apart = _far_apart(self._scaled(np.vstack([chosen, left])), len(chosen) + count, len(chosen))
+            apart = far_apart(self._scaled(np.vstack([chosen, left])), len(chosen) + count, len(chosen))
             return left[np.array(apart[len(chosen) :]) - len(chosen)], ()
         found = [q for place in part.grid(count) for q in self._reaching(place, part)]
         if not found:
@@ -395,18 +395,3 @@ class _Search:
         )
         validate_plan(plan)
         return plan
-
-
-def _far_apart(places: Array, count: int, given: int = 0) -> list[int]:
-    """``count`` of the places ``(N, n)``, each as far as can be from those before it; the first ``given`` in any case.
-
-    Source: Gonzalez, Clustering to minimize the maximum intercluster distance, Theor. Comp. Sci. 38, 1985.
-    """
-    if count <= 0:
-        return []
-    chosen = list(range(given)) or [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
-    distance = np.min([np.linalg.norm(places - places[k], axis=1) for k in chosen], axis=0)
-    while len(chosen) < count:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return chosen

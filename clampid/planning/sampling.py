@@ -11,7 +11,7 @@ from clampid.stages.rows import Array, Bools
 from experiments.plans.errors import PlanError
 from experiments.plans.limits import Limits
 
-__all__ = ["configurations"]
+__all__ = ["configurations", "far_apart"]
 
 DIGITS = 6  # of the angles in a plan: a microradian, a tenth of what any robot repeats
 ROUNDS = 60
@@ -47,3 +47,18 @@ def configurations(limits: Limits, count: int, allowed: Allowed, seed: int, *, w
     if len(found) >= max(8, count // 20):
         return np.array(found)
     raise PlanError(f"expected configurations that are {why}, found {len(found)} among {tried} inside the joint limits")
+
+
+def far_apart(places: Array, count: int, given: int = 0) -> list[int]:
+    """``count`` of the places ``(N, n)``, each as far as can be from those before it; the first ``given`` in any case.
+
+    Source: Gonzalez, Clustering to minimize the maximum intercluster distance, Theor. Comp. Sci. 38, 1985.
+    """
+    if count <= 0:
+        return []
+    chosen = list(range(given)) or [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
+    distance = np.min([np.linalg.norm(places - places[k], axis=1) for k in chosen], axis=0)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return chosen

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clampid.identification.identify import identify
-from clampid.identification.reopen import reopen
+from clampid.identification.model_on_campaign import on_campaign
 from clampid.stages.log_facts import LogFacts, facts_of, log_parts
 from experiments.campaign import Campaign, read_campaign
 from experiments.second_world import draw_robot, measure
@@ -62,7 +62,7 @@ def seldom(
 def test_what_is_left_of_a_log_of_ten_hertz_is_its_noise(seldom: tuple[Campaign, np.ndarray, np.ndarray]) -> None:
     """With all rows of clear motion the same fits leave some fifty times as much."""
     campaign, true, qdd = seldom
-    opened = reopen(identify(campaign), campaign)
+    opened = on_campaign(identify(campaign), campaign)
     estimate = opened.refit("free_air", opened.rows("free_air")).estimate
     rows = estimate.experiment.rows
     noise = (rows.measured - true).std(axis=0)
