@@ -13,6 +13,7 @@ from clampid.diagnosis.drift import blocks_of_visits
 from clampid.diagnosis.folds import stability_folds
 from clampid.diagnosis.next_measurement import SAME
 from clampid.diagnosis.probes import probes
+from clampid.diagnosis.wandering import with_wander
 from clampid.effect import Effect, EffectError
 from clampid.evidence.candidates import Candidate, columns_of, named_candidates
 from clampid.evidence.events import event_scores
@@ -93,6 +94,12 @@ class CandidateScores:
         return [s for s in _standing_out(self.named, self.named_null) if s.candidate.label not in rejected]
 
     @property
+    def clearest(self) -> list[Scored]:
+        """The best name and the best probe that stand out, of those there are."""
+        named, probe = self.best(), self.probe if self.fires else None
+        return [s for s in (named, probe) if s is not None]
+
+    @property
     def remembered(self) -> CandidateScores:
         """What a verdict says of it later, without what is as large as its rows."""
         return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0].copy())
@@ -133,6 +140,9 @@ def scores_of(
 ) -> CandidateScores:
     """Score both dictionaries on what a fit leaves, with their nulls.
 
+    Where a reading wanders beside what stands out, everything is scored again as what it adds to the wandering
+    (:mod:`clampid.diagnosis.wandering`).
+
     Parameters
     ----------
     flips, seed
@@ -142,6 +152,15 @@ def scores_of(
     block
         Of poses: how many consecutive visits the null flips together.
     """
+    found = _scores_of(estimate, effects, flips, seed, granted, block)
+    wandering = with_wander(estimate, found.clearest)
+    return found if wandering is None else _scores_of(wandering, effects, flips, seed, granted, block)
+
+
+def _scores_of(
+    estimate: Estimate, effects: dict[str, Effect], flips: int, seed: int, granted: Sequence[Candidate], block: int
+) -> CandidateScores:
+    """The same with the noise that the estimate has."""
     space = space_of(estimate, blocks_of_visits(estimate.experiment.rows, block)).beside(columns_of(estimate, granted))
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import in_time
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Drift", "blocks_of_visits", "drift_of"]
@@ -106,17 +107,9 @@ def blocks_of_visits(rows: Rows, length: int) -> Integers:
     out = np.zeros(len(rows), dtype=np.int64)
     for s in np.unique(rows.session):
         own = rows.session == s
-        visit, order = _in_time(rows, own)
+        visit, order = in_time(rows, np.flatnonzero(own))
         out[own] = out.max(initial=-1) + 1 + order[visit] // length
     return out
-
-
-def _in_time(rows: Rows, own: Array) -> tuple[Integers, Integers]:
-    """Of each of a session's rows its visit, and of each visit its number in the order of time."""
-    _, visit = np.unique(rows.unit[own], return_inverse=True)
-    count = np.bincount(visit)
-    time = np.bincount(visit, rows.constants["time"][own]) / count
-    return visit, np.argsort(np.argsort(time, kind="stable"))
 
 
 def _means(rows: Rows, residual: Array, session: int) -> Array:
@@ -124,7 +117,7 @@ def _means(rows: Rows, residual: Array, session: int) -> Array:
     own = (rows.session == session) & rows.used[:, :3].all(axis=1)
     if not own.any():
         return np.zeros((0, 3))
-    visit, order = _in_time(rows, own)
+    visit, order = in_time(rows, np.flatnonzero(own))
     white = (rows.in_noise_axes(residual)[:, :3] / rows.sigma[:, :3])[own]
     count = np.bincount(visit)
     means = np.stack([np.bincount(visit, white[:, k]) / count for k in range(3)], axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.fitting.anisotropy import relative_axes
+from clampid.fitting.wander import course_of
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
 from experiments.signals import segments
@@ -91,12 +92,16 @@ class Noise:
         Rows of a log of which the mean is one number to the noise: standard deviation and autocorrelation are of these.
     counts
         Of how many numbers each channel's noise was learned.
+    wander
+        ``(m,)`` or empty: by how much each channel's level wanders, variance per step over that of a number
+        (:mod:`clampid.fitting.wander`). No fit learns it: what a model lacks may wander too.
     """
 
     sigma: Array
     autocorrelations: tuple[Array, ...] = ()
     together: int = 1
     counts: tuple[float, ...] = ()
+    wander: tuple[float, ...] = ()
 
     def settled(self, again: Noise) -> bool:
         """Whether a log's noise learned ``again`` from a fit that was weighted by this one is still the same."""
@@ -113,7 +118,12 @@ class Noise:
             channel, entry = np.nonzero(rows.used.T)
             sigma, columns = self.sigma[entry, channel], jacobian[entry, channel]
             columns /= sigma[:, None]  # in place: a long table's Jacobian is its largest array
-            return Whitened(residual[entry, channel] / sigma, columns, entry, channel)
+            white = residual[entry, channel] / sigma
+            for number in np.flatnonzero(self.wander).tolist():
+                own = channel == number
+                both = self._steady(rows, number, entry[own], np.c_[white[own], columns[own]])
+                white[own], columns[own] = both[:, 0], both[:, 1:]
+            return Whitened(white, columns, entry, channel)
         parts_r, parts_j, entries, channels = [], [], [], []
         for c in range(residual.shape[1]):
             used = rows.used[:, c]
@@ -143,7 +153,14 @@ class Noise:
             return np.asarray(out)
         groups = groups_of(rows, index, self.together)
         whitener = Whitener(groups.row, groups.stretch)
-        return whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
+        white = whitener(groups.mean(out), Predictors(self.autocorrelations[channel]))
+        return self._steady(rows, channel, self._middle(rows, index), white)
+
+    def _steady(self, rows: Rows, channel: int, entry: Integers, white: Array) -> Array:
+        """Whitened columns ``(k, c)`` of one channel without what its level wanders."""
+        if not self.wander or self.wander[channel] == 0.0:
+            return white
+        return course_of(rows, entry).innovations(white, self.wander[channel])[0]
 
     def _middle(self, rows: Rows, index: Integers) -> Integers:
         """The rows ``(g,)`` that stand for what is whitened of the used rows ``(k,)``."""
@@ -153,7 +170,7 @@ class Noise:
 
     def at(self, chosen: npt.NDArray[np.int64]) -> Noise:
         """The noise of some of the rows."""
-        return Noise(self.sigma[chosen], self.autocorrelations, self.together, self.counts)
+        return Noise(self.sigma[chosen], self.autocorrelations, self.together, self.counts, self.wander)
 
 
 def initial_noise(rows: Rows) -> Noise:

@@ -1,0 +1,59 @@
+"""Whether a measurement's noise wanders, beside what stands out of a fit's residual.
+
+Signs are flipped visit by visit, or block by block of a log. Where the zero of a reading walks away for minutes, blocks
+are not independent, and whatever changes slowly explains "too much": an offset, a temperature, the time. What a model
+lacks may change slowly too. So readings are said to wander only beside the best name and the best probe that stand out:
+if they say all that is slow, nothing is left to wander.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from clampid.evidence.columns import channel_starts
+from clampid.evidence.score import Scored
+from clampid.fitting.solve import Estimate
+from clampid.fitting.wander import course_of, wander_of
+from clampid.stages.rows import POSE_CHANNELS
+
+__all__ = ["with_wander"]
+
+SHARE = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
+
+
+def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None:
+    """The same estimate with noise that wanders, or None where none is seen to.
+
+    The coordinates of a point wander alike, and so do the readings of a log's motors, each in units of its noise.
+
+    Parameters
+    ----------
+    beside
+        What stands out of the residual and may say it all, the clearest first.
+    """
+    rows, white = estimate.experiment.rows, estimate.whitened
+    if rows.stage == "clamped" or not len(white.residual):
+        return None
+    wanted = POSE_CHANNELS[0] if rows.stage == "poses" else range(rows.measured.shape[1])
+    channels = {int(white.channel[start]): slice(start, stop) for start, stop in channel_starts(white)}
+    mine = {c: channels[c] for c in wanted if c in channels}
+    courses = [course_of(rows, white.entry[own]) for own in mine.values()]
+    residuals = [white.residual[own] for own in mine.values()]
+    if not mine or not wander_of(courses, residuals, [np.ones((len(r), 1)) for r in residuals]):
+        return None  # not even by itself
+    room, count = int(SHARE * max(map(len, residuals))), len(white.residual)
+    extra = [np.zeros((count, 0))]
+    for s in beside:
+        if s.candidate.columns.width <= room:
+            extra.append(s.candidate.columns.dense(count))
+            room -= s.candidate.columns.width
+    columns = [np.hstack([white.jacobian[own], *(e[own] for e in extra)]) for own in mine.values()]
+    found = wander_of(courses, residuals, columns)
+    if not found:
+        return None
+    noise = replace(estimate.noise, wander=tuple(found if c in mine else 0.0 for c in range(rows.measured.shape[1])))
+    residual, jacobian = estimate.experiment.residual(estimate.theta)
+    return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))

@@ -1,0 +1,137 @@
+"""A reading that wanders: noise whose mean drifts away and does not come back, as of a sensor's zero or a tracker.
+
+Beside its white noise a channel has a level that walks at random: y_i = l_i + e_i, l_i = l_{i-1} + w_i, with w of the
+variance q per step in units of e's. Its innovations are independent: what a number is off the level that those before
+it foretell, over the standard deviation of that. They are linear, so that residual and columns pass the same filter,
+and a column that only wanders along explains little. How large q is, is estimated by restricted likelihood, beside
+everything that may explain the residual.
+
+Sources: Durbin & Koopman, Time Series Analysis by State Space Methods (2012), chapter 2 (local level model); Patterson
+& Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971 (its likelihood);
+Self & Liang, J. Am. Stat. Assoc. 82, 1987 (its ratio where a variance may be zero: half a chi-square of 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, stats
+
+from clampid.stages.presliding import recurrence
+from clampid.stages.rows import Array, Integers, Rows
+
+__all__ = ["RATE", "Course", "course_of", "in_time", "wander_of"]
+
+RATE = 0.01  # chance that a reading that does not wander is said to
+GRID = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
+INDEPENDENT = 1e-8  # of a column's length, beyond the others
+
+
+@dataclass(frozen=True)
+class Course:
+    """The order in which a channel's numbers were measured, and how much its level may wander before each.
+
+    Attributes
+    ----------
+    order
+        ``(k,)``: places of the numbers in time.
+    steps
+        ``(k,)``: steps since the one before; of the first, and after a new session, those of the whole course.
+    """
+
+    order: Integers
+    steps: Array
+
+    def innovations(self, values: Array, wander: float) -> tuple[Array, Array]:
+        """Columns ``(k, c)`` less what those before them foretell, over its error; and logarithms of the errors²."""
+        count, variance = len(self.order), 0.0
+        gain, spread = np.zeros(count), np.zeros(count)
+        for i, step in enumerate(self.steps):
+            variance += wander * step
+            spread[i] = variance + 1.0
+            gain[i] = variance / spread[i]
+            variance = gain[i]  # (1 - gain) variance = variance / spread
+        x = values[self.order]
+        level = recurrence(np.broadcast_to(1.0 - gain[:, None], x.shape).copy(), gain[:, None] * x)
+        out = np.empty_like(x)
+        out[self.order] = (x - np.vstack([np.zeros((1, x.shape[1])), level[:-1]])) / np.sqrt(spread)[:, None]
+        return out, np.log(spread)
+
+
+def course_of(rows: Rows, entry: Integers) -> Course:
+    """The course of numbers of the rows ``entry`` ``(k,)`` of one channel.
+
+    Steps are visits of poses, between two of a session always one; of logs the usual time between two numbers.
+    """
+    time, count = rows.constants["time"][entry], len(entry)
+    if count == 0:
+        return Course(np.zeros(0, dtype=np.int64), np.zeros(0))
+    if rows.stage == "poses":
+        visit = np.zeros(count, dtype=np.int64)
+        for s in np.unique(rows.session[entry]):
+            own = rows.session[entry] == s
+            which, number = in_time(rows, entry[own])
+            visit[own] = number[which]
+        order = np.lexsort((entry, visit, rows.session[entry]))
+        steps = np.diff(visit[order], prepend=0).astype(float)
+        whole = float(visit.max() + 1)
+    else:
+        order = np.lexsort((entry, time, rows.session[entry]))
+        between = np.diff(time[order], prepend=time[order[0]])
+        usual = float(np.median(between[between > 0.0])) if np.any(between > 0.0) else 1.0
+        steps, whole = np.maximum(between / usual, 0.0), float(count)
+    begins = np.diff(rows.session[entry][order], prepend=-1) != 0
+    steps = np.where(begins, whole, np.minimum(steps, whole))
+    return Course(order, steps)
+
+
+def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
+    """Of each of some rows of a session ``(k,)`` its visit, and of each visit its number in the order of time."""
+    _, visit = np.unique(rows.unit[index], return_inverse=True)
+    count = np.bincount(visit)
+    time = np.bincount(visit, rows.constants["time"][index]) / count
+    return visit, np.argsort(np.argsort(time, kind="stable"))
+
+
+def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Sequence[Array]) -> float:
+    """By how much the level of some channels wanders, variance per step over that of a number; 0 where none is seen.
+
+    Parameters
+    ----------
+    courses
+        Of the channels, which share it.
+    residuals, columns
+        Their whitened numbers ``(k,)``, and all that may explain them ``(k, p)``, the same columns in each channel.
+
+    Returns
+    -------
+    float
+        The likeliest one, if the likelihood ratio against none is larger than chance gives once in a hundred times.
+    """
+    whole = np.vstack([np.c_[c, r] for c, r in zip(columns, residuals, strict=True)])
+    size = np.linalg.norm(whole[:, :-1], axis=0)
+    kept = np.flatnonzero(size > 0.0)
+    # Of columns that are the others' sum a likelihood would have one parameter too many.
+    _, R, order = linalg.qr(whole[:, kept] / size[kept], mode="economic", pivoting=True)
+    kept = kept[order[: int(np.sum(np.abs(np.diag(R)) > INDEPENDENT))]]
+    freedom = len(whole) - len(kept)
+    if freedom < 2:
+        return 0.0
+
+    def unlikely(wander: float) -> float:
+        """-2 log of the restricted likelihood, but for a constant."""
+        parts, spread = [], 0.0
+        for course, residual, column in zip(courses, residuals, columns, strict=True):
+            found, logs = course.innovations(np.c_[column[:, kept] / size[kept], residual], wander)
+            parts.append(found)
+            spread += float(logs.sum())
+        # Of [X r] the triangle's last diagonal entry is the length of what X leaves of r, the others give det X'X.
+        length = np.maximum(np.abs(np.diag(np.linalg.qr(np.vstack(parts), mode="r"))), 1e-150)
+        return freedom * 2.0 * float(np.log(length[-1])) + spread + 2.0 * float(np.sum(np.log(length[:-1])))
+
+    values = [unlikely(wander) for wander in GRID]
+    best = int(np.argmin(values))
+    seen = values[0] - values[best] > stats.chi2.isf(2.0 * RATE, 1)
+    return GRID[best] if seen else 0.0

@@ -1,0 +1,99 @@
+"""Readings whose zero wanders: estimated beside what may explain it, and no reason to name an offset or the time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clampid.diagnosis.diagnose import diagnose
+from clampid.fitting.noise import Noise
+from clampid.fitting.wander import Course, course_of, wander_of
+from clampid.identification.identify import identify
+from clampid.identification.model_on_campaign import on_campaign
+from experiments.campaign import Campaign, read_campaign
+from experiments.second_world import draw_robot, measure
+
+N = 300
+
+
+def course(count: int = N) -> Course:
+    return Course(np.arange(count), np.r_[float(count), np.ones(count - 1)])
+
+
+def walk(rng: np.random.Generator, wander: float, count: int = N) -> np.ndarray:
+    return rng.standard_normal(count) + np.cumsum(np.sqrt(wander) * rng.standard_normal(count))
+
+
+def test_innovations_are_those_of_the_whole_covariance() -> None:
+    """A lower-triangular factor of I + q min(i, j), with the first level as uncertain as the whole course."""
+    rng, wander, count = np.random.default_rng(1), 0.03, 40
+    x = rng.standard_normal((count, 3))
+    found, spread = course(count).innovations(x, wander)
+    steps = np.r_[float(count), np.ones(count - 1)].cumsum()
+    covariance = np.eye(count) + wander * np.minimum.outer(steps, steps)
+    lower = np.linalg.cholesky(covariance)
+    np.testing.assert_allclose(found, np.linalg.solve(lower, x), atol=1e-10)
+    assert spread.sum() == pytest.approx(np.linalg.slogdet(covariance)[1])
+
+
+def test_numbers_are_filtered_in_the_order_of_time() -> None:
+    rng = np.random.default_rng(2)
+    x, turned = rng.standard_normal((N, 2)), rng.permutation(N)
+    straight, _ = course().innovations(x, 0.01)
+    back = np.argsort(turned)
+    other, _ = Course(back, course().steps).innovations(x[turned], 0.01)
+    np.testing.assert_allclose(other, straight[turned])
+
+
+def test_white_noise_is_said_to_wander_once_in_a_hundred_times() -> None:
+    rng, columns = np.random.default_rng(3), np.random.default_rng(4).standard_normal((N, 10))
+    said = sum(wander_of([course()], [walk(rng, 0.0)], [columns]) > 0.0 for _ in range(300))
+    assert said <= 9  # of a binomial of 300 and 0.01, more has a chance of 0.1 %
+
+
+def test_a_walk_is_found_beside_columns_and_its_size_too() -> None:
+    rng, columns = np.random.default_rng(5), np.random.default_rng(6).standard_normal((N, 10))
+    found = [wander_of([course()], [walk(rng, 1e-2)], [columns]) for _ in range(40)]
+    assert np.mean(np.array(found) > 0.0) > 0.95
+    assert 3e-3 < np.median(found) < 3e-2
+
+
+def test_what_a_column_says_does_not_wander() -> None:
+    rng = np.random.default_rng(7)
+    trend = np.linspace(0.0, 1.0, N)[:, None]
+    y = rng.standard_normal(N) + 5.0 * trend[:, 0]
+    assert wander_of([course()], [y], [np.zeros((N, 0))]) > 0.0
+    assert wander_of([course()], [y], [trend]) == 0.0
+
+
+@pytest.mark.parametrize("stage", ["free_air", "poses"])
+def test_residual_and_columns_pass_one_filter(simulated: Callable[..., Campaign], stage: str) -> None:
+    campaign = simulated(seed=3, poses=40, tables=("free_air", "wrist", "poses"))
+    opened = on_campaign(identify(campaign), campaign)
+    estimate = opened.refit(stage, opened.rows(stage)).estimate
+    rows = estimate.experiment.rows
+    residual, jacobian = estimate.experiment.residual(estimate.theta)
+    plain = Noise(estimate.noise.sigma, estimate.noise.autocorrelations, estimate.noise.together)
+    count = rows.measured.shape[1]
+    wandering = Noise(plain.sigma, plain.autocorrelations, plain.together, wander=(1e-3,) * count)
+    white, found = plain.whiten(rows, residual, jacobian), wandering.whiten(rows, residual, jacobian)
+    np.testing.assert_array_equal(found.entry, white.entry)
+    for channel in np.unique(white.channel):
+        own = white.channel == channel
+        both = np.c_[white.residual[own], white.jacobian[own]]
+        expected = course_of(rows, white.entry[own]).innovations(both, 1e-3)[0]
+        np.testing.assert_allclose(np.c_[found.residual[own], found.jacobian[own]], expected, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_log_whose_readings_wander_as_one_over_f_lacks_nothing(tmp_path: Path) -> None:
+    """It was called an offset, a Stribeck curve and inertia; what is left then depended on time."""
+    measure(
+        draw_robot("offset6", 1067), tmp_path / "arm", noise="pink", log="five_speeds", tables=("free_air",), seed=1067
+    )
+    campaign = read_campaign(tmp_path / "arm")
+    found = diagnose(identify(campaign), campaign).stages["free_air"]
+    assert found.verdict == "adequate"
