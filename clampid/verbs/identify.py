@@ -52,6 +52,7 @@ def identify(
     from clampid.identification.identify import identify as fit_model
     from clampid.models.drives import clamped_drives
     from clampid.models.model import save_model
+    from clampid.stages.resolution import resolution_of
     from clampid.verbs.rejected import rejected_words
     from clampid.verbs.screens import fit_screen
     from clampid.verbs.show import model_json, show_drives, show_model
@@ -80,5 +81,7 @@ def identify(
     if drives is not None:
         show_drives(drives, out)
         data["stages"]["clamped"]["drives"] = drives.to_json()
+    if "free_air" in data["stages"] and (resolution := resolution_of(read)) is not None:
+        data["stages"]["free_air"]["resolution"] = resolution.to_json()
     out.show(fit_screen(data, nominal, rejected, campaigns, effects_from))
     out.result(data)

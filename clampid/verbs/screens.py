@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
-from clampid.display import change_text, counted, error_text
+from clampid.display import change_text, count_text, counted, error_text
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.verbs.show import weights_text
 
@@ -93,6 +93,13 @@ def fit_screen(
             said.append(
                 f"{name}: {held_out} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
                 "parameters. Measure more, or fit fewer effects."
+            )
+        if shown := part.get("resolution"):
+            step = 1e3 * shown["step_s"]
+            said.append(
+                f"{name}: {count_text(shown['rows'])} of {count_text(shown['moving'])} rows in motion count. At the "
+                f"others moves begin or end between two rows, {step:.0f} ms apart. Record more often, or speed up "
+                "slowly."
             )
         if weighted := weights_text(part.get("weights")):
             said.append(f"{name}: {weighted}.")

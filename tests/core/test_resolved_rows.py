@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from clampid.cli import main
+from clampid.display import count_text
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.stages.log_facts import LogFacts, facts_of, log_parts
@@ -72,6 +75,25 @@ def test_what_is_left_of_a_log_of_ten_hertz_is_its_noise(seldom: tuple[Campaign,
         assert np.sqrt(np.mean(estimate.residual[used, motor] ** 2)) < 1.1 * noise[motor]
     # Rows count where the joints turn evenly.
     assert np.mean(np.abs(qdd[rows.used.any(axis=1)]).max(axis=1) < 1e-9) > 0.97
+
+
+def test_the_screen_says_how_many_rows_show_the_motion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    measure(
+        draw_robot("big6", seed=5), tmp_path / "arm", noise="white", log="two_warmths", tables=("free_air",), seed=5
+    )
+    with pytest.raises(SystemExit) as ended:
+        main(["identify", "arm", "-o", "model.json", "--json", "model_out.json"])
+    assert not ended.value.code
+    told = json.loads(Path("model_out.json").read_text(encoding="utf-8"))["stages"]["free_air"]["resolution"]
+    assert 0 < told["rows"] < 0.6 * told["moving"]
+    assert told["step_s"] == pytest.approx(STEP)
+    words = " ".join(capsys.readouterr().out.split())
+    counted = " ".join(f"{count_text(told['rows'])} of {count_text(told['moving'])} rows in motion count".split())
+    assert counted in words
+    assert "100 ms apart. Record more often, or speed up slowly." in words
 
 
 def facts(campaign: Campaign) -> LogFacts:
