@@ -154,7 +154,13 @@ def scores_of(
     """
     found = _scores_of(estimate, effects, flips, seed, granted, block)
     wandering = with_wander(estimate, found.clearest)
-    return found if wandering is None else _scores_of(wandering, effects, flips, seed, granted, block)
+    if wandering is None:
+        return found
+    # What the fit absorbs but for rounding and for the noise in its columns (a scale, of measured positions) it absorbs.
+    shown = {s.candidate.label for s in found.named if s.freedom}
+    again = _scores_of(wandering, effects, flips, seed, granted, block)
+    named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
+    return replace(again, named=named)
 
 
 def _scores_of(

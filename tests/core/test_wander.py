@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clampid.diagnosis.candidate_scores import scores_of
 from clampid.diagnosis.diagnose import diagnose
 from clampid.fitting.noise import Noise
 from clampid.fitting.wander import Course, course_of, wander_of
@@ -97,3 +98,25 @@ def test_a_log_whose_readings_wander_as_one_over_f_lacks_nothing(tmp_path: Path)
     campaign = read_campaign(tmp_path / "arm")
     found = diagnose(identify(campaign), campaign).stages["free_air"]
     assert found.verdict == "adequate"
+
+
+@pytest.mark.slow
+def test_poses_that_a_wandering_tracker_measured_lack_nothing(tmp_path: Path) -> None:
+    """They were said to lack a base that settles, and beside the wandering a scale, which their geometry absorbs."""
+    robot = draw_robot("offset6", 1107, mounting="floor")
+    tables = ("free_air", "poses", "verification")
+    measure(
+        robot,
+        tmp_path / "arm",
+        noise="walk",
+        log="five_speeds",
+        program="near",
+        tables=tables,
+        seed=1107,
+        base_known=False,
+    )
+    campaign = read_campaign(tmp_path / "arm")
+    opened = on_campaign(identify(campaign), campaign)
+    estimate = opened.refit("poses", opened.rows("poses")).estimate
+    scores = scores_of(estimate, dict(opened.effects), flips=199, seed=0)
+    assert not {s.candidate.name for s in scores.standing_out()} & {"base_settling", "base_creep", "instrument_scale"}
