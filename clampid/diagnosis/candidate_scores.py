@@ -156,7 +156,7 @@ def scores_of(
     wandering = with_wander(estimate, found.clearest)
     if wandering is None:
         return found
-    # What the fit absorbs but for rounding and for the noise in its columns (a scale, of measured positions) it absorbs.
+    # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
     shown = {s.candidate.label for s in found.named if s.freedom}
     again = _scores_of(wandering, effects, flips, seed, granted, block)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
