@@ -2,8 +2,11 @@
 
 Signs are flipped visit by visit, or block by block of a log. Where the zero of a reading walks away for minutes, blocks
 are not independent, and whatever changes slowly explains "too much": an offset, a temperature, the time. What a model
-lacks may change slowly too. So readings are said to wander only beside the best name and the best probe that stand out:
-if they say all that is slow, nothing is left to wander.
+lacks may change slowly too. So readings are said to wander in two cases:
+
+* beside the best name and the best probe that stand out. If they say all that is slow, nothing is left to wander.
+* where one number, how much they wander, is likelier than the best of both with all its numbers. Evidence is twice the
+  logarithm of the likelihood, less the logarithm of the count for each number (Schwarz, Ann. Stat. 6, 1978).
 """
 
 from __future__ import annotations
@@ -42,18 +45,25 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     mine = {c: channels[c] for c in wanted if c in channels}
     courses = [course_of(rows, white.entry[own]) for own in mine.values()]
     residuals = [white.residual[own] for own in mine.values()]
-    if not mine or not wander_of(courses, residuals, [np.ones((len(r), 1)) for r in residuals]):
-        return None  # not even by itself
+    if not mine:
+        return None
+    active = [white.jacobian[own] for own in mine.values()]
+    found = wander_of(courses, residuals, active)
+    if not found.variance:
+        return None
     room, count = int(SHARE * max(map(len, residuals))), len(white.residual)
     extra = [np.zeros((count, 0))]
     for s in beside:
         if s.candidate.columns.width <= room:
             extra.append(s.candidate.columns.dense(count))
             room -= s.candidate.columns.width
-    columns = [np.hstack([white.jacobian[own], *(e[own] for e in extra)]) for own in mine.values()]
-    found = wander_of(courses, residuals, columns)
-    if not found:
+    evidence = found.gain - float(np.log(sum(map(len, residuals))))
+    if evidence < max((s.bic for s in beside), default=0.0):
+        columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(active, mine.values(), strict=True)]
+        found = wander_of(courses, residuals, columns)
+    if not found.variance:
         return None
-    noise = replace(estimate.noise, wander=tuple(found if c in mine else 0.0 for c in range(rows.measured.shape[1])))
+    each = (found.variance if c in mine else 0.0 for c in range(rows.measured.shape[1]))
+    noise = replace(estimate.noise, wander=tuple(each))
     residual, jacobian = estimate.experiment.residual(estimate.theta)
     return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))

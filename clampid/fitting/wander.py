@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, stats
@@ -22,7 +23,7 @@ from scipy import linalg, stats
 from clampid.stages.presliding import recurrence
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["RATE", "Course", "course_of", "in_time", "wander_of"]
+__all__ = ["RATE", "Course", "Wander", "course_of", "in_time", "wander_of"]
 
 RATE = 0.01  # chance that a reading that does not wander is said to
 GRID = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
@@ -95,8 +96,15 @@ def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
     return visit, np.argsort(np.argsort(time, kind="stable"))
 
 
-def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Sequence[Array]) -> float:
-    """By how much the level of some channels wanders, variance per step over that of a number; 0 where none is seen.
+class Wander(NamedTuple):
+    """By how much a level wanders, variance per step over that of a number; and twice the log likelihood it gains."""
+
+    variance: float
+    gain: float
+
+
+def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Sequence[Array]) -> Wander:
+    """By how much the level of some channels wanders; nothing where none is seen to.
 
     Parameters
     ----------
@@ -107,7 +115,7 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
 
     Returns
     -------
-    float
+    Wander
         The likeliest one, if the likelihood ratio against none is larger than chance gives once in a hundred times.
     """
     whole = np.vstack([np.c_[c, r] for c, r in zip(columns, residuals, strict=True)])
@@ -118,7 +126,7 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
     kept = kept[order[: int(np.sum(np.abs(np.diag(R)) > INDEPENDENT))]]
     freedom = len(whole) - len(kept)
     if freedom < 2:
-        return 0.0
+        return Wander(0.0, 0.0)
 
     def unlikely(wander: float) -> float:
         """-2 log of the restricted likelihood, but for a constant."""
@@ -133,5 +141,5 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
 
     values = [unlikely(wander) for wander in GRID]
     best = int(np.argmin(values))
-    seen = values[0] - values[best] > stats.chi2.isf(2.0 * RATE, 1)
-    return GRID[best] if seen else 0.0
+    gain = values[0] - values[best]
+    return Wander(GRID[best], gain) if gain > stats.chi2.isf(2.0 * RATE, 1) else Wander(0.0, 0.0)
