@@ -214,11 +214,14 @@ def test_a_folder_that_cannot_be_made_is_said_before_the_work(
 def make_plan(file: Path) -> None:
     from clampid.planning.free_air import plan_free_air
     from clampid.planning.logs import torque_noise_of
+    from clampid.planning.program import LogWishes
     from experiments.plans import cell_of, limits_of, write_plan
     from kinematics.description import load_robot
 
     cell, robot = cell_of("kuka_kr20_r1810")[0], load_robot("kuka_kr20_r1810")
-    write_plan(plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], time=60.0), file)
+    write_plan(
+        plan_free_air(cell, limits_of(robot)[0], torque_noise_of(cell, None, None)[0], LogWishes(time=60.0)), file
+    )
 
 
 @pytest.mark.parametrize("writer", ["bytes", "new_file"])
