@@ -7,23 +7,28 @@ lacks may change slowly too. So readings are said to wander in two cases:
 * beside the best name and the best probe that stand out. If they say all that is slow, nothing is left to wander.
 * where one number, how much they wander, is likelier than the best of both with all its numbers. Evidence is twice the
   logarithm of the likelihood, less the logarithm of the count for each number (Schwarz, Ann. Stat. 6, 1978).
+
+In neither if a smooth function of time is likelier still, as an instrument's swing with the time of day. That is no
+chance, and may be found missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from clampid.evidence.columns import channel_starts
 from clampid.evidence.score import Scored
+from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import course_of, wander_of
-from clampid.stages.rows import POSE_CHANNELS
+from clampid.stages.rows import POSE_CHANNELS, Array, Rows
 
 __all__ = ["with_wander"]
 
+COSINES = 12  # half waves over the whole time of measurement, at most
 SHARE = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
@@ -58,6 +63,8 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
             extra.append(s.candidate.columns.dense(count))
             room -= s.candidate.columns.width
     evidence = found.gain - float(np.log(sum(map(len, residuals))))
+    if evidence < _evidence(white, _smooth(rows, white, mine)):
+        return None
     if evidence < max((s.bic for s in beside), default=0.0):
         columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(active, mine.values(), strict=True)]
         found = wander_of(courses, residuals, columns)
@@ -67,3 +74,24 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     noise = replace(estimate.noise, wander=tuple(each))
     residual, jacobian = estimate.experiment.residual(estimate.theta)
     return replace(estimate, noise=noise, whitened=noise.whiten(rows, residual, jacobian))
+
+
+def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:
+    """Slow cosines of the time of measurement ``(M, k)``, for each channel its own: what is smooth does not wander."""
+    out = np.zeros((len(white.residual), COSINES * len(mine)))
+    for number, own in enumerate(mine.values()):
+        time = rows.constants["time"][white.entry[own]]
+        share = (time - time.min()) / max(float(np.ptp(time)), 1e-12)
+        out[own, COSINES * number : COSINES * (number + 1)] = np.cos(np.pi * share[:, None] * np.arange(1, COSINES + 1))
+    return out
+
+
+def _evidence(white: Whitened, columns: Array) -> float:
+    """What columns ``(M, k)`` explain of a residual beyond the Jacobian, in units of its variance, less their cost."""
+    count, active = white.jacobian.shape
+    everything = np.hstack([white.jacobian, columns, white.residual[:, None]])
+    last = np.asarray(np.linalg.qr(everything, mode="r"))[active:, -1] ** 2
+    left = float(last[columns.shape[1] :].sum())
+    freedom = max(count - active - columns.shape[1], 1)
+    explained = float(last[: columns.shape[1]].sum()) / max(left / freedom, 1e-300)
+    return float(explained - columns.shape[1] * np.log(count))

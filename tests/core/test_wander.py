@@ -10,7 +10,9 @@ import pytest
 
 from clampid.diagnosis.candidate_scores import scores_of
 from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.wandering import with_wander
 from clampid.fitting.noise import Noise
+from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Course, course_of, wander_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
@@ -120,3 +122,27 @@ def test_poses_that_a_wandering_tracker_measured_lack_nothing(tmp_path: Path) ->
     estimate = opened.refit("poses", opened.rows("poses")).estimate
     scores = scores_of(estimate, dict(opened.effects), flips=199, seed=0)
     assert not {s.candidate.name for s in scores.standing_out()} & {"base_settling", "base_creep", "instrument_scale"}
+
+
+def test_a_smooth_swing_of_the_instrument_is_no_wandering(tmp_path: Path) -> None:
+    robot = draw_robot("seven7", 11, mounting="wall")
+    hidden = [("time_of_day", "instrument", 0.94)]
+    tables = ("free_air", "poses", "verification")
+    measure(robot, tmp_path / "arm", hidden=hidden, tables=tables, program="many", noise="white", seed=11)
+    campaign = read_campaign(tmp_path / "arm")
+    opened = on_campaign(identify(campaign), campaign)
+    estimate = opened.refit("poses", opened.rows("poses")).estimate
+    assert with_wander(estimate, []) is None
+    steady = lasting(estimate)
+    assert wander_of(*steady).variance > 0.0  # as a walk it would be seen
+
+
+def lasting(estimate: Estimate) -> tuple[list[Course], list[np.ndarray], list[np.ndarray]]:
+    """Courses, residuals and Jacobians of the points' coordinates."""
+    white, rows = estimate.whitened, estimate.experiment.rows
+    own = [white.channel == c for c in range(3)]
+    return (
+        [course_of(rows, white.entry[o]) for o in own],
+        [white.residual[o] for o in own],
+        [white.jacobian[o] for o in own],
+    )
