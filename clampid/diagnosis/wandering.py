@@ -29,6 +29,7 @@ from clampid.stages.rows import POSE_CHANNELS, Array, Rows
 __all__ = ["with_wander"]
 
 COSINES = 12  # half waves over the whole time of measurement, at most
+MANY = 300  # parameters: of so many, as curves over a joint's turn have, none is taken to explain a wandering
 SHARE = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
@@ -50,9 +51,12 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     mine = {c: channels[c] for c in wanted if c in channels}
     courses = [course_of(rows, white.entry[own]) for own in mine.values()]
     residuals = [white.residual[own] for own in mine.values()]
-    if not mine:
-        return None
-    active = [white.jacobian[own] for own in mine.values()]
+    none = [np.ones((len(r), 1)) for r in residuals]
+    if not mine or not wander_of(courses, residuals, none).variance:
+        return None  # not even by itself, which takes a hundredth of the time
+    active = none
+    if len(estimate.theta) <= MANY:
+        active = [white.jacobian[own] for own in mine.values()]
     found = wander_of(courses, residuals, active)
     if not found.variance:
         return None
@@ -63,7 +67,7 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
             extra.append(s.candidate.columns.dense(count))
             room -= s.candidate.columns.width
     evidence = found.gain - float(np.log(sum(map(len, residuals))))
-    if evidence < _evidence(white, _smooth(rows, white, mine)):
+    if evidence < _evidence(white, active, mine, _smooth(rows, white, mine)):
         return None
     if evidence < max((s.bic for s in beside), default=0.0):
         columns = [np.hstack([a, *(e[own] for e in extra)]) for a, own in zip(active, mine.values(), strict=True)]
@@ -86,12 +90,13 @@ def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:
     return out
 
 
-def _evidence(white: Whitened, columns: Array) -> float:
-    """What columns ``(M, k)`` explain of a residual beyond the Jacobian, in units of its variance, less their cost."""
-    count, active = white.jacobian.shape
-    everything = np.hstack([white.jacobian, columns, white.residual[:, None]])
-    last = np.asarray(np.linalg.qr(everything, mode="r"))[active:, -1] ** 2
-    left = float(last[columns.shape[1] :].sum())
-    freedom = max(count - active - columns.shape[1], 1)
-    explained = float(last[: columns.shape[1]].sum()) / max(left / freedom, 1e-300)
-    return float(explained - columns.shape[1] * np.log(count))
+def _evidence(white: Whitened, active: Sequence[Array], mine: Mapping[int, slice], columns: Array) -> float:
+    """What columns ``(M, k)`` explain of a residual beside others, in units of its variance, less their cost."""
+    own = np.concatenate([np.arange(s.start, s.stop) for s in mine.values()])
+    others = np.vstack(active)
+    everything = np.hstack([others, columns[own], white.residual[own, None]])
+    last = np.asarray(np.linalg.qr(everything, mode="r"))[others.shape[1] :, -1] ** 2
+    width = columns.shape[1]
+    freedom = max(len(own) - others.shape[1] - width, 1)
+    explained = float(last[:width].sum()) / max(float(last[width:].sum()) / freedom, 1e-300)
+    return float(explained - width * np.log(len(own)))
