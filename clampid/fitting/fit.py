@@ -12,7 +12,7 @@ from clampid.fitting.agreeing import Agreement, agreement
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.held_motors import other_crossings
 from clampid.fitting.noise import NORMAL, Noise, initial_noise, learn_noise
-from clampid.fitting.solve import Estimate, FitError, chord_of, holding, prior_of, solve, start_of
+from clampid.fitting.solve import Estimate, FitError, Shared, holding, prior_of, solve, start_of
 from clampid.fitting.unknown_friction import at_no_friction, without_unknown_friction
 from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
@@ -81,8 +81,8 @@ def fit(
     model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
     early = experiment.stage != "poses" or noise is not None  # else another search follows, with the noise learned
-    chord = chord_of()
-    estimate = _past_clearances(solve(experiment, theta, model, precision, mean, errors=early, chord=chord))
+    shared = Shared()
+    estimate = _past_clearances(solve(experiment, theta, model, precision, mean, errors=early, shared=shared))
     whole, agreed = experiment.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
         if experiment.stage == "poses":  # a wrong row may have pulled others off that are right
@@ -96,7 +96,7 @@ def fit(
             break
         rejected = bad
         experiment = experiment.with_rows(whole.without(rejected))
-        estimate = solve(experiment, estimate.theta, model, precision, mean, errors=early, chord=chord)
+        estimate = solve(experiment, estimate.theta, model, precision, mean, errors=early, shared=shared)
     if noise is None:
         rounds = 1 if experiment.stage == "poses" and weights is None else 2
         for number in range(rounds):
@@ -104,7 +104,7 @@ def fit(
             if experiment.stage == "free_air" and estimate.noise.settled(model):
                 break
             errors = early or number == rounds - 1
-            estimate = solve(experiment, estimate.theta, model, precision, mean, errors=errors, chord=chord)
+            estimate = solve(experiment, estimate.theta, model, precision, mean, errors=errors, shared=shared)
     if experiment.stage == "poses":
         estimate = _along_bars(estimate, priors)
         estimate = with_repeatability(without_unknown_friction(estimate))

@@ -17,7 +17,6 @@ from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.wander import course_of
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
 from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
-from experiments.signals import segments
 
 __all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
 
@@ -222,9 +221,4 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
 def groups_of(rows: Rows, index: Integers, together: int) -> Grouping:
     """The groups of some rows ``(k,)``; of a log that is thinned, by their places in the whole of it."""
     place = index if together == 1 else rows.constants["log_row"][index]
-    return Grouping.of(place, _stretches(rows)[index], together)
-
-
-def _stretches(rows: Rows) -> Integers:
-    """The stretch of the log ``(N,)`` that each row is of; between two, the clock breaks off."""
-    return segments(rows.constants["run"], rows.constants["time"], np.ones(len(rows), dtype=bool))
+    return Grouping.of(place, rows.stretch[index], together)

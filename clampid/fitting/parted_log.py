@@ -1,8 +1,8 @@
 """A torque log while parameters are searched of which most are linear: masses and frictions beside a few shapes.
 
 By a linear parameter the derivative is the same at every point, and so are its whitened columns and their products:
-they are made once a search. At a point only the others' columns are made and whitened. With C the linear parameters, V
-the others, and v the residual of these alone,
+they are made once for several searches of the same rows, and whitened once a search. At a point only the others'
+columns are made and whitened. With C the linear parameters, V the others, and v the residual of these alone,
 
     r(theta) = r(theta_0) + v(theta_V) - v(theta_0V) - J_C (theta_C - theta_0C)
 
@@ -22,7 +22,56 @@ from clampid.fitting.noise import Noise, Whitened
 from clampid.stages.experiment import Experiment
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["PartedLog", "PartedPoint"]
+__all__ = ["LinearPart", "PartedLog", "PartedPoint"]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPart:
+    """What the linear parameters C of a log do, which neither the other parameters nor weights change.
+
+    Attributes
+    ----------
+    linear, other
+        Which of the parameters ``(P + K,)`` are C and V.
+    residual
+        ``(N, n)``, Nm, at C = 0, less that of V alone.
+    columns
+        ``(N, n, C)``, Nm: the prediction's derivative.
+    """
+
+    experiment: Experiment
+    linear: Integers
+    other: Integers
+    residual: Array
+    columns: Array
+
+    @staticmethod
+    def of(experiment: Experiment, at: Array) -> LinearPart:
+        """The linear part of an experiment of ``free_air``, found at any parameters ``(P + K,)``."""
+        bends = np.r_[experiment.chain.bends, np.zeros(experiment.offsets, dtype=bool)]
+        linear, other = np.flatnonzero(~bends), np.flatnonzero(bends)
+        residual, jacobian = experiment.residual(at)
+        columns = jacobian if not len(other) else jacobian[:, :, linear]
+        left = residual + columns @ at[linear]
+        if len(other):
+            left -= _bent(experiment).error(np.r_[at[other], np.zeros(experiment.offsets)])
+        return LinearPart(experiment, linear, other, left, columns)
+
+    def serves(self, experiment: Experiment) -> bool:
+        """Whether another experiment has the same effects and rows, of which others may be used."""
+        mine, theirs = self.experiment.rows, experiment.rows
+        same_rows = mine.signals is theirs.signals and mine.measured is theirs.measured
+        return self.experiment.chain is experiment.chain and same_rows
+
+    def left(self, theta: Array) -> Array:
+        """The residual ``(N, n)``, Nm, at parameters ``(P + K,)``, less that of V alone."""
+        return np.asarray(self.residual - self.columns @ theta[self.linear])
+
+
+def _bent(experiment: Experiment) -> Experiment:
+    """The experiment with the parameters V alone."""
+    chain = experiment.chain.bent
+    return replace(experiment, slots=chain.slots, chain=chain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,42 +82,31 @@ class PartedLog:
     ----------
     bent
         The experiment with the parameters V alone.
-    linear, other
-        Which parameters are C and V.
+    part
+        What the others do.
     start
         ``(P + K,)``.
-    residual, columns
-        ``(N, n)`` there, less that of V alone; and ``(N, n, C)``, Nm.
     white
-        The same residual ``(M,)`` and columns ``(M, C)``, whitened.
+        The residual there less that of V alone ``(M,)``, and the columns of C ``(M, C)``, whitened.
     """
 
     bent: Experiment
     noise: Noise
-    linear: Integers
-    other: Integers
+    part: LinearPart
     start: Array
-    residual: Array
-    columns: Array
     white: Whitened
 
     @staticmethod
-    def of(experiment: Experiment, noise: Noise, start: Array) -> PartedLog:
-        """The log of an experiment of ``free_air`` that has linear parameters."""
-        bends = np.r_[experiment.chain.bends, np.zeros(experiment.offsets, dtype=bool)]
-        linear, other = np.flatnonzero(~bends), np.flatnonzero(bends)
-        chain = experiment.chain.bent
-        bent = replace(experiment, slots=chain.slots, chain=chain)
-        residual, jacobian = experiment.residual(start)
-        left = residual - bent.error(np.r_[start[other], np.zeros(experiment.offsets)])
-        columns = jacobian[:, :, linear]
-        white = noise.whiten(experiment.rows, left, columns)
-        return PartedLog(bent, noise, linear, other, start, left, columns, white)
+    def of(experiment: Experiment, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
+        """The log of an experiment of ``free_air`` that has linear parameters, of which the ``part`` may be known."""
+        part = part or LinearPart.of(experiment, start)
+        white = noise.whiten(experiment.rows, part.left(start), part.columns)
+        return PartedLog(_bent(experiment), noise, part, start, white)
 
     def at(self, theta: Array) -> PartedPoint:
         """The log at other parameters ``(P + K,)``."""
-        step = theta[self.linear] - self.start[self.linear]
-        own, derivative = self.bent.derivative(np.r_[theta[self.other], np.zeros(self.bent.offsets)], 0)
+        step = (theta - self.start)[self.part.linear]
+        own, derivative = self.bent.derivative(np.r_[theta[self.part.other], np.zeros(self.bent.offsets)], 0)
         white = self.noise.whiten(self.bent.rows, own, derivative)
         left = self.white.residual - self.white.jacobian @ step + white.residual
         columns = _Columns(self, white.jacobian)
@@ -86,12 +124,12 @@ class _Columns:
     def dense(self) -> Array:
         """J ``(M, P + K)``."""
         out = np.empty((len(self.own), len(self.log.start)))
-        out[:, self.log.linear], out[:, self.log.other] = self.log.white.jacobian, self.own
+        out[:, self.log.part.linear], out[:, self.log.part.other] = self.log.white.jacobian, self.own
         return out
 
     def normal(self) -> Array:
         """J'J ``(P + K, P + K)``."""
-        C, V = self.log.linear, self.log.other
+        C, V = self.log.part.linear, self.log.part.other
         out = np.empty((len(self.log.start), len(self.log.start)))
         across = self.log.white.jacobian.T @ self.own
         out[np.ix_(C, C)], out[np.ix_(V, V)] = self.log.white.normal, self.own.T @ self.own
@@ -121,9 +159,7 @@ class PartedPoint:
     @cached_property
     def residual(self) -> Array:
         """The residual ``(N, n)``, Nm: made where it is asked for, as it is at the end of a search alone."""
-        log = self.columns.log
-        step = self.theta[log.linear] - log.start[log.linear]
-        return np.asarray(log.residual - log.columns @ step + self.own)
+        return np.asarray(self.columns.log.part.left(self.theta) + self.own)
 
     @property
     def cost(self) -> float:
@@ -138,8 +174,8 @@ class PartedPoint:
     def normal(self) -> tuple[Array, Array]:
         """Normal matrix ``(P + K, P + K)`` and downhill gradient ``(P + K,)``."""
         gradient, log = np.empty(len(self.theta)), self.columns.log
-        gradient[log.linear] = log.white.jacobian.T @ self.white.residual
-        gradient[log.other] = self.columns.own.T @ self.white.residual
+        gradient[log.part.linear] = log.white.jacobian.T @ self.white.residual
+        gradient[log.part.other] = self.columns.own.T @ self.white.residual
         return self.white.normal, gradient
 
     def covariance(self, precision: Array) -> Array:

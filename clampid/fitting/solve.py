@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from clampid.fitting.descent import Chord, Limits, covariance_of, descend, inver
 from clampid.fitting.flanks import mirrored, settled
 from clampid.fitting.many_amplitudes import AmplitudePoint, has_many_amplitudes
 from clampid.fitting.noise import Noise, Whitened
-from clampid.fitting.parted_log import PartedLog, PartedPoint
+from clampid.fitting.parted_log import LinearPart, PartedLog, PartedPoint
 from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
 from clampid.stages.experiment import Experiment
@@ -22,8 +22,8 @@ from clampid.stages.rows import Array, Bools, Integers
 __all__ = [
     "Estimate",
     "FitError",
+    "Shared",
     "StagePoint",
-    "chord_of",
     "clamping_offsets",
     "holding",
     "limits_of",
@@ -152,19 +152,49 @@ def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoin
     return StagePoint(theta, residual, noise.whiten(experiment.rows, residual, jacobian))
 
 
-def _points(experiment: Experiment, noise: Noise, start: Array) -> Callable[[Array], StagePoint | PartedPoint]:
+@dataclass
+class Shared:
+    """What several searches of the same rows share, which differ in their weights or in which of the rows are used.
+
+    Attributes
+    ----------
+    chord
+        Of hundreds of amplitudes: a normal matrix, which hardly changes.
+    part
+        Of a log: what its linear parameters do.
+    """
+
+    chord: Chord[AmplitudePoint] = field(default_factory=lambda: Chord(AmplitudePoint.gradient))
+    part: LinearPart | None = None
+
+    @staticmethod
+    def at(matrix: Array) -> Shared:
+        """A normal matrix ``(P, P)`` of an earlier search."""
+        return Shared(Chord(AmplitudePoint.gradient, matrix))
+
+    def linear_part(self, experiment: Experiment, at: Array) -> LinearPart:
+        """The linear part of a log's experiment, found at ``(P + K,)`` if it is not known."""
+        if self.part is None or not self.part.serves(experiment):
+            self.part = LinearPart.of(experiment, at)
+        return self.part
+
+
+def _points(
+    experiment: Experiment, noise: Noise, start: Array, shared: Shared
+) -> Callable[[Array], StagePoint | PartedPoint]:
     """What gives the points of a search: of a model linear in its parameters, all from the first.
 
     Of a log, of which the derivative is large, the linear parameters' is taken from the first point, too.
     """
-    if experiment.stage == "free_air" and not experiment.affine and not experiment.chain.bends.all():
-        return PartedLog.of(experiment, noise, start).at
-    if not experiment.affine:
+    if experiment.stage != "free_air" or not (experiment.affine or not experiment.chain.bends.all()):
         return lambda theta: stage_point(experiment, noise, theta)
-    residual, jacobian = experiment.residual(start)
+    part = shared.linear_part(experiment, start)
+    if not experiment.affine:
+        return PartedLog.of(experiment, noise, start, part).at
+    residual = part.left(start)
     _must_be_finite(experiment, residual)
-    white = noise.whiten(experiment.rows, residual, jacobian)
-    return lambda theta: StagePoint(theta, residual - jacobian @ (theta - start), white.moved(theta - start))
+    white = noise.whiten(experiment.rows, residual, part.columns)
+    return lambda theta: StagePoint(theta, part.left(theta), white.moved(theta - start))
 
 
 def point_at(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
@@ -199,7 +229,7 @@ def solve(
     mean: Array,
     *,
     errors: bool = True,
-    chord: Chord[AmplitudePoint] | None = None,
+    shared: Shared | None = None,
 ) -> Estimate:
     """Minimise the whitened squares plus the prior's from ``theta``; no rejection, no reweighting.
 
@@ -209,8 +239,8 @@ def solve(
     ----------
     errors
         Whether the covariance is wanted; else it is empty. Of hundreds of amplitudes it takes as long as the search.
-    chord
-        Of :func:`chord_of`: what several searches of the same rows share. By default this search has its own.
+    shared
+        What it has in common with other searches of the same rows. By default nothing.
 
     Raises
     ------
@@ -223,10 +253,8 @@ def solve(
         return point_at(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
     known: dict[bytes, Experiment] = {}
-    if not has_many_amplitudes(experiment, noise):
-        chord = None
-    elif chord is None:
-        chord = chord_of()
+    shared = shared or Shared()
+    chord = shared.chord if has_many_amplitudes(experiment, noise) else None
 
     def held_at(at: Array) -> Experiment:
         """Flanks and loads where a parameter vector puts them, found once."""
@@ -238,7 +266,7 @@ def solve(
     def search(held: Sequence[Experiment], at: Array) -> _End:
         limits, one = limits_of(experiment), held[0]
         if chord is None:
-            return _End(*descend(_points(one, noise, at), at, precision, mean, limits), one)
+            return _End(*descend(_points(one, noise, at, shared), at, precision, mean, limits), one)
         return _End(*descend(lambda x: _amplitude_point(one, noise, x), at, precision, mean, limits, chord), one)
 
     def found(start: Array) -> _End:
@@ -264,11 +292,6 @@ def solve(
         prior_mean=mean,
         iterations=end.iterations,
     )
-
-
-def chord_of(matrix: Array | None = None) -> Chord[AmplitudePoint]:
-    """A normal matrix ``(P, P)`` to be kept between searches that differ little: in their weights, or in a few rows."""
-    return Chord(AmplitudePoint.gradient, matrix)
 
 
 class _End(NamedTuple):

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from clampid.fitting.many_amplitudes import has_many_amplitudes
-from clampid.fitting.solve import Estimate, chord_of, holding, point_at, solve
+from clampid.fitting.solve import Estimate, Shared, holding, point_at, solve
 from clampid.stages.experiment import HELD
 from clampid.stages.rows import Array
 
@@ -70,8 +70,8 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     moot, value = _moot(estimate, unknown)
     theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(experiment, precision, moot, HELD)
     theta[moot] = at_zero[moot] = value
-    chord = chord_of(estimate.whitened.normal) if has_many_amplitudes(experiment, estimate.noise) else None
-    found = solve(experiment, theta, estimate.noise, held, at_zero, errors=False, chord=chord)
+    shared = Shared.at(estimate.whitened.normal) if has_many_amplitudes(experiment, estimate.noise) else None
+    found = solve(experiment, theta, estimate.noise, held, at_zero, errors=False, shared=shared)
     return replace(found, covariance=found.point.covariance(precision), prior_precision=precision, prior_mean=mean)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from clampid.effect import Stage
 from clampid.slots import Layout
+from experiments.signals import segments
 from kinematics.description import RobotDescription
 
 __all__ = ["POSE_CHANNELS", "Array", "Bools", "Integers", "Rows", "lengths"]
@@ -130,6 +132,11 @@ class Rows:
         table = np.zeros((int(run.max(initial=0)) + 1, kinds * self.robot.n))
         table[keys[:, 0], keys[:, 1]] = offsets
         return np.asarray(table[run])
+
+    @cached_property
+    def stretch(self) -> Integers:
+        """The stretch of a log ``(N,)`` that each row is of; between two, the clock breaks off."""
+        return segments(self.constants["run"], self.constants["time"], np.ones(len(self), dtype=bool))
 
     @property
     def oriented(self) -> bool:
