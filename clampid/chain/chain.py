@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.chain.compiled import Blocks
+from clampid.chain.compiled import Rowwise
 from clampid.chain.row_symbols import RowSymbols, offer_friction_state, offer_torque, parameter_columns
 from clampid.chain.steady import Steady, parted
 from clampid.effect import Effect, EffectError, Stage
@@ -88,12 +88,12 @@ class Chain:
     slots: tuple[Slot, ...]
     offsets: Mapping[str, slice]
     signals: tuple[tuple[str, int], ...]
-    function: Blocks
+    function: Rowwise
     station: npt.NDArray[np.int64]
     parameter: npt.NDArray[np.int64]
     least: Array
-    flank_function: Blocks | None = None
-    yield_function: Blocks | None = None
+    flank_function: Rowwise | None = None
+    yield_function: Rowwise | None = None
     lean: Array | None = None
     affine: bool = False
     steady: Steady | None = None
@@ -137,7 +137,7 @@ class Chain:
             self,
             slots=tuple(self.slots[k] for k in own),
             signals=tuple(self.signals[k] for k in read),
-            function=Blocks(ca.Function("bent", [theta, ca.vertcat(*(blocks[k] for k in read))], outputs)),
+            function=Rowwise(ca.Function("bent", [theta, ca.vertcat(*(blocks[k] for k in read))], outputs)),
             station=self.station[kept],
             parameter=np.searchsorted(own, self.parameter[kept]),
             least=self.least[own],
@@ -279,12 +279,12 @@ def build_chain(
         tuple(slots),
         offsets,
         widths,
-        Blocks(ca.Function("deviations", inputs, outputs)),
+        Rowwise(ca.Function("deviations", inputs, outputs)),
         station_of,
         parameter_of,
         least,
-        None if pressing is None else Blocks(ca.Function("pressing", inputs, [pressing])),
-        None if yields is None else Blocks(ca.Function("yields", inputs, [yields])),
+        None if pressing is None else Rowwise(ca.Function("pressing", inputs, [pressing])),
+        None if yields is None else Rowwise(ca.Function("yields", inputs, [yields])),
         affine=affine,
         steady=steady,
     )

@@ -1,9 +1,10 @@
 """Functions of single rows run over whole blocks of rows, in compiled C where a C compiler is found.
 
-Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). Without a compiler functions run in
-casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the hash of
-its source and its own, so that each function is compiled once on a machine, and a library that was cut off or changed
-is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
+Where it can, the compiled function does eight rows at once (`clampid.chain.lanes`). A function that is used for a few
+fits alone is compiled in a hurry, and only where its rows pay for that (:class:`Rowwise`). Without a compiler functions
+run in casadi's own machine: the same numbers, slower. What was compiled is kept in the user's cache folder under the
+hash of its source and its own, so that each function is compiled once on a machine, and a library that was cut off or
+changed is made again instead of ending the process (see :mod:`clampid.chain.library_folder`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,18 +26,23 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.chain.lanes import Lanes, lanes_source
-from clampid.chain.library_folder import digest_of, is_whole, own_folder
+from clampid.chain.library_folder import digest_of, is_whole, own_folder, remove_oldest, used_now
 from experiments.outputs import flush_folder, scratch_folder
 
-__all__ = ["Blocks", "compile_function", "compile_rows", "compiler"]
+__all__ = ["Blocks", "Rowwise", "compile_function", "compile_rows", "compiler"]
 
 Array = npt.NDArray[np.float64]
 
 BLOCK = 64  # rows evaluated at once; the last block of a call is filled up with what was there before
 # Neither of the first two changes a result: casadi's code asks for no errno, and traps no exception of the processor.
 OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+HURRIED = ("-O0", *OPTIONS[1:])  # a seventh of the time to compile, half of the speed
 PLAIN = ("-std=c99",)
 NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
+# Seconds, measured on one core of 2020 and rounded: of the compiler to begin, and for an instruction; and what a row of
+# an instruction takes less when it is compiled. Their ratios alone count.
+BEGINS, COMPILES, SAVES = 0.06, 3.5e-5, 3.3e-9
+CALLS = 20  # of a function with the rows of one fit, at least: its points, a few for each of its searches
 COMPILE_SECONDS = 120.0  # one that takes longer is not worth waiting for
 
 _log = logging.getLogger(__name__)
@@ -74,6 +81,33 @@ class Blocks:
         return results
 
 
+class Rowwise:
+    """A function of (parameters, row) that is compiled in a hurry where the rows of a call pay for it.
+
+    Which calls are compiled depends on the function and the number of rows alone, so that the same call has the same
+    result at any time.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        self._instructions = function.n_instructions() if function.is_a("SXFunction") else 0
+
+    def __call__(self, theta: Array, *columns: Array) -> list[Array]:
+        """As :class:`Blocks`."""
+        rows = len(columns[0]) if columns else 0
+        gain = CALLS * SAVES * rows * self._instructions
+        worth = gain > BEGINS + COMPILES * self._instructions
+        return (self._compiled if worth else self._blocks)(theta, *columns)
+
+    @cached_property
+    def _blocks(self) -> Blocks:
+        return Blocks(self.function)
+
+    @cached_property
+    def _compiled(self) -> Blocks | Lanes:
+        return _lanes(self.function, HURRIED) or self._blocks
+
+
 def compiler() -> list[str] | None:
     """The command of the C compiler, or None where there is none.
 
@@ -94,14 +128,20 @@ def compile_rows(function: Any) -> Blocks | Lanes:
     function
         A dense ``casadi.Function`` of two inputs, without calls to anything that has no C source.
     """
+    return _lanes(function, OPTIONS) or Blocks(compile_function(function))
+
+
+def _lanes(function: Any, options: Sequence[str]) -> Lanes | None:
+    """The function compiled for eight rows at once; None where that cannot be had."""
     source = lanes_source(function)
-    library = None if source is None else _library(function.name(), source, (*NATIVE, *OPTIONS), _processor())
-    if library is not None:
-        try:
-            return Lanes(function, library)
-        except (OSError, AttributeError) as error:  # it is no library, or another function's
-            _log.info("%s runs row by row: %s", function.name(), error)
-    return Blocks(compile_function(function))
+    library = None if source is None else _library(function.name(), source, (*NATIVE, *options), _processor())
+    if library is None:
+        return None
+    try:
+        return Lanes(function, library)
+    except (OSError, AttributeError) as error:  # it is no library, or another function's
+        _log.info("%s runs row by row: %s", function.name(), error)
+        return None
 
 
 def compile_function(function: Any) -> Any:
@@ -141,6 +181,7 @@ def _library(name: str, source: str, options: Sequence[str], machine: str) -> Pa
         folder = own_folder()
         for library in folder.glob(f"{name}-{key}.*.so"):
             if is_whole(library):
+                used_now(library)
                 return library
             library.unlink(missing_ok=True)  # cut off, changed, or writable by others: made again
         return _build([*command, *options], source, folder, f"{name}-{key}")
@@ -175,4 +216,5 @@ def _build(command: list[str], source: str, place: Path, name: str) -> Path:
             os.fsync(file.fileno())
         made.replace(library)
     flush_folder(place)
+    remove_oldest(place)
     return library

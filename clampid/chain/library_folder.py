@@ -1,21 +1,27 @@
-"""Where compiled libraries are kept: a folder that nobody else can write, with files whose names hold their hashes."""
+"""Where compiled libraries are kept: a folder that nobody else can write, with files whose names hold their hashes.
+
+It does not grow without end: of more than 256 MB, some thousand libraries, those that were used longest ago go.
+"""
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import hashlib
 import logging
 import os
 import shutil
 import stat
 import tempfile
+import time
 from functools import cache
 from pathlib import Path
 
 import platformdirs
 
-__all__ = ["digest_of", "is_whole", "own_folder"]
+__all__ = ["digest_of", "is_whole", "own_folder", "remove_oldest", "used_now"]
 
+LARGEST = 256_000_000  # bytes of all libraries; after a removal, half of it is left
 OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 _log = logging.getLogger(__name__)
@@ -61,6 +67,33 @@ def digest_of(file: Path) -> str:
     """Half of the SHA-256 of a file, hexadecimal."""
     with open(file, "rb") as opened:
         return hashlib.file_digest(opened, "sha256").hexdigest()[:32]
+
+
+def used_now(library: Path) -> None:
+    """Note that a library was used, as far as that can be noted."""
+    with contextlib.suppress(OSError):
+        os.utime(library, ns=(time.time_ns(), os.lstat(library).st_mtime_ns))
+
+
+def remove_oldest(folder: Path, largest: int = LARGEST) -> None:
+    """Remove libraries that were used longest ago, if all of them together have more than ``largest`` bytes.
+
+    A process that has loaded one keeps it.
+    """
+    found = []
+    for library in folder.glob("*.so"):
+        with contextlib.suppress(OSError):  # another process has removed it
+            status = os.lstat(library)
+            found.append((status.st_atime_ns, status.st_size, library))
+    total = sum(size for _, size, _ in found)
+    if total <= largest:
+        return
+    for _, size, library in sorted(found):
+        if total <= largest // 2:
+            return
+        with contextlib.suppress(OSError):
+            library.unlink()
+        total -= size
 
 
 def _is_mine(found: os.stat_result) -> bool:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.chain.compiled import Blocks
+from clampid.chain.compiled import Rowwise
 
 __all__ = ["Steady", "parted"]
 
@@ -45,7 +45,7 @@ class Steady:
 
     def __init__(
         self,
-        function: Blocks,
+        function: Rowwise,
         signals: Sequence[tuple[str, int]],
         fixed: Integers,
         columns: Integers,
@@ -147,7 +147,7 @@ def parted(
     read = {name: flat for name, flat in flats.items() if ca.depends_on(own, flat)}
     function = ca.Function("steady", [theta[fixed.tolist()], ca.vertcat(*read.values())], [own])
     signals = [(name, flat.shape[0]) for name, flat in read.items()]
-    steady = Steady(Blocks(function), signals, fixed, columns, others, station[columns], parameter[columns])
+    steady = Steady(Rowwise(function), signals, fixed, columns, others, station[columns], parameter[columns])
     return Parted(values, kept, steady)
 
 

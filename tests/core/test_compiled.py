@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from clampid.chain.compiled import BLOCK, Blocks, compile_function, compile_rows, compiler
+from clampid.chain.compiled import BLOCK, Blocks, Rowwise, compile_function, compile_rows, compiler
 from clampid.chain.lanes import Lanes, lanes_source
+from clampid.chain.library_folder import remove_oldest, used_now
 
 
 def function() -> ca.Function:
@@ -148,6 +149,40 @@ def test_eight_rows_at_once_treat_what_is_no_number_as_one_row_does(cache: Path)
     fast = compile_rows(f)
     assert isinstance(fast, Lanes)
     np.testing.assert_array_equal(fast(np.zeros(0), rows)[0], Blocks(f)(np.zeros(0), rows)[0])
+
+
+def long_function(lines: int) -> ca.Function:
+    """So many angles, each with a sine and a square."""
+    theta, row = ca.SX.sym("theta", 1), ca.SX.sym("row", lines)
+    return ca.Function("wide", [theta, row], [ca.densify(theta * ca.sin(row) + row**2)])
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler here")
+def test_many_rows_of_a_long_function_are_compiled_and_few_are_not(cache: Path):
+    f = long_function(400)
+    rows, theta = np.random.default_rng(0).normal(size=(3000, 400)), np.array([1.3])
+    chosen, slow = Rowwise(f), Blocks(f)
+    np.testing.assert_array_equal(chosen(theta, rows[:50])[0], slow(theta, rows[:50])[0])
+    assert list(cache.rglob("*.so")) == []
+    np.testing.assert_allclose(chosen(theta, rows)[0], slow(theta, rows)[0], rtol=1e-13, atol=1e-13)
+    assert len(list(cache.rglob("*.so"))) == 1
+
+
+def test_without_a_compiler_many_rows_have_the_same_numbers(cache: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("CLAMPID_COMPILER", "none")
+    f, rows, theta = long_function(400), np.random.default_rng(0).normal(size=(3000, 400)), np.array([1.3])
+    np.testing.assert_array_equal(Rowwise(f)(theta, rows)[0], Blocks(f)(theta, rows)[0])
+
+
+def test_of_too_many_libraries_those_used_longest_ago_go(tmp_path: Path):
+    for k in range(6):
+        (tmp_path / f"f-{k}.so").write_bytes(bytes(100))
+        os.utime(tmp_path / f"f-{k}.so", ns=(k, k))
+    used_now(tmp_path / "f-0.so")
+    remove_oldest(tmp_path, largest=600)
+    assert len(list(tmp_path.iterdir())) == 6
+    remove_oldest(tmp_path, largest=599)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["f-0.so", "f-5.so"]
 
 
 def test_what_cannot_be_done_by_eights_is_done_one_by_one(cache: Path):
