@@ -142,7 +142,7 @@ def fit_stage(
     if carried_prior is None and not start and open_turns(rows):
         trial = experiment(rows, effects, active_slots(rows, effects, terms))
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
-    fitted_rows = rows.take(~rows.in_folds(held)) if held else rows
+    fitted_rows = rows.outside(held)
 
     weights = last.noise if last is not None and rows.stage == "poses" else None
 

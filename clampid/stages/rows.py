@@ -121,6 +121,17 @@ class Rows:
             out |= (self.session == s) & np.isin(local, list(folds))
         return out
 
+    def outside(self, held: Sequence[Sequence[int]]) -> Rows:
+        """All rows but those of the given folds: the same object each time, as dozens of fits keep it."""
+        key = tuple(tuple(folds) for folds in held)
+        if key not in self._outside:
+            self._outside[key] = self.take(~self.in_folds(held)) if key else self
+        return self._outside[key]
+
+    @cached_property
+    def _outside(self) -> dict[tuple[tuple[int, ...], ...], Rows]:
+        return {}
+
     @property
     def offsets(self) -> int:
         """K: how many unknown constants the runs or sweeps have."""
