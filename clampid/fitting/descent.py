@@ -25,6 +25,9 @@ __all__ = [
 
 ITERATIONS = 30
 DAMPING_START, DAMPING_END = 1e-3, 1e8
+# By how much less the least damping is each time that a step without any fails. Along a bent valley none is too little,
+# and a fixed least one may be a hundred times too much: steps then creep along it.
+LESS_DAMPING = 0.1
 # Nielsen's rule, by the share of its promise that a step keeps: Madsen, Nielsen, Tingleff, Methods for non-linear least
 # squares problems, 2004, sect. 3.2. Tens up and down instead made every second step fail along a bent valley.
 RAISED, LOWERED = 2.0, 1 / 3
@@ -131,7 +134,7 @@ def descend(
     best = at(theta)
     cost, (A, g) = whole(best), normal(best)
     own = chord is None  # whether the matrix is this point's own
-    damping, raise_by, idle, iteration = 0.0, RAISED, 0, 0
+    damping, least, raise_by, idle, iteration = 0.0, DAMPING_START, RAISED, 0, 0
     while iteration < ITERATIONS and idle <= IDLE_STEPS and damping < DAMPING_END:
         iteration += 1
         # A parameter that rests on its bound and would leave it stays there, so that the others' step is their own.
@@ -146,7 +149,11 @@ def descend(
             (A, g), own = normal(best, 0.0), True
             continue
         if reached > cost:
-            damping, raise_by = max(raise_by * damping, DAMPING_START), RAISED * raise_by
+            if damping == 0.0:
+                damping, least = least, LESS_DAMPING * least
+            else:
+                damping *= raise_by
+            raise_by *= RAISED
             continue
         kept = (cost - reached) / float(step @ (2.0 * g - A @ step))  # of what the quadratic model promised
         # Where gaps close, the cost has kinks, along which steps zigzag without getting anywhere.
@@ -155,7 +162,7 @@ def descend(
         A, g = normal(best, kept)
         own = chord is None or abs(kept - 1.0) > CHORD
         damping, raise_by = damping * max(LOWERED, 1.0 - (2.0 * kept - 1.0) ** 3), RAISED
-        damping = damping if damping >= DAMPING_START else 0.0
+        damping = damping if damping >= least else 0.0
     return best, iteration
 
 
