@@ -31,6 +31,7 @@ from clampid.wrong_call import CallError
 from offline_ik.beamline.gate import Bounds, Gate, free_port
 from offline_ik.beamline.line_client import Line, LostError, Server
 from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock_of, server_of
+from offline_ik.exchange.address import parse_address
 
 __all__ = ["DetectorRobot", "main"]
 
@@ -191,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_arguments(parser)
     given = parser.parse_args(arguments)
     server, instance = given.name.split("/")
-    device, (host, _, port) = f"{server}/{instance}/detector", given.listen.rpartition(":")
+    device, (host, port) = f"{server}/{instance}/detector", parse_address(given.listen)
     DetectorRobot.server, DetectorRobot.locked = server_of(given, "tango")
     DetectorRobot.metres = LENGTHS[given.radius_unit]
     follow_parent()
@@ -199,11 +200,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def ready() -> None:
         # A stop does not wait for a write that is being checked.
         tango.Util.instance().set_serial_model(SerialModel.NO_SYNC)
-        print(f"tango on tango://{host}:{port}/{device}#dbase=no", flush=True)
+        print(f"tango on tango://{given.listen}/{device}#dbase=no", flush=True)
 
     behind = free_port()
     try:
-        Gate(host, int(port), behind).open()
+        Gate(host, port, behind).open()
     except OSError as error:
         parser.exit(2, f"tango: cannot listen on {given.listen}: {error}\n")
     named = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
