@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import re
@@ -16,7 +17,7 @@ from contextvars import ContextVar
 from copy import copy
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 
@@ -224,7 +225,18 @@ def _fail(message: str, code: int) -> int:
     if len(line) > LONGEST_LINE:
         line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"
     text = f"clampid: {line}"
+    if sys.stderr is None:  # closed by who called: the code says it all the same
+        return code
     if sys.stderr.isatty():  # elsewhere one line, for scripts
         text = "\n".join(wrapped(text, shutil.get_terminal_size().columns, rest="  "))
-    print(text, file=sys.stderr)
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except OSError:  # nobody can be told: the disk is full, say
+        _give_up(sys.stderr)
     return code
+
+
+def _give_up(stream: TextIO) -> None:
+    """Let the interpreter not fail, with a code of its own, at what could not be written."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

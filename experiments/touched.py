@@ -185,12 +185,14 @@ def _start(root: Section) -> Array | None:
 def _table(path: Path, n: int, tips: tuple[str, ...], features: list[str]) -> pd.DataFrame:
     frame, source = read_table(path), TableFile(path)
     count = len(frame)
-    frame = frame.assign(pose=np.arange(1, count + 1), visit=1, time_s=np.arange(float(count)))
-    frame[list(POSITION)] = 0.0  # where a touch was measured nobody knows; its feature says it
-    if "target" not in frame and len(tips) == 1:
-        frame["target"] = tips[0]
-    if not any(name in frame for name in joint_columns("dir{}", n)):
-        frame[list(joint_columns("dir{}", n))] = 0
+    columns: dict[str, object] = {str(name): frame[name] for name in frame.columns}
+    columns |= {"pose": np.arange(1, count + 1), "visit": 1, "time_s": np.arange(float(count))}
+    columns |= dict.fromkeys(POSITION, 0.0)  # where a touch was measured nobody knows; its feature says it
+    if "target" not in columns and len(tips) == 1:
+        columns["target"] = tips[0]
+    if not any(name in columns for name in joint_columns("dir{}", n)):
+        columns |= dict.fromkeys(joint_columns("dir{}", n), 0)
+    frame = pd.DataFrame(columns, index=frame.index)
     form = table_format("poses", n)
     frame = validate_table(frame, replace(form, required=(*form.required, Column("feature", "text"))), source, tips)
     for row, name in enumerate(frame["feature"]):

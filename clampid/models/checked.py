@@ -204,7 +204,7 @@ def _matrix(at: Section, key: str, count: int, width: int) -> list[list[float]]:
         raise at.fault(key, expected, shown(rows))
     for k, row in enumerate(rows):
         whole = isinstance(row, list) and len(row) == width
-        if not whole or any(isinstance(one, list | Mapping) for one in row):
+        if not whole or not {list, dict}.isdisjoint(map(type, row)):
             raise at.fault(f"{key}[{k + 1}]", f"{width} finite numbers", shown(row))
     return rows
 
@@ -213,7 +213,8 @@ def _numbers(at: Section, key: str) -> None:
     """Lists of lists of finite numbers, or null."""
     value = at.value(key, "numbers", None)
     for one in _leaves(value) if value is not None else ():
-        if isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) < math.inf:
+        number = type(one) is float or (isinstance(one, int | float) and not isinstance(one, bool))
+        if not number or not abs(one) < math.inf:
             raise at.fault(key, "lists of finite numbers", shown(one))
 
 
@@ -227,8 +228,13 @@ def _no_flags(at: Section, key: str, value: Any) -> None:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    if isinstance(value, list | Mapping):
-        for one in value.values() if isinstance(value, Mapping) else value:
-            yield from _leaves(one)
-    else:
+    """What stands in lists and tables within each other, as JSON has them."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if not isinstance(value, list):
         yield value
+    elif {list, dict}.isdisjoint(map(type, value)):
+        yield from value
+    else:
+        for one in value:
+            yield from _leaves(one)

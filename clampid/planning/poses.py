@@ -35,6 +35,7 @@ from experiments.plans.validate import validate_plan
 __all__ = ["PoseWishes", "plan_poses"]
 
 
+MOST_POSES = 5000  # at 10 s each half a day; their candidates take a gigabyte
 POOL = 20  # candidates for each pose
 FEWEST_CANDIDATES = 200
 SIDES = 32  # of a pose that are tried
@@ -126,8 +127,8 @@ def _check(wishes: PoseWishes) -> None:
         ("replicates", wishes.replicates, 0),
         ("verification poses", wishes.verification, 0),
     ):
-        if value < least:
-            raise PlanError(f"{name}: expected {least} or more, found {value}")
+        if not least <= value <= MOST_POSES:
+            raise PlanError(f"{name}: expected {least} to {MOST_POSES}, found {value}")
     if wishes.replicates > wishes.poses:
         raise PlanError(f"replicates: expected at most the {wishes.poses} poses, found {wishes.replicates}")
     if not 0.0 <= wishes.spread <= 1.0:

@@ -18,6 +18,8 @@ from experiments.plans.validate import validate_plan
 
 __all__ = ["LogWishes", "finished_program"]
 
+LONGEST_LOG = 86_400.0  # s, of one program
+
 
 @dataclass(frozen=True)
 class LogWishes:
@@ -54,8 +56,8 @@ class LogWishes:
         PlanError
             The first of them.
         """
-        if not self.time > 0 or not np.isfinite(self.time):
-            raise PlanError(f"time: expected seconds above 0, found {self.time:g}")
+        if not 0 < self.time <= LONGEST_LOG:
+            raise PlanError(f"time: expected seconds above 0, at most {LONGEST_LOG:g}, found {self.time:g}")
         if len(self.speeds) < 2 or len(set(self.speeds)) < len(self.speeds):
             raise PlanError(
                 f"speeds: expected two or more different shares of the top speeds, found {list(self.speeds)}"

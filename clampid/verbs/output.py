@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json as json_module
 import os
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 LINES_APART = 5.0  # seconds
 WIDTH = 120  # of details that go to a file or a pipe, where neither a terminal nor COLUMNS says
+_WIDTHS = re.compile("[1-9][0-9]{0,4}")
 STYLES = {"good": "bold green", "open": "bold yellow", "bad": "bold red", "title": "bold", "quiet": "dim"}
 
 
@@ -185,6 +187,8 @@ def _console(stderr: bool, silent: bool = False) -> Console:
     from rich.console import Console
 
     console = Console(stderr=stderr, quiet=silent)
-    if console.is_terminal or os.environ.get("COLUMNS", "").isdigit():
+    if not _WIDTHS.fullmatch(os.environ.get("COLUMNS", "1")):  # rich would take 0 for a width
+        console.width = WIDTH
+    if console.is_terminal or _WIDTHS.fullmatch(os.environ.get("COLUMNS", "")):
         return console
     return Console(stderr=stderr, quiet=silent, width=WIDTH)

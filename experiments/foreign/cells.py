@@ -40,14 +40,15 @@ def numbers(cells: Cells, at: int, *, gaps: bool = False) -> FloatArray:
         A cell is no finite number.
     """
     reading = cells.readings[at]
-    texts = [str(text).translate(MINUS) for text in cells.columns[at]]
+    texts = [text if text.isascii() else text.translate(MINUS) for text in map(str, cells.columns[at])]
     if reading.thousands:
         texts = [text.replace(reading.thousands, "") for text in texts]
     if reading.decimal == ",":
         texts = ["?" if "." in text else text.replace(",", ".") for text in texts]
     values = np.asarray(pd.to_numeric(np.array(texts, dtype=object), errors="coerce"), dtype=np.float64)
-    empty = np.array([text.strip().lower() in NOTHING for text in texts], dtype=bool)
-    bad = ~np.isfinite(values) & ~(empty & gaps)
+    bad = ~np.isfinite(values)
+    if gaps and bad.any():
+        bad &= np.array([text.strip().lower() not in NOTHING for text in texts], dtype=bool)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         expected = "a number" + (" with a decimal comma" if reading.decimal == "," else "")

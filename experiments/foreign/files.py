@@ -262,6 +262,9 @@ def _cells(file: Path, number: int, line: str, reading: Reading) -> list[str]:
 def _split(line: str, reading: Reading) -> list[str]:
     if reading.delimiter == " ":
         line = line.replace("\t", " ").strip()
+    if '"' not in line and len(line) < csv.field_size_limit():  # a reader for each line costs more than the line
+        parts = line.split(reading.delimiter)
+        return [part.strip() for part in parts if part or reading.delimiter != " "]
     record = next(csv.reader([line], delimiter=reading.delimiter, skipinitialspace=True), [])
     return [cell.strip() for cell in record]
 

@@ -9,11 +9,11 @@ from urllib.parse import parse_qsl
 from experiments.instruments.folder import FolderInstrument, reading_of
 from experiments.instruments.line import LineInstrument
 from experiments.instruments.protocol import Instrument, InstrumentError
+from kinematics.host_port import host_and_port
 
 __all__ = ["connect_instrument", "instrument_of"]
 
 KINDS = "tcp://HOST:PORT or folder:DIR[?key=value&…]"
-LAST_PORT = 65535
 
 
 def connect_instrument(address: str) -> Instrument:
@@ -36,10 +36,11 @@ def instrument_of(address: str) -> Callable[[], Instrument]:
         The address is none.
     """
     if address.startswith("tcp://"):
-        host, _, port = address.removeprefix("tcp://").rpartition(":")
-        if not host or not port.isdecimal() or not 0 < int(port) <= LAST_PORT:
-            raise InstrumentError(f"instrument: expected {KINDS}, found {address[:80]!r}")
-        return lambda: LineInstrument(host.strip("[]"), int(port))
+        try:
+            at = host_and_port(address.removeprefix("tcp://"))
+        except ValueError:
+            raise InstrumentError(f"instrument: expected {KINDS}, found {address[:80]!r}") from None
+        return lambda: LineInstrument(*at)
     if address.startswith("folder:"):
         path, mark, query = address.removeprefix("folder:").partition("?")
         try:

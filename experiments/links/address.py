@@ -10,6 +10,7 @@ from typing import cast
 from urllib.parse import parse_qsl
 
 from experiments.links.protocol import Link, LinkError
+from kinematics.host_port import is_host
 
 __all__ = ["DEFAULT_SCHEME", "GROUP", "LinkAddress", "installed", "open_link", "parse_address"]
 
@@ -17,7 +18,7 @@ GROUP = "clampid.robot_links"
 """Entry points: the name is the scheme, the object is called with a `LinkAddress` and gives a `Link`."""
 DEFAULT_SCHEME = "eki"
 LONGEST = 500  # characters
-_ADDRESS = re.compile(r"(?:([a-z][a-z0-9+.-]*)://)?(?:\[([0-9a-fA-F:.]+)\]|([^\s:/?\[\]]+)):(\d{1,5})(?:/?\?(.*))?")
+_ADDRESS = re.compile(r"(?:([a-z][a-z0-9+.-]*)://)?(?:\[([0-9a-fA-F:.]+)\]|([^\s:/?\[\]]+)):([0-9]{1,5})(?:/?\?(.*))?")
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def parse_address(text: str) -> LinkAddress:
         It is none.
     """
     found = _ADDRESS.fullmatch(text) if len(text) <= LONGEST else None
-    if found is None or not 0 < int(found[4]) < 65536:
+    if found is None or not 0 < int(found[4]) < 65536 or not is_host(found[2] or found[3]):
         raise LinkError(f"link: expected SCHEME://HOST:PORT, found {text[:80]!r}")
     pairs = parse_qsl(found[5] or "", keep_blank_values=True)
     if len(dict(pairs)) != len(pairs):

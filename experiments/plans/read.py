@@ -50,7 +50,8 @@ def read_plan(path: str | Path) -> Plan:
     """
     file = Path(path)
     if not file.is_file():
-        raise PlanError(f"{file}: expected a plan file, found {'a folder' if file.is_dir() else 'no such file'}")
+        found = "a folder" if file.is_dir() else "a device or pipe" if file.exists() else "no such file"
+        raise PlanError(f"{file}: expected a plan file, found {found}")
     try:
         text = read_text(file)
     except UnicodeDecodeError as error:

@@ -11,6 +11,7 @@ from typing import Protocol
 
 from experiments.plans.errors import PlanError
 from experiments.runs.errors import RunStopped
+from kinematics.host_port import host_and_port as read_address
 
 __all__ = ["Console", "Person", "VirtualOperator", "Yes", "host_and_port"]
 
@@ -161,7 +162,7 @@ def host_and_port(text: str, what: str) -> tuple[str, int]:
     PlanError
         It is none.
     """
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise PlanError(f"{what}: expected HOST:PORT, found {text[:80]!r}")
-    return host.strip("[]"), int(port)
+    try:
+        return read_address(text)
+    except ValueError as error:
+        raise PlanError(f"{what}: {error}") from None

@@ -7,7 +7,10 @@ further tables, when the plan is done.
 from __future__ import annotations
 
 import hashlib
+import os
+import re
 import shutil
+import stat
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,6 +37,8 @@ from experiments.runs.sweeps import run_sweeps
 
 __all__ = ["Asked", "Outcome", "begun", "run"]
 
+OWN_FILES = re.compile(r"journal\.jsonl|plan(-[0-9]+)?\.toml|\..*partial.*", re.DOTALL)
+"""What a run writes into the folder of its own; hidden: what a kill left of a write."""
 TRACES = ("move", "row", "log", "skipped", "clamped", "complete")
 """What in a journal shows that the robot was moved or something recorded."""
 
@@ -123,7 +128,14 @@ def _run(plan: Plan, folder: Path, asked: Asked, work: Path) -> Outcome:
 
 
 def _check_work(work: Path, text: str, folder: Path, *, resume: bool) -> None:
-    """An unfinished run is gone on with only when that is asked for, and with its own plan."""
+    """An unfinished run is gone on with only when that is asked for, and with its own plan.
+
+    Its folder is removed when the run has ended: it holds a run's own files only, and is no link to another folder.
+    """
+    if os.path.lexists(work):
+        other = "a link" if work.is_symlink() else "a file" if not work.is_dir() else _foreign(work)
+        if other:
+            raise PlanError(f"{work}: expected nothing, or the folder of a run that was stopped, found {other}")
     if not (work / "journal.jsonl").is_file():
         return
     copy = work / "plan.toml"
@@ -134,6 +146,14 @@ def _check_work(work: Path, text: str, folder: Path, *, resume: bool) -> None:
         )
     if not resume:
         raise PlanError(f"{folder}: a run of this plan was begun; go on with --resume, or remove {work}")
+
+
+def _foreign(work: Path) -> str:
+    """What in a run's folder is no file that a run writes; empty: nothing."""
+    for one in sorted(work.iterdir()):
+        if not stat.S_ISREG(one.lstat().st_mode) or not OWN_FILES.fullmatch(one.name):
+            return f"{one.name[:80]!r} in it"
+    return ""
 
 
 def _mark(data: bytes) -> str:

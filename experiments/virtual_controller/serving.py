@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,6 +39,11 @@ STATE_TAGS = {"Ask/Sequence", "Ask/Kind", "Ask/From"}
 ATTEMPTS = 50  # at two free ports side by side
 
 
+# Parts of a host's name of more than 63 characters are an error of another kind where the name is looked up.
+_IPV6 = r"\[[0-9A-Fa-f:.]{2,45}\]|[0-9A-Fa-f]*:[0-9A-Fa-f:.]{1,45}"
+_ADDRESS = re.compile(rf"({_IPV6}|\w[\w-]{{0,62}}(?:\.\w[\w-]{{0,62}}){{0,8}}):([0-9]{{1,5}})", re.ASCII)
+
+
 @dataclass(frozen=True)
 class Address:
     """Where to listen; port 0 takes a free one."""
@@ -48,10 +54,10 @@ class Address:
 
 def parse_address(text: str, what: str) -> Address:
     """Read ``HOST:PORT``."""
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise ControllerError(f"{what} {text!r}: expected HOST:PORT")
-    return Address(host.strip("[]"), int(port))
+    found = _ADDRESS.fullmatch(text)
+    if found is None or int(found[2]) > 65535:
+        raise ControllerError(f"{what} {text[:80]!r}: expected HOST:PORT")
+    return Address(found[1].strip("[]"), int(found[2]))
 
 
 class VirtualRobot:

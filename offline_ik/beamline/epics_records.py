@@ -23,6 +23,7 @@ from clampid.wrong_call import CallError
 from offline_ik.beamline.combining import AXES, Combined
 from offline_ik.beamline.line_client import Server
 from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock_of, server_of
+from offline_ik.exchange.address import parse_address
 
 __all__ = ["main"]
 
@@ -41,9 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--radius-unit", choices=LENGTHS, default="mm")
     add_arguments(parser)
     given = parser.parse_args(arguments)
-    host, _, port = given.listen.rpartition(":")
+    host, port = parse_address(given.listen)
     # caproto reads the port, and whom to tell that it is there, from the environment only.
-    os.environ |= {"EPICS_CA_SERVER_PORT": port, "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO"}
+    os.environ |= {"EPICS_CA_SERVER_PORT": str(port), "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO"}
     os.environ["EPICS_CAS_BEACON_ADDR_LIST"] = "255.255.255.255"
     follow_parent()
     server, locked = server_of(given, "epics")

@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import socket
 import sys
 import threading
 from collections.abc import Sequence
@@ -27,8 +28,10 @@ from tango import AttrWriteType, DevState, SerialModel
 from tango.server import Device, attribute, command, run
 
 from clampid.wrong_call import CallError
+from offline_ik.beamline.gate import Bounds, Gate, free_port
 from offline_ik.beamline.line_client import Line, LostError, Server
 from offline_ik.beamline.side import LENGTHS, add_arguments, follow_parent, lock_of, server_of
+from offline_ik.exchange.address import parse_address
 
 __all__ = ["DetectorRobot", "main"]
 
@@ -177,7 +180,7 @@ class DetectorRobot(Device):
         self._lines = {name: Line(kind.server) for name in self._lines}
 
 
-THREADS = "600"  # of the device's server: a connection whose message is not complete holds one for as long as it lasts
+THREADS = str(Bounds.connections + 8)  # of the device's server: one for each connection that the gate lets through
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -189,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_arguments(parser)
     given = parser.parse_args(arguments)
     server, instance = given.name.split("/")
-    device, (host, _, port) = f"{server}/{instance}/detector", given.listen.rpartition(":")
+    device, (host, port) = f"{server}/{instance}/detector", parse_address(given.listen)
     DetectorRobot.server, DetectorRobot.locked = server_of(given, "tango")
     DetectorRobot.metres = LENGTHS[given.radius_unit]
     follow_parent()
@@ -197,10 +200,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     def ready() -> None:
         # A stop does not wait for a write that is being checked.
         tango.Util.instance().set_serial_model(SerialModel.NO_SYNC)
-        print(f"tango on tango://{host}:{port}/{device}#dbase=no", flush=True)
+        print(f"tango on tango://{given.listen}/{device}#dbase=no", flush=True)
 
+    behind = free_port()
+    try:
+        Gate(host, port, behind).open()
+    except OSError as error:
+        parser.exit(2, f"tango: cannot listen on {given.listen}: {error}\n")
+    named = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     # The server's own words go to stderr: of stdout one line is read, that it is ready.
-    own = ["-nodb", "-dlist", device, "-ORBendPoint", f"giop:tcp:{host}:{port}", "-ORBmaxServerThreadPoolSize", THREADS]
+    own = [
+        "-nodb", "-dlist", device, "-ORBmaxServerThreadPoolSize", THREADS,
+        "-ORBendPoint", f"giop:tcp:127.0.0.1:{behind}", "-ORBendPointPublish", f"giop:tcp:{named}:{port}",
+    ]  # fmt: skip
     try:
         run((DetectorRobot,), args=[server, instance, *own], msg_stream=sys.stderr, post_init_callback=ready)
     finally:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 
+from kinematics.host_port import host_and_port
 from offline_ik.errors import DetectorError
 
-__all__ = ["parse_address"]
+__all__ = ["is_loopback", "parse_address"]
 
 
 def parse_address(text: str) -> tuple[str, int]:
@@ -18,10 +19,10 @@ def parse_address(text: str) -> tuple[str, int]:
     DetectorError
         It is none.
     """
-    host, colon, port = text.rpartition(":")
-    if not colon or not host or not port.isdigit() or int(port) > 65535:
-        raise DetectorError(f"expected HOST:PORT, found {text!r}")
-    return host.strip("[]"), int(port)
+    try:
+        return host_and_port(text, least=0)
+    except ValueError as error:
+        raise DetectorError(str(error)) from None
 
 
 def is_loopback(host: str) -> bool:

@@ -20,6 +20,7 @@ from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assumed
 
 if TYPE_CHECKING:
+    from offline_ik.beamline.options import Given
     from offline_ik.exchange.link import LinkedRobot
 
 __all__ = ["linked_robot", "serve"]
@@ -68,7 +69,10 @@ def serve(
     from offline_ik.server.server import serve as serve_forever
     from offline_ik.server.server import take
 
-    host, port = parse_address(listen)
+    try:
+        host, port = parse_address(listen)
+    except DetectorError as error:
+        raise DetectorError(f"--listen: {error}") from None
     given = Given(tango, tango_listen, epics, epics_listen, radius_unit, token_file)
     beside = sides_of(given, link is not None, out)
     token = None if token_file is None else _token(token_file, out)
@@ -77,6 +81,7 @@ def serve(
         _end_with_0(until_ready)
         for one in taken:
             until_ready.callback(one.close)
+        _refuse_taken(given)
         linked = None if link is None else linked_robot(link, out)
         if linked is not None:
             until_ready.callback(linked.close)
@@ -100,6 +105,28 @@ def serve(
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _refuse_taken(given: Given) -> None:
+    """Refuse addresses of sides that cannot be listened on, which their processes would find after the compiling.
+
+    Raises
+    ------
+    DetectorError
+        One is in use, by one of the other sides, say; not of this machine, or not permitted.
+    """
+    from offline_ik.beamline.options import listens_on
+    from offline_ik.server.server import take
+
+    asked = [("--tango-listen", given.tango_listen)] * (given.tango is not None)
+    asked += [("--epics-listen", given.epics_listen)] * (given.epics is not None)
+    with contextlib.ExitStack() as held:
+        for option, text in asked:
+            try:
+                for one in take(*listens_on(option, text)):
+                    held.callback(one.close)
+            except DetectorError as error:
+                raise DetectorError(f"{option}: {error}") from None
 
 
 def _end_with_0(until_ready: contextlib.ExitStack) -> None:

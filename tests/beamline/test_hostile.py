@@ -201,3 +201,22 @@ def test_hundreds_of_idle_connections_lock_nobody_out(side: str, serving: Servin
         with serving.client(hello=False) as line:
             assert line.ask("stop")["ok"]
         assert len(link.stopped) > before
+
+
+FRAGMENT = b"GIOP\x01\x02\x03\x00" + struct.pack("<I", 24) + struct.pack("<II", 1, 3) + bytes(16)  # more would follow
+
+
+@pytest.mark.parametrize("sent", [b"GIOP", FRAGMENT], ids=["half a header", "the first of several fragments"])
+def test_seven_hundred_half_open_connections_lock_no_tango_client_out(sent: bytes, serving: Serving) -> None:
+    """The device's server has a thread for each connection whose message has begun, and 600 were all that it had."""
+    pytest.importorskip("tango")
+    port = free_port()
+    with _process("tango_device", "a/b", serving, port) as (process, at), contextlib.ExitStack() as stack:
+        early = stack.enter_context(peer("contrast_client.py", at))
+        assert early.ask("State")["ok"] == "ON"
+        for _ in range(700):
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), 10)).sendall(sent)
+        with peer("contrast_client.py", at) as late:
+            assert late.ask("State")["ok"] == "ON"
+        assert early.ask("State")["ok"] == "ON"
+        assert psutil.Process(process).num_threads() < 300

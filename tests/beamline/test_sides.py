@@ -95,7 +95,7 @@ def test_the_whole_server_with_its_sides(model_file: Path, cell_file: Path) -> N
     [
         (["--tango", "a/b"], "--tango: expected a robot to move, found no --link"),
         (["--epics", "X:"], "--epics: expected a robot to move, found no --link"),
-        (["--tango", "a"], "--tango: expected SERVER/INSTANCE, found 'a'"),
+        (["--tango", "a"], "--tango: expected SERVER/INSTANCE, each"),
         (["--tango", "a/b --x"], "--tango: expected SERVER/INSTANCE"),
         (["--epics", "a b"], "--epics: expected a prefix"),
         (["--radius-unit", "inch"], "--radius-unit: expected mm, m, um, found 'inch'"),

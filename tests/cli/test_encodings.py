@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -82,3 +83,19 @@ def test_a_table_keeps_its_rules(poses_only: Path, tmp_path: Path) -> None:
     assert told.returncode == 0, told.stderr
     assert b"-----" in told.stdout
     assert b"?" not in told.stdout
+
+
+@pytest.mark.parametrize("stream", ["2>&-", "2>/dev/full", ">&- 2>&-"])
+def test_a_complaint_that_cannot_be_printed_is_a_code_all_the_same(stream: str, tmp_path: Path) -> None:
+    if "full" in stream and not Path("/dev/full").exists():
+        pytest.skip("no /dev/full")
+    program = Path(sys.executable).with_name("clampid")
+    called = f"{shlex.quote(str(program))} check {shlex.quote(str(tmp_path / 'nowhere'))} {stream}"
+    assert subprocess.run(["sh", "-c", called], check=False, timeout=60).returncode == 2
+
+
+@pytest.mark.parametrize("columns", ["0", "-5", "1", "wide", "9" * 30, "\u0667"])
+def test_a_width_that_is_none_is_not_used(columns: str, poses_only: Path) -> None:
+    told = ran({"COLUMNS": columns}, "check", poses_only)
+    assert told.returncode == 0, told.stderr
+    assert told.stdout

@@ -24,21 +24,18 @@ from spoil import misstated, spoilt
 ROOT = Path(__file__).parents[2]
 SECONDS = 10.0
 MEMORY = "/dev/shm" if os.path.isdir("/dev/shm") else None  # a disk takes longer than most readers
-MIDDLE = {
-    "poses.csv", "free_air.csv", "wrist.csv", "clamped.csv", "verification.csv", "free_air.parquet", "touches",
-    "robot's log", "points", "mapping", "torque model", "plan",
-}  # fmt: skip
-"""Readers that take 2 to 5 ms a file."""
 
 
 def share_of(name: str, whole: bool = False) -> int:
-    """How many spoilt files a reader gets: five minutes of a quiet core for all, or a quarter of an hour (``whole``).
+    """How many spoilt files a reader gets in one of the two runs of the slow tests; ``whole``: in the run by hand.
 
-    Readers called ``checked`` or ``paired``, and ``arm``, go on to what is worked out of a file, 10 to 90 ms each.
+    Each reader of a file gets 10 000 in both runs together, which take four minutes each of one quiet core.
+    Readers called ``checked`` or ``paired``, and ``arm``, read nothing that the others do not: they go on to what is
+    worked out of a file (fits, pairing, a compiled arm), 10 to 90 ms each. 10 000 of each would take more than an hour.
     """
     if name.startswith(("checked ", "paired ")) or name == "arm":
-        return 500 if whole else 100
-    return 1500 if name in MIDDLE and not whole else 10_000
+        return 500 if whole else 50
+    return 10_000 if whole else 5000
 
 
 MAPPING = """format = "clampid-mapping/1"

@@ -107,7 +107,8 @@ def test_what_is_asked_decides_what_is_told(cell: Cell, limits: Limits) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"time": -5.0}, "time: expected seconds above 0, found -5"),
+        ({"time": -5.0}, "time: expected seconds above 0, at most 86400, found -5"),
+        ({"time": 1e9}, "time: expected seconds above 0, at most 86400, found 1e"),
         ({"time": 3.0}, "time: expected enough for at least 4 stops"),
         ({"speeds": (0.1,)}, "speeds: expected two or more different shares"),
         ({"speeds": (0.1, 1.5)}, "at most 1, found 1.5"),

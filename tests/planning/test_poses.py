@@ -279,7 +279,9 @@ def test_what_cannot_be_known_is_said(poses: Plan, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("wishes", "words"),
     [
-        ({"poses": 1}, "poses: expected 2 or more, found 1"),
+        ({"poses": 1}, "poses: expected 2 to 5000, found 1"),
+        ({"poses": 10**9}, "poses: expected 2 to 5000, found 1000000000"),
+        ({"verification": 10**9}, "verification poses: expected 0 to 5000, found 1000000000"),
         ({"replicates": 500}, "replicates: expected at most the 60 poses, found 500"),
         ({"spread": 1.5}, "spread: expected a share from 0 to 1, found 1.5"),
         ({"approach": 0.0}, "approach: expected rad above 0 and below 1, found 0"),
