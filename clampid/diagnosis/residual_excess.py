@@ -136,7 +136,8 @@ def excess_over_floor(
             0, f"the poses are few: the error of the estimates alone brings the floor to {few:.2g} times itself"
         )
     if outliers:
-        reasons.append(f"{counted(outliers, 'row', 'was')} rejected as outliers, and others may be wrong by less")
+        kind = "an outlier" if outliers == 1 else "outliers"
+        reasons.append(f"{counted(outliers, 'row', 'was')} rejected as {kind}, and others may be wrong by less")
     reasons.append("effects below their detection limits, or that cannot be tested here, may add up")
     return {
         "times_floor": after / floor,

@@ -97,9 +97,9 @@ def fit_screen(
         if shown := part.get("resolution"):
             step = 1e3 * shown["step_s"]
             said.append(
-                f"{name}: {count_text(shown['rows'])} of {count_text(shown['moving'])} rows in motion count. At the "
-                f"others moves begin or end between two rows, {step:.0f} ms apart. Record more often, or speed up "
-                "slowly."
+                f"{name}: {count_text(shown['rows'])} of {count_text(shown['moving'])} rows in motion count. "
+                f"The others lie where a move begins or ends between two samples, {step:.0f} ms apart. Record more "
+                "often, or speed up more slowly."
             )
         if weighted := weights_text(part.get("weights")):
             said.append(f"{name}: {weighted}.")
@@ -162,7 +162,8 @@ def comparison_screen(
         if far and far["share"]:
             said.append(f"{name}: {100 * far['share']:.0f} % of held-out rows stand at joint angles no pose was near.")
         if wrong := (table.get("heldout") or {}).get("outliers"):
-            said.append(f"{name}: {counted(len(wrong), 'held-out row', 'was')} rejected as outliers.")
+            kind = "an outlier" if len(wrong) == 1 else "outliers"
+            said.append(f"{name}: {counted(len(wrong), 'held-out row', 'was')} rejected as {kind}.")
     if (data.get("compensation") or {}).get("summary"):
         said.append(f"poses: {data['compensation']['summary']}")
     verdict, tone = _judged(judged)

@@ -162,7 +162,8 @@ TOOLS = {
 def test_nothing_is_installed_for_development_that_is_not_used() -> None:
     text = "\n".join(p.read_text() for folder in FOLDERS for p in (ROOT / folder).rglob("*.py"))
     modules = set(re.findall(r"^\s*(?:(?:from|import) |.*importorskip\(\")(\w+)", text, re.MULTILINE))
-    used = {plain(name) for module in modules for name in distributions().get(module, ())}
+    brought_by = distributions()  # once: it reads the records of every installed package
+    used = {plain(name) for module in modules for name in brought_by.get(module, ())}
     for line in extras():
         file, words = TOOLS.get(plain(line), ("", ""))
         assert plain(line) in used or (file and words in (ROOT / file).read_text()), line

@@ -70,7 +70,7 @@ def test_outliers_are_found_and_listed(simulated: Simulated):
     assert len(found - spoilt) <= 1
 
 
-@pytest.mark.parametrize("hidden", [(), ("gear_eccentricity@joint2",)])
+@pytest.mark.parametrize("hidden", [(), pytest.param(("gear_eccentricity@joint2",), marks=pytest.mark.slow)])
 def test_outliers_change_no_verdict(simulated: Simulated, hidden: tuple[str, ...]):
     verdicts = []
     for outliers in (0.0, 0.02):

@@ -93,7 +93,7 @@ def test_the_screen_says_how_many_rows_show_the_motion(
     words = " ".join(capsys.readouterr().out.split())
     counted = " ".join(f"{count_text(told['rows'])} of {count_text(told['moving'])} rows in motion count".split())
     assert counted in words
-    assert "100 ms apart. Record more often, or speed up slowly." in words
+    assert "100 ms apart. Record more often, or speed up more slowly." in words
 
 
 def facts(campaign: Campaign) -> LogFacts:
