@@ -74,7 +74,10 @@ def refuse_few_flips(flips: int) -> None:
 
 @dataclass(frozen=True)
 class CandidateScores:
-    """The scores of both dictionaries on what a fit leaves, with their nulls."""
+    """The scores of both dictionaries on what a fit leaves, with their nulls.
+
+    ``wanders``: whether the noise that they are judged by wanders (:mod:`clampid.diagnosis.wandering`).
+    """
 
     space: Space
     named: list[Scored]
@@ -83,6 +86,7 @@ class CandidateScores:
     free_null: Flips
     probe: Scored | None
     folds: Integers
+    wanders: bool = False
 
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
@@ -160,7 +164,7 @@ def scores_of(
     shown = {s.candidate.label for s in found.named if s.freedom}
     again = _scores_of(wandering, effects, flips, seed, granted, block)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
-    return replace(again, named=named)
+    return replace(again, named=named, wanders=True)
 
 
 def _scores_of(

@@ -31,6 +31,7 @@ from clampid.diagnosis.separators import separating_measurement, something_else
 from clampid.diagnosis.testability import testability_of
 from clampid.diagnosis.trial import Bench
 from clampid.diagnosis.unknown_shape import shape_of
+from clampid.diagnosis.wandering import WANDERS
 from clampid.diagnosis.words import listed_outliers, omission_of, outliers_of, summary_of
 from clampid.effect import Effect
 from clampid.evidence.candidates import label_of
@@ -160,6 +161,7 @@ def _in_words(
     said = one_sided_words(result.one_sided, rows, effects)
     result.warnings += [found.sentence for found in result.agreeing]
     result.warnings += [said] if said else []
+    result.warnings += [WANDERS] if scores.wanders else []
     judged = [] if result.folds is None else [result.folds.sentence]
     result.summary = " ".join([summary_of(result), *judged, *result.warnings])
 

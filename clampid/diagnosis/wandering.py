@@ -26,7 +26,12 @@ from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import course_of, wander_of
 from clampid.stages.rows import POSE_CHANNELS, Array, Rows
 
-__all__ = ["with_wander"]
+__all__ = ["WANDERS", "with_wander"]
+
+WANDERS = (
+    "The readings wander: their level drifts and does not return (chance below 1 %), so slow changes count less as "
+    "evidence."
+)
 
 COSINES = 12  # half waves over the whole time of measurement, at most
 MANY = 300  # parameters: of so many, as curves over a joint's turn have, none is taken to explain a wandering

@@ -10,7 +10,7 @@ import pytest
 
 from clampid.diagnosis.candidate_scores import scores_of
 from clampid.diagnosis.diagnose import diagnose
-from clampid.diagnosis.wandering import with_wander
+from clampid.diagnosis.wandering import WANDERS, with_wander
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.fitting.wander import Course, course_of, wander_of
@@ -100,6 +100,8 @@ def test_a_log_whose_readings_wander_as_one_over_f_lacks_nothing(tmp_path: Path)
     campaign = read_campaign(tmp_path / "arm")
     found = diagnose(identify(campaign), campaign).stages["free_air"]
     assert found.verdict == "adequate"
+    assert WANDERS in found.warnings
+    assert WANDERS in found.summary
 
 
 @pytest.mark.slow
