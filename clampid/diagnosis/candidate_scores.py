@@ -48,6 +48,7 @@ ALIASED = 0.999  # above which they are one
 STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
 VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further number (Kass and Raftery, 1995)
+LEVEL = 1e-3  # of evidence: of names that differ by less, the first of the dictionary is taken, not what rounding says
 BY_CHANCE = 0.01
 WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")
@@ -196,7 +197,9 @@ def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
     chance, as its own flips say, and is not to stand before what does not.
     """
     able = [s for s in scored if s.freedom and s.state in ABLE]
-    return max(_standing_out(able, null) or able, key=lambda s: s.bic, default=None)
+    chosen = _standing_out(able, null) or able
+    most = max((s.bic for s in chosen), default=0.0)
+    return next((s for s in chosen if s.bic >= most - LEVEL), None)
 
 
 def _standing_out(scored: Sequence[Scored], null: Flips) -> list[Scored]:

@@ -64,14 +64,20 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
         del outcome  # as large as its rows
         judged_by, outcome = _searched(fitted, replace(bench, block=drift.block))
     result = _verdict(fitted, judged_by, outcome, propose)
-    if drift is None:
-        return result
-    if result.verdict == "unknown" and not result.depends_on and drift.clocked:
+    if drift is not None and result.verdict == "unknown" and not result.depends_on and drift.clocked:
         result.depends_on = ["time"]
         result.summary = " ".join([summary_of(result), *result.warnings])
-    result.warnings.append(drift.sentence)
-    result.summary = f"{result.summary} {drift.sentence}"
+    if drift is not None:
+        _warn(result, drift.sentence)
+    elif result.scores is not None and result.scores.wanders:  # a drift says as much, and more
+        _warn(result, WANDERS)
     return result
+
+
+def _warn(result: StageDiagnosis, sentence: str) -> None:
+    """Add a warning, to the summary too."""
+    result.warnings.append(sentence)
+    result.summary = f"{result.summary} {sentence}"
 
 
 def _searched(fitted: FittedStage, bench: Bench) -> tuple[Bench, Searched]:
@@ -161,7 +167,6 @@ def _in_words(
     said = one_sided_words(result.one_sided, rows, effects)
     result.warnings += [found.sentence for found in result.agreeing]
     result.warnings += [said] if said else []
-    result.warnings += [WANDERS] if scores.wanders else []
     judged = [] if result.folds is None else [result.folds.sentence]
     result.summary = " ".join([summary_of(result), *judged, *result.warnings])
 
