@@ -5,8 +5,8 @@ diagonals, a tenth of a diagonal away from their ends. A cycle is P1, P5, P4, P3
 every pose is come to from one side. Thirty cycles give AP and RP. Source: ISO 9283:1998, 6.8.1, 6.8.2 and 7.2.
 
 **Line.** Stops at equal distances on a straight line, out and back. Each stop is come to along the line, from one side
-on the way out and from the other on the way back; or always from the side of the way out. Between the stops the joints
-move in step, which is straight only nearly: how far it is off is said.
+on the way out and from the other on the way back; or always from the side of the way out. Joints move in step, which is
+straight only nearly, and the last move to a stop begins beside the line: how far the target is off is said.
 """
 
 from __future__ import annotations
@@ -189,19 +189,33 @@ def plan_fixed(
     return finished(cell, limits, visits, wanted.measure_time, record, assumed)
 
 
-def off_line(plan: Plan, target: str) -> float:
-    """How far a target leaves the straight line between two stops of a plan, at most, m."""
+def off_line(plan: Plan, target: str) -> tuple[float, float]:
+    """How far a target leaves the straight line between two stops of a plan, at most, m.
+
+    Returns
+    -------
+    between, travelled
+        If the joints went from one stop straight to the next; and on the ways that the plan takes, which lead past the
+        place from which each stop is approached.
+    """
     robot, point = plan.cell.robot, plan.cell.targets[target]
-    poses = {visit.pose: visit.q for visit in plan.visits}
-    worst = 0.0
-    for a, b in pairwise(sorted(poses)):
-        q = poses[a] + np.linspace(0.0, 1.0, BETWEEN)[:, None] * (poses[b] - poses[a])
+
+    def off(corners: Array, first: Array, last: Array) -> float:
+        """How far the joints' way along some corners ``(k, n)`` is off the line through two stops ``(n,)``."""
+        share = np.linspace(0.0, 1.0, BETWEEN)[:, None]
+        ways = [before + share * (after - before) for before, after in pairwise(corners)]
+        q = np.vstack([first, last, *ways])
         T = forward(robot.screws, robot.flange, q @ np.asarray(robot.linkage).T)
-        p = T[:, :3, :3] @ point + T[:, :3, 3]
-        along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
-        off = p - p[0] - ((p - p[0]) @ along)[:, None] * along
-        worst = max(worst, float(np.linalg.norm(off, axis=1).max()))
-    return worst
+        p = T[:, :3, :3] @ point + T[:, :3, 3] - (T[0, :3, :3] @ point + T[0, :3, 3])
+        along = p[1] / np.linalg.norm(p[1])
+        return float(np.linalg.norm(p - (p @ along)[:, None] * along, axis=1).max())
+
+    stops = {visit.pose: visit.q for visit in plan.visits}
+    ends = stops[min(stops)], stops[max(stops)]
+    between = max(off(np.array([stops[a], stops[b]]), stops[a], stops[b]) for a, b in pairwise(sorted(stops)))
+    once = plan.visits[: 2 * len(stops)]  # out and back; all further repetitions are the same
+    travelled = [off(np.array([a.q, b.via, b.q]), *ends) for a, b in pairwise(once)]
+    return between, max(travelled, default=between)
 
 
 def _count(what: str, value: int, least: int, visits: int) -> None:

@@ -126,9 +126,15 @@ def line(
         made = plan_line(
             cell, limits, where.scene(cell), wanted, ends, stops=stops, repetitions=repetitions, assumed=assumed
         )
-        off = off_line(made, wanted.targets[0])
-        note = f"between two stops {wanted.targets[0]} leaves the straight line by at most {where.units.distance(off)}"
-        finish(made, output, out, f"{stops} stops, {repetitions} times out and back", (note,), off_line_m=off)
+        between, travelled = off_line(made, wanted.targets[0])
+        notes = (
+            f"from stop to stop {wanted.targets[0]} leaves the line by at most {where.units.distance(between)}",
+            f"in the last moves (--approach), by at most {where.units.distance(travelled)}",
+        )
+        finish(
+            made, output, out, f"{stops} stops, {repetitions} times out and back", notes,
+            off_line_m=between, off_line_in_last_moves_m=travelled,
+        )  # fmt: skip
 
 
 def fixed_point(
