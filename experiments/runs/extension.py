@@ -16,7 +16,7 @@ __all__ = ["extended"]
 
 
 def extended(plan: Plan, more: Plan, most: int) -> Plan:
-    """The plan with at most ``most`` visits, runs or sweeps of another behind its own.
+    """The plan with at most ``most`` visits, runs or sweeps of another behind its own, and their share of its time.
 
     Raises
     ------
@@ -25,13 +25,15 @@ def extended(plan: Plan, more: Plan, most: int) -> Plan:
     """
     if more.kind != plan.kind or more.cell.robot.name != plan.cell.robot.name:
         raise PlanError(f"further measurements: expected {plan.kind} of {plan.cell.robot.name}, found {more.kind}")
+    taken = [min(len(part), most) for part in (more.visits, more.runs, more.sweeps)]
+    share = sum(taken) / max(len(more.visits) + len(more.runs) + len(more.sweeps), 1)
     last = max((sweep.clamping for sweep in plan.sweeps), default=0)
     made = replace(
         plan,
         visits=(*plan.visits, *_behind(plan, more.visits[:most])),
         runs=(*plan.runs, *more.runs[:most]),
         sweeps=(*plan.sweeps, *(replace(s, clamping=last + s.clamping) for s in more.sweeps[:most])),
-        duration=plan.duration + more.duration,
+        duration=plan.duration + share * more.duration,
     )
     validate_plan(made, "further measurements")
     return made

@@ -24,6 +24,7 @@ def test_a_plan_goes_on_with_numbers_of_its_own(poses: Plan, free_air: Plan, cel
     grown = extended(poses, poses, 3)
     assert [v.pose for v in grown.visits[-3:]] == [7, 8, 9]
     assert len({(v.table, v.pose, v.visit) for v in grown.visits}) == len(poses.visits) + 3
+    assert grown.duration == pytest.approx(poses.duration * (1.0 + 3 / len(poses.visits)))  # not the whole plan's time
     assert len(extended(free_air, free_air, 1).runs) == 3
     clamping = clamping_plan(cell, limits, [(1, 1, CLAMPED)])
     assert [s.clamping for s in extended(clamping, clamping, 5).sweeps] == [1, 2]
