@@ -39,7 +39,7 @@ OPTIONS = ("-O2", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
 HURRIED = ("-O0", *OPTIONS[1:])  # a seventh of the time to compile, half of the speed
 PLAIN = ("-std=c99",)
 NATIVE = ("-std=gnu99", "-march=native", "-fopenmp-simd", "-Wno-psabi")  # for this processor; not every compiler can
-# Seconds, measured on one core of 2020 and rounded: of the compiler to begin, and for an instruction; and what a row of
+# Seconds, measured on one core and rounded: of the compiler to begin, and for an instruction; and what a row of
 # an instruction takes less when it is compiled. Their ratios alone count.
 BEGINS, COMPILES, SAVES = 0.06, 3.5e-5, 3.3e-9
 CALLS = 20  # of a function with the rows of one fit, at least: its points, a few for each of its searches
