@@ -23,7 +23,16 @@ def any_encoding() -> None:
     codecs.register_error("clampid", _plain)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="clampid")
+            stream.reconfigure(encoding=None if _takes_words(stream.encoding) else "utf-8", errors="clampid")
+
+
+def _takes_words(encoding: str) -> bool:
+    """Whether any text can be written in an encoding; it cannot in those of host names, such as ``idna``."""
+    try:
+        ("µ" * 100 + "..\n").encode(encoding, "clampid")
+    except (UnicodeError, LookupError):
+        return False
+    return True
 
 
 def write_result(text: str) -> None:

@@ -48,6 +48,14 @@ def test_signs_that_are_missing_are_spelt(poses_only: Path, tmp_path: Path) -> N
     assert b"?" not in told.stdout
 
 
+@pytest.mark.parametrize("encoding", ["idna", "punycode", "utf-16"])
+def test_an_encoding_that_takes_no_text_loses_none(encoding: str) -> None:
+    told = ran({"PYTHONIOENCODING": encoding}, "robots")
+    assert told.returncode == 0, told.stderr
+    text = told.stdout.decode(encoding if encoding == "utf-16" else "utf-8", "replace")
+    assert "robots are bundled" in text
+
+
 def test_a_complaint_in_another_encoding_is_one_line(tmp_path: Path) -> None:
     told = ran({"PYTHONIOENCODING": "ascii"}, "check", tmp_path / "Prüfstand")
     assert told.returncode == 2
