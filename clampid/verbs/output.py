@@ -186,9 +186,8 @@ def _console(stderr: bool, silent: bool = False) -> Console:
     """As wide as the terminal, or as COLUMNS says; colours on a terminal only, and not with NO_COLOR."""
     from rich.console import Console
 
-    console = Console(stderr=stderr, quiet=silent)
-    if not _WIDTHS.fullmatch(os.environ.get("COLUMNS", "1")):  # rich would take 0 for a width
+    console, columns = Console(stderr=stderr, quiet=silent), os.environ.get("COLUMNS")
+    told = console.is_terminal if columns is None else _WIDTHS.fullmatch(columns)  # rich would take 0 for a width
+    if not told:
         console.width = WIDTH
-    if console.is_terminal or _WIDTHS.fullmatch(os.environ.get("COLUMNS", "")):
-        return console
-    return Console(stderr=stderr, quiet=silent, width=WIDTH)
+    return console
