@@ -259,11 +259,11 @@ class Joined:
             first += member.width
         out = np.zeros((first, width))
         for (start, _), parts in blocks.items():
-            for lines, block in _side_by_side(parts):
-                out[lines] += of_block(start, block)
+            for at, block in _side_by_side(parts):
+                out[at] += of_block(start, block)
         for (which, place), parts in places.items():
-            for lines, F in _side_by_side(parts):
-                out[lines] += of_place(levers[which], place, F)
+            for at, F in _side_by_side(parts):
+                out[at] += of_place(levers[which], place, F)
         return out
 
 

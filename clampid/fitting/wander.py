@@ -134,7 +134,8 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
             spread += float(logs.sum())
         # Of [Q r] the factor's last diagonal entry is the length of what Q leaves of r, the others give det Q'Q.
         length = np.maximum(np.abs(np.diag(_factor(moments))), 1e-150)
-        return freedom * 2.0 * float(np.log(length[-1])) + spread + 2.0 * float(np.sum(np.log(length[:-1])))
+        determinant = 2.0 * float(np.sum(np.log(length[:-1])))
+        return float(freedom * 2.0 * np.log(length[-1]) + spread + determinant)
 
     values = [unlikely(wander) for wander in GRID]
     best = int(np.argmin(values))
