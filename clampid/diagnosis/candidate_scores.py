@@ -107,7 +107,8 @@ class CandidateScores:
     @property
     def remembered(self) -> CandidateScores:
         """What a verdict says of it later, without what is as large as its rows."""
-        return replace(self, space=self.space.remembered, free=[], folds=self.folds[:0].copy())
+        named = [replace(s, candidate=s.candidate.remembered) for s in self.named]
+        return replace(self, space=self.space.remembered, named=named, free=[], folds=self.folds[:0].copy())
 
     @property
     def fires(self) -> bool:
@@ -163,6 +164,7 @@ def scores_of(
         return found
     # What the fit absorbs, but for rounding and for noise in its columns (a scale, of measured positions), it absorbs.
     shown = {s.candidate.label for s in found.named if s.freedom}
+    del found  # as large as its rows and all that is active
     again = _scores_of(wandering, effects, flips, seed, granted, block)
     named = [s if s.candidate.label in shown else replace(s, state="absorbed") for s in again.named]
     return replace(again, named=named, wanders=True)

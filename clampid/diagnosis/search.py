@@ -61,10 +61,11 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     places the flange differently at others.
     """
     rows, effects = fitted.estimate.experiment.rows, bench.effects
-    first_scores = scores = bench.scores(fitted, 0)
+    scores = bench.scores(fitted, 0)
     if bench.folds is None and (finer := folds_of(rows, _on_trial(scores), effects)) is not None:
         return finer
-    before = held = bench.held_out(fitted)
+    before, first_scores = bench.held_out(fitted), scores.remembered
+    held = before
     steps: list[Confirmed] = []
     taken: list[Taken] = []
     undecided: list[Undecided] = []
@@ -87,6 +88,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
                 break
             steps = with_needed_only(bench, [*steps, Confirmed(tried, fitted, held, tuple(refused))], dropped)
             fitted, held = steps[-1].tried.fitted, steps[-1].tried.held
+        scores = scores.remembered  # the whole is as large as its rows, and the next is about to be made
         scores = bench.scores(fitted, 2 * number)
     return Searched(before, first_scores, steps, taken, undecided, refused, fitted, held, scores)
 

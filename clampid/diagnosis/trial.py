@@ -25,6 +25,7 @@ from clampid.diagnosis.confirm import (
     stability,
     terms_p,
 )
+from clampid.diagnosis.entries import confusable_with
 from clampid.diagnosis.folds import Folds
 from clampid.diagnosis.held_out import HELD_OUT_RATE, HeldOut, either_p, held_out
 from clampid.diagnosis.linear_refit import Step, linear_refit, step_towards
@@ -130,8 +131,10 @@ class Bench:
                 break
             found = self._tried(best, scores, fitted, held, refused)
             found = replace(found, scores=scores.remembered)
-            if isinstance(found, Undecided) or not found.reason:
+            if isinstance(found, Undecided):
                 return found, refused
+            if not found.reason:
+                return replace(found, confusable=confusable_with(scores.named, found.best)), refused
             refused.append(found)
         return None, refused
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from clampid.diagnosis.candidate_scores import ALIASED, CandidateScores
-from clampid.diagnosis.entries import confusable_with, entry_of
+from clampid.diagnosis.entries import entry_of
 from clampid.diagnosis.held_out import HeldOut
 from clampid.effect import Effect, Stage
 from clampid.evidence.score import Scored, canonical, explained_together
@@ -28,6 +28,8 @@ class Tried:
     ----------
     reason
         Why it is refused; empty if it is not.
+    confusable
+        Of what is not refused, other effects that share most of its columns, as the contract lists them.
     """
 
     best: Scored
@@ -38,6 +40,7 @@ class Tried:
     p_held_out: float
     stability: float
     reason: str
+    confusable: list[dict[str, Any]] = field(default_factory=list)
 
     def entry(self, effects: dict[str, Effect], before: float, estimate: Estimate) -> dict[str, Any]:
         """As the contract lists it, the held-out rms without it given, and the fit that has its parameters."""
@@ -46,7 +49,7 @@ class Tried:
             **entry_of(self.best, null, effects, (before, after), estimate, self.kept),
             "stability": self.stability,
             "p_held_out": self.p_held_out,
-            "confusable_with": confusable_with(self.scores.named, self.best),
+            "confusable_with": self.confusable,
         }
 
     def refusal(self, effects: dict[str, Effect], before: float, reason: str = "") -> dict[str, Any]:

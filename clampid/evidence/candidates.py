@@ -87,6 +87,11 @@ class Candidate:
         return replace(self, prior=self.prior * size, sizes=(1.0,), shapes=shapes)
 
     @property
+    def remembered(self) -> Candidate:
+        """The same without its columns, of which hundreds are as large as all that is active."""
+        return replace(self, columns=Columns((), 0))
+
+    @property
     def label(self) -> str:
         """For people: the effect and where it is."""
         return label_of(self.name, self.places)

@@ -106,31 +106,21 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Levers:
-    """What a unit at each of some places does to each whitened entry ``(M, n)``; ``entry`` ``(M,)``: the row it is of.
-
-    Candidates of one place share its sums over the entries of each row, of which the last are kept.
-    """
+    """What a unit at each of some places does to each whitened entry ``(M, n)``, and the row ``(M,)`` that it is of."""
 
     values: Array
     entry: Integers
     rows: int
-    last: dict[int, tuple[object, Array]] = field(default_factory=dict, repr=False)
 
     def by_row(self, weights: Array) -> Array:
         """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
         return np.asarray(np.bincount(self.entry, weights, minlength=self.rows), dtype=float)
 
-    def product(self, place: int, other: Array) -> Array:
+    def times(self, place: int, other: Array) -> Array:
         """``(N, r)``: a place's lever times other ``(M, r)``, summed over the entries of each row."""
-        if place not in self.last or self.last[place][0] is not other:
-            count = len(self.entry)
-            by_row = sparse.csr_matrix(
-                (self.values[:, place], (self.entry, np.arange(count))), shape=(self.rows, count)
-            )
-            out = np.asarray(by_row @ other[:count])
-            self.last.clear()  # others' places are done: of one with hundreds of columns these are 20 MB
-            self.last[place] = other, out
-        return self.last[place][1]
+        count = len(self.entry)
+        lever = sparse.csr_matrix((self.values[:, place], (self.entry, np.arange(count))), shape=(self.rows, count))
+        return np.asarray(lever @ other[:count])
 
     def summed(self, place: int, sums: Sums) -> sparse.csr_matrix:
         """``(groups, N)``: a place's lever, by weighted sums over groups of entries, for each row."""
@@ -184,7 +174,7 @@ class Products:
         if other.ndim == 1:
             row = [self.levers.by_row(self.levers.values[:, i] * other[: len(self.levers.entry)]) for i in self.places]
             return np.concatenate([F.T @ sums for F, sums in zip(self.functions, row, strict=True)])
-        return np.concatenate([F.T @ self.levers.product(i, other) for i, F, _ in self.placed])
+        return np.concatenate([F.T @ self.levers.times(i, other) for i, F, _ in self.placed])
 
     def cross(self, other: Columns | Products) -> Array:
         """``(k, k')``: D' D'."""
@@ -216,7 +206,7 @@ class Joined:
         return self._all(
             other.shape[1],
             lambda start, block: block.T @ other[start : start + len(block)],
-            lambda levers, place, F: F.T @ levers.product(place, other),
+            lambda levers, place: levers.times(place, other),
         )
 
     def summed(self, sums: Sums) -> Array:
@@ -224,7 +214,7 @@ class Joined:
         return self._all(
             sums.groups,
             lambda start, block: (sums.over(start, start + len(block)) @ block).T,
-            lambda levers, place, F: (levers.summed(place, sums) @ F).T,
+            lambda levers, place: levers.summed(place, sums).T,
         )
 
     def own(self, whole: Array) -> list[Array]:
@@ -239,9 +229,12 @@ class Joined:
         return [(Joined(self.members[a:b]), np.concatenate(own[a:b])) for a, b in pairwise(edges)]
 
     def _all(
-        self, width: int, of_block: Callable[[int, Array], Array], of_place: Callable[[Levers, int, Array], Array]
+        self,
+        width: int,
+        of_block: Callable[[int, Array], Array],
+        of_place: Callable[[Levers, int], Array | sparse.csc_matrix],
     ) -> Array:
-        """``(K, width)``: for the columns of each piece, and of each lever's place, their sum at their lines."""
+        """``(K, width)``: what is made of each piece's columns, or each place's functions times a product by row."""
         blocks: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
         places: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
         levers: dict[int, Levers] = {}
@@ -262,8 +255,9 @@ class Joined:
             for at, block in _side_by_side(parts):
                 out[at] += of_block(start, block)
         for (which, place), parts in places.items():
+            product = of_place(levers[which], place)
             for at, F in _side_by_side(parts):
-                out[at] += of_place(levers[which], place, F)
+                out[at] += F.T @ product
         return out
 
 
