@@ -53,7 +53,7 @@ class Exported:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What the data do not determine, and what a reader may take for something else."""
-        said = "not determined by the data, held at its nominal value: a combination of "
+        said = "not determined by the data, fixed at its nominal value: a combination of "
         return tuple(f"{said}{words}" for words in self.fixed)
 
     def to_json(self) -> dict[str, Any]:

@@ -136,7 +136,7 @@ def _verdict(model: Model, found: Json, added: Sequence[tuple[str, str]]) -> tup
         return headline(found, mended=now), outcome(found, mended=now) == "good"
     names = [named(*_parts(labels)) for labels in _by_effect(added).values()]
     good = outcome(found) == "good"
-    rest = "nothing beyond the noise is left." if good else headline(found)
+    rest = "no further effect was found." if good else headline(found)
     were = "were" if len(names) > 1 else "was"
     for most in (4, 2, 1):
         text = f"{listed(names, most)} {were} missing and {'are' if len(names) > 1 else 'is'} now in the model"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
-from clampid.display import change_text, count_text, counted, error_text
+from clampid.display import change_text, count_text, counted, error_text, floor_text
 from clampid.screen import Errors, Next, Screen, Tone
 from clampid.verbs.show import weights_text
 
@@ -31,7 +31,7 @@ Json = Mapping[str, Any]
 HELD_OUT = "Error (rms) on held-out rows"
 SIGMA = "; torques in σ, units of each motor's noise"
 NEAR = 1.3
-"""A held-out error of at most so many noise floors is said to be at the noise floor; as diagnosis has it."""
+"""A held-out error of more than so many noise floors may lack an effect; as diagnosis has it."""
 OVERFITTED = 3.0
 """A held-out error of more than so many fitted ones: the fit followed its rows, and predicts no others."""
 
@@ -59,7 +59,8 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
     """A verdict on held-out errors and their floors, stage by stage, and how it is meant."""
     far = [(times, name) for name, error, floor in rows if (times := _times(error, floor)) > NEAR]
     if not far:
-        return "The held-out error is at the noise floor.", "good"
+        said = floor_text((error, floor) for _, error, floor in rows)
+        return f"{said[0].upper()}{said[1:]}.", "good"
     times, name = max(far)
     return f"{name}: the held-out error is {times:.2g} times the noise floor, so an effect may be missing.", "open"
 
@@ -104,7 +105,7 @@ def fit_screen(
         if weighted := weights_text(part.get("weights")):
             said.append(f"{name}: {weighted}.")
         if name in rejected:
-            said.append(f"{name}: rejected as outliers: {_first(rejected[name])}.")
+            said.append(f"{name}: rejected as outliers: {_first(rejected[name])}")
     verdict, tone = _judged([(n, p["heldout_rms"], p["noise_floor"]) for n, p in stages.items()])
     if any("too few rows" in text for text in said):
         verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
@@ -127,9 +128,9 @@ def _once(labels: Sequence[str]) -> list[str]:
 
 
 def _first(text: str) -> str:
-    """The count and the first of several things listed with semicolons."""
+    """The count and the first of several things listed with semicolons, with the mark that ends a sentence."""
     first, more, _ = text.partition("; ")
-    return f"{first}, …" if more else first
+    return f"{first}, …" if more else f"{first}."
 
 
 def _campaigns(campaigns: Sequence[Path]) -> str:

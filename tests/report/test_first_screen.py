@@ -71,7 +71,7 @@ def test_what_another_effect_took_the_place_of_is_not_called_missing() -> None:
 def test_a_diagnosis_after_mending_keeps_what_was_mended_in_the_sentence() -> None:
     screen = first_screen(a_model("gear_eccentricity@joint2"), None, {}, found("adequate"))
     assert screen.verdict.startswith(
-        "Gear eccentricity at joint 2 was missing and is now in the model; nothing beyond the noise"
+        "Gear eccentricity at joint 2 was missing and is now in the model; no further effect was found"
     )
     assert len(screen.verdict.split()) <= 25
 
