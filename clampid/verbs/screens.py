@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
 from clampid.display import change_text, count_text, counted, error_text, floor_text
 from clampid.screen import Errors, Next, Screen, Tone
+from clampid.verbs.next_step import free_name
 from clampid.verbs.show import weights_text
 
 if TYPE_CHECKING:
     from clampid.effect import Stage
     from clampid.models.model import Model, Round
+    from experiments.campaign import Campaign
 
 __all__ = [
     "addition_screen",
@@ -66,7 +68,12 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
 
 
 def fit_screen(
-    data: Json, nominal: Mapping[Stage, float], rejected: Json, campaigns: Sequence[Path], effects_from: Path | None
+    data: Json,
+    nominal: Mapping[Stage, float],
+    rejected: Json,
+    read: Sequence[Campaign],
+    campaigns: Sequence[Path],
+    effects_from: Path | None,
 ) -> Screen:
     """What ``identify`` did.
 
@@ -78,9 +85,11 @@ def fit_screen(
         Stage → the error of the described robot; see :func:`clampid.comparison.nominal.nominal_errors`.
     rejected
         Stage → its rejected rows in words.
+    read
+        The campaigns of the folders ``campaigns``.
     """
     stages = data["stages"]
-    rows, facts, said = [], [], []
+    rows, facts, said, lacking = [], [], [], []
     for name, part in stages.items():
         unit = part["unit"]
         errors = (_of(nominal, name), part["heldout_rms"], part["noise_floor"])
@@ -91,10 +100,13 @@ def fit_screen(
         if (part["heldout_rms"] or 0.0) > OVERFITTED * (part["rms"] or float("inf")):
             fitted = error_text(part["rms"], unit)
             held_out = error_text(part["heldout_rms"], unit)
+            poses = part.get("enough_poses")
+            more = "more" if poses is None else f"{poses} poses or more"
             said.append(
                 f"{name}: {held_out} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
-                "parameters. Measure more, or fit fewer effects."
+                f"parameters. Measure {more}, or fit fewer effects."
             )
+            lacking.append(poses)
         if shown := part.get("resolution"):
             step = 1e3 * shown["step_s"]
             said.append(
@@ -107,9 +119,11 @@ def fit_screen(
         if name in rejected:
             said.append(f"{name}: rejected as outliers: {_first(rejected[name])}")
     verdict, tone = _judged([(n, p["heldout_rms"], p["noise_floor"]) for n, p in stages.items()])
-    if any("too few rows" in text for text in said):
-        verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
     model = data["model"]
+    steps = (Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),)
+    if lacking:
+        verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
+        steps = _more_poses(read[0], campaigns[0], lacking[0])
     return Screen(
         f"Fitted {model} to {_campaigns(campaigns)}.",
         Errors(_title(list(stages)), ("nominal", "this model", "noise floor"), tuple(rows)),
@@ -118,8 +132,18 @@ def fit_screen(
         tone,
         tuple(said),
         "Parameters with their standard errors: --verbose, --json FILE.",
-        (Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),),
+        steps,
     )
+
+
+def _more_poses(campaign: Campaign, folder: Path, poses: int | None) -> tuple[Next, ...]:
+    """The command that plans as many poses as a fit needs; none where no number is known, or no target to plan for."""
+    if poses is None or not campaign.targets:
+        return ()
+    robot = str(campaign.header.get("robot", campaign.robot.name))
+    own = folder / robot
+    call = ["plan", "poses", "--robot", str(own) if own.is_file() else robot, "--like", folder, "--poses", str(poses)]
+    return (Next("Next, plan as many poses as this fit needs:", typed(*call, "-o", free_name(Path("plan.toml")))),)
 
 
 def _once(labels: Sequence[str]) -> list[str]:

@@ -285,4 +285,9 @@ def test_a_fit_that_predicts_nothing_is_called_one(clampid: Clampid, tmp_path: P
     assert ran.code == 0, ran.err
     said = " ".join(ran.out.split())
     assert "do not use it" in said
-    assert "Measure more, or fit fewer effects" in said
+    assert "Measure 37 poses or more, or fit fewer effects" in said  # 45 parameters, six numbers a pose
+    assert f"clampid plan poses --robot ur10 --like {tmp_path / 'few'} --poses 37 -o" in said.replace(chr(92) + " ", "")
+    assert "clampid diagnose" not in said
+    # The number that is given would do.
+    clampid("simulate", "-o", tmp_path / "enough", "--robot", "ur10", "--poses", "37", "--tables", "poses", "-q")
+    assert "do not use it" not in clampid("identify", tmp_path / "enough", "-o", tmp_path / "e.json", "-q").out
