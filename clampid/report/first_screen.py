@@ -183,9 +183,9 @@ def _open(model: Model, found: Json) -> list[str]:
             variables = listed(list(part.get("depends_on") or ()), 4)
             out.append(f"{name}: an error that depends on {variables or 'no recorded variable'} has no known effect.")
         out += [text for text in notes(name, part, now) if "DH table" not in text]
-        if part["verdict"] == "ambiguous" and part.get("next_measurement"):
+        if part["verdict"] == "ambiguous" and (part.get("next_plan") or {}).get("helps"):
             out.append(f"{name}: To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml")
-    # What to measure next is never cut off.
+    # A plan of what to measure next is never cut off.
     out = [*out[: MOST_OPEN - 1], *out[-1:]] if len(out) > MOST_OPEN else out
     return [_alone(text, found) for text in out]
 
