@@ -113,8 +113,11 @@ def test_the_loop_on_one_campaign(clampid: Clampid, poses_only: Path, model: Pat
     assert len(rounds) == 2
     assert all({"stage", "effects", "rms", "heldout_rms", "noise_floor"} <= set(r) for r in rounds)
 
+
+@pytest.mark.slow  # it diagnoses; that `report` writes what was kept is tested below
+def test_compare_writes_a_report(clampid: Clampid, poses_only: Path, model: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.html"
-    assert clampid("compare", mended, poses_only, "--report", report, "-q").code == 0
+    assert clampid("compare", model, poses_only, "--report", report, "-q").code == 0
     assert "<html" in report.read_text()[:2000]
 
 
