@@ -1,4 +1,4 @@
-"""What every export says of itself: the file, its temperature, and what it leaves of the whole model."""
+"""What every export states: its file, its temperature, and its error against the whole model."""
 
 from __future__ import annotations
 
