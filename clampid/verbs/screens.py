@@ -120,7 +120,8 @@ def fit_screen(
             said.append(f"{name}: rejected as outliers: {_first(rejected[name])}")
     verdict, tone = _judged([(n, p["heldout_rms"], p["noise_floor"]) for n, p in stages.items()])
     model = data["model"]
-    steps = (Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),)
+    ask = typed("diagnose", model, *campaigns, effects_from=effects_from)
+    steps: tuple[Next, ...] = (Next("Next, find out what is missing:", ask),)
     if lacking:
         verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
         steps = _more_poses(read[0], campaigns[0], lacking[0])
@@ -142,8 +143,10 @@ def _more_poses(campaign: Campaign, folder: Path, poses: int | None) -> tuple[Ne
         return ()
     robot = str(campaign.header.get("robot", campaign.robot.name))
     own = folder / robot
-    call = ["plan", "poses", "--robot", str(own) if own.is_file() else robot, "--like", folder, "--poses", str(poses)]
-    return (Next("Next, plan as many poses as this fit needs:", typed(*call, "-o", free_name(Path("plan.toml")))),)
+    output = free_name(Path("plan.toml"))
+    call = typed("plan", "poses", "--robot", own if own.is_file() else robot, "--like", folder,
+                 "--poses", str(poses), "-o", output)  # fmt: skip
+    return (Next("Next, plan as many poses as this fit needs:", call),)
 
 
 def _once(labels: Sequence[str]) -> list[str]:
