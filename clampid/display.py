@@ -19,6 +19,7 @@ __all__ = [
     "counted",
     "error_text",
     "fixed",
+    "floor_text",
     "label_text",
     "length",
     "number",
@@ -50,6 +51,8 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "1/(N m^2)": ((1e-6, 1e6, "1e-6/(N·m²)"), (0.0, 1e9, "1e-9/(N·m²)")),
     "Nm s/rad": ((1.0, 1.0, "Nm·s/rad"), (0.0, 1e3, "mNm·s/rad")),
 }
+AT_FLOOR = 1.05
+"""An error of so many noise floors is said to be at the noise floor: nobody reads a smaller difference."""
 _EXACT = 12  # significant digits of a number without an uncertainty; nobody reads more
 CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
@@ -201,6 +204,23 @@ def ranged(value: float, unit: str) -> str:
         "kg": (1.0, "kg", 2),
     }.get(unit, (1.0, unit, 1))
     return f"{value * factor:.{decimals}f} {symbol}"
+
+
+def floor_text(errors: Iterable[tuple[float | None, float | None]]) -> str:
+    """Where held-out errors that are near their noise floors lie: ``the held-out error is 1.13 times the noise floor``.
+
+    Parameters
+    ----------
+    errors
+        Of each stage the held-out error and its noise floor, in one unit; of several the largest ratio is given.
+    """
+    times = [error / floor for error, floor in errors if error and floor]
+    if not times:
+        return "the noise floor of the held-out error is not known"
+    if max(times) <= AT_FLOOR:
+        return "the held-out error is at the noise floor"
+    most = "up to " if len(times) > 1 else ""
+    return f"the held-out error is {most}{max(times):.2f} times the noise floor"
 
 
 def error_text(value: float | None, unit: str) -> str:

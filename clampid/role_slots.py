@@ -1,4 +1,4 @@
-"""The parameters of a role, by place: what the core asks instead of an effect's name."""
+"""The parameters of a role, by place: the core asks for these and not for an effect's name."""
 
 from __future__ import annotations
 

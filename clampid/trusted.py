@@ -1,4 +1,4 @@
-"""Whose code may run: the user's own list of effect files, by the hash of what they hold.
+"""Effect files whose code may run: the user's own list, by the hash of each file.
 
 An effect file is Python, and a model only names it. Opening a model therefore runs that file only if its hash stands in
 the list (``clampid effect trust FILE``), or if the caller names the file (``--effects-from``). A file that is changed

@@ -1,4 +1,4 @@
-"""The error of a call that cannot be meant."""
+"""The error of a call whose arguments make no sense."""
 
 from __future__ import annotations
 

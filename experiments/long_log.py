@@ -1,4 +1,4 @@
-"""Torque logs too long to be held: every row is held against the contract, and an extract is kept to be judged."""
+"""Torque logs larger than the memory: every row is checked against the contract; an extract is kept for the checks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one tree of errors of this layer: what was asked cannot be meant, or cannot be done."""
+"""The errors of this layer: a request that makes no sense, or one that cannot be fulfilled."""
 
 from __future__ import annotations
 

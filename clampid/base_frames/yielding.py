@@ -1,4 +1,4 @@
-"""What of an arm gives way, and by how much its points move: for base frames, which want the arm as it would be stiff.
+"""Deflection of the arm at each measured point, so that the base is found as if the arm were stiff.
 
 Springs, clearances and loads are those of a model, whose errors are counted, or those of the robot's description, taken
 as exact.

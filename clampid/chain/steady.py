@@ -1,4 +1,4 @@
-"""Derivatives that a search does not change, so that they are computed once and not at every point that it tries.
+"""Columns of the Jacobian that stay constant during a search: computed once, not at every trial point.
 
 An angle curve of a hundred harmonics is linear in its amplitudes, and its sines depend on the recorded joint angles
 alone. Computed anew at each point they are most of what a fit of poses takes.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from clampid.display import error_text, places_text, with_error
+from clampid.display import error_text, floor_text, places_text, with_error
 
 __all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome"]
 
@@ -93,7 +93,7 @@ def _variants(stages: Json, mended: bool) -> Iterator[str]:
         ends = [error_text(falls[0][f"heldout_rms_{when}"], falls[0]["unit"]) for when in ("before", "after")]
         said = _sentence(stages, mended, True, False, 99).removesuffix(".")
         above = any(part.get("above_floor") for part in stages.values())
-        rest = "the error is still above the noise floor" if above else "nothing beyond the noise is left"
+        rest = "the error is still above the noise floor" if above else "no further effect was found"
         yield f"{said}; {rest}." if mended else f"{said}; with it the held-out error falls from {ends[0]} to {ends[1]}."
     several = len(stages) > 1
     for where, stage_names, most in ((True, several, 99), (True, False, 99), (True, False, 3), (False, False, 3)):
@@ -161,7 +161,8 @@ def _nothing(stages: Json) -> str:
     above = [part["above_floor"]["times_floor"] for part in stages.values() if part.get("above_floor")]
     if above:
         return f"no missing effect was found, but the held-out error is {max(above):.2g} times the noise floor"
-    return "no missing effect was found: the held-out error is at the noise floor"
+    errors = floor_text((part.get("heldout_rms_before"), part.get("noise_floor")) for part in stages.values())
+    return f"no missing effect was found: {errors}"
 
 
 def listed(words: Sequence[str], most: int = 3) -> str:

@@ -99,7 +99,7 @@ def _verdict(result: StageDiagnosis) -> str:
                 "detection limit would have been found with 90 % probability."
             )
         case "missing":
-            return start + "Nothing beyond the noise is left."
+            return start + "No further effect was found."
         case "ambiguous":
             groups: dict[int, list[str]] = {}
             for c in result.candidates:

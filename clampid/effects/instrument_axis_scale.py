@@ -1,4 +1,4 @@
-"""An instrument whose metre differs from axis to axis of its own, as a stereo camera's does in depth.
+"""A scale error of the instrument that differs between its axes, as of a stereo camera in depth.
 
 What the three axes have in common is :mod:`clampid.effects.instrument_scale`.
 """

@@ -1,4 +1,4 @@
-"""An instrument whose metre differs with direction, along axes that are not those of its frame, or whose axes lean.
+"""A scale error of the instrument along axes other than those of its frame, or axes that are not perpendicular.
 
 A camera's frame is often turned to something of the cell. What all directions have in common is
 :mod:`clampid.effects.instrument_scale`; what turns all is the instrument's frame.

@@ -1,4 +1,4 @@
-"""An instrument whose metre is not a metre."""
+"""A scale error of the instrument: all lengths are too long, or too short, by the same factor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An instrument whose metre is not a metre, and not the same in every campaign of one robot.
+"""A scale error of the instrument that differs between the campaigns of one robot.
 
 What all campaigns have in common is :mod:`clampid.effects.instrument_scale`, or a larger arm: one of the two, not both.
 """

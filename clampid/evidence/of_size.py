@@ -1,4 +1,4 @@
-"""How well a prior of some size goes with what rows say: the evidence of amplitudes that are many and small.
+"""Marginal likelihood of the size of a prior, for effects that have many small amplitudes.
 
 A fit says all that its rows know of some amplitudes z: a Gaussian, the rest of the model integrated out (``L`` is the
 rows' information, ``h`` information times estimate). With a normal prior of covariance S on them, about zero, the

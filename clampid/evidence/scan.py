@@ -1,4 +1,4 @@
-"""Effects that sit somewhere along a joint's angle and are nothing elsewhere, tried at every place that poses visited.
+"""Effects that act over a few degrees of one joint, tried at every angle that poses visited.
 
 A place's column is what the joint's angle does to the measurement times the effect's shape about that place, so that
 the effect is evaluated once and a place costs a sparse product. Of each joint the best place becomes a candidate, its

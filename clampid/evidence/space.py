@@ -1,4 +1,4 @@
-"""What a fit leaves, whitened, and the span of what its active parameters and priors absorb of it."""
+"""The whitened residual of a fit, and the space that its active parameters and priors absorb."""
 
 from __future__ import annotations
 

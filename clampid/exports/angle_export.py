@@ -1,4 +1,4 @@
-"""Errors of joint angles as a table: what no table of constant numbers can hold."""
+"""Errors of joint angles as a table, for controllers that correct angles before they use a DH table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The geometry that serves a controller best which knows nothing but a table: the whole model acts as the measurement.
+"""The best DH table for a controller that knows nothing else: geometry fitted to the flange of the whole model.
 
 Springs, angle errors and the like shift the geometry that was fitted beside them. A controller that corrects only by a
 table errs less with the geometry that comes nearest to the flange of the whole model (least squares over position and,

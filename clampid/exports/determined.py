@@ -7,19 +7,21 @@ combinations are zero, as in the nominal robot: theta - C W (W' C W)^-1 W' theta
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import linalg
 
 from clampid.catalogue import catalogue
 from clampid.models.model import Model
-from clampid.role_slots import numbers_of_role
+from clampid.role_slots import has_role, numbers_of_role
 from clampid.roles import FRAMES
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array
 
-__all__ = ["Determined", "fix_undetermined", "in_words", "reasonable", "undetermined_directions"]
+__all__ = ["Determined", "determined_shifts", "fix_undetermined", "in_words", "reasonable", "undetermined_directions"]
 
 SHARE = 0.3  # of the largest entry of a direction: parameters that count as part of the combination
 
@@ -75,6 +77,23 @@ def undetermined_directions(covariance: Array, size: Array) -> tuple[Array, Arra
 def reasonable(slots: list[Slot]) -> Array:
     """The standard error below which rows determine each parameter of geometry ``(P,)``, SI."""
     return np.array([find_parameter(slot, catalogue()).clear for slot in slots])
+
+
+def determined_shifts(omission: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Of the shifts of a model's parameters, as a diagnosis lists them, those of parameters that the data determine.
+
+    A shift is that of one choice among many where its standard error is not below what the parameter may reasonably
+    amount to: y of base and of flange of a UR10 moved by 53 mm each, in opposite directions. That is asked of geometry
+    only; the sizes of other effects depend on gears and weights.
+    """
+    effects, out = catalogue(), []
+    for shift in omission:
+        effect, _, rest = str(shift.get("name", "")).partition(".")
+        name, _, place = rest.partition("@")
+        slot = Slot(effect, name, place)
+        if not has_role(slot, *FRAMES) or float(shift["std"]) < find_parameter(slot, effects).clear:
+            out.append(shift)
+    return out
 
 
 def in_words(slots: list[Slot], direction: Array) -> str:

@@ -58,7 +58,7 @@ __all__ = [
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 SAID = ("temperature_C", "difference_m")
-HELD = "held_at_nominal"
+OPEN = "not_determined"
 LEFT = (*(f"left_by_table_{k}_{unit}" for unit in ("m", "rad") for k in ("rms", "max")), "not_in_table")
 COLUMNS = (
     "row",
@@ -66,7 +66,7 @@ COLUMNS = (
     *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")),
     *SAID,
     *LEFT,
-    HELD,
+    OPEN,
 )
 """Columns of the table; a column that does not belong to a row is empty there."""
 
@@ -116,11 +116,11 @@ class ExportedTable(Exported):
             return self._mount()
         found = [
             f"{'row ' if row['row'].isdigit() else ''}{row['row']}: "
-            + ", ".join(self._beside_nominal(str(row["row"]), column, row[column]) for column in row[HELD].split())
+            + ", ".join(self._beside_nominal(str(row["row"]), column, row[column]) for column in row[OPEN].split())
             for _, row in self.table.iterrows()
-            if row[HELD]
+            if row[OPEN]
         ]
-        unsure = f"these numbers depend on that choice and have no standard error: {'; '.join(found)}"
+        unsure = f"part of it, not determined by themselves and without standard error: {'; '.join(found)}"
         return (*super().cautions, unsure, *self._mount())
 
     def _beside_nominal(self, row: str, column: str, value: float) -> str:
@@ -168,8 +168,9 @@ def dh_export(
     a position and a rotation Rz Ry Rx; base A_1 … A_n tool is the flange in the instrument's frame. Where a linkage
     couples joints, q are the joint values of the chain and not the controller's. Column ``difference_m`` says by how
     much the table, read back, differs at most from its chain over the joints' ranges; ``left_by_table_…`` how far the
-    flange of the whole model is from it there, and ``not_in_table`` by which effects. What the data do not determine is
-    at its nominal value; the numbers that this concerns are named in ``held_at_nominal`` and have no standard error.
+    flange of the whole model is from it there, and ``not_in_table`` by which effects. A combination of
+    numbers that the data do not determine has its nominal value; ``not_determined`` names the numbers that are part of
+    one. These have no standard error, and may differ from the nominal ones by what the data do determine.
 
     Parameters
     ----------
@@ -218,7 +219,7 @@ def dh_export(
     e = left.error
     frame[list(LEFT[:-1])] = e.position_rms, e.position_max, e.orientation_rms, e.orientation_max
     frame[LEFT[-1]] = " ".join(left.effects)
-    frame[HELD] = frame.pop(HELD)  # the last column
+    frame[OPEN] = frame.pop(OPEN)  # the last column
     difference = float(frame["difference_m"].iloc[0])
     text, rows = table_text(frame), nominal_rows(nominal, convention)
     combined = fixed.combinations
@@ -368,12 +369,12 @@ def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
     for k, end in enumerate(("base", "tool")):
         part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
         records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
-    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT, HELD)])
-    frame[HELD] = [_held_columns(row) for row in records]
+    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT, OPEN)])
+    frame[OPEN] = [_open_columns(row) for row in records]
     return frame.astype({"sign": "Int64"})
 
 
-def _held_columns(row: Mapping[str, object]) -> str:
+def _open_columns(row: Mapping[str, object]) -> str:
     """The columns of a row whose numbers have no standard error, because something in them is fixed."""
     own = FRAME_COLUMNS if row["row"] in ("base", "tool") else ROW_COLUMNS
     return " ".join(column for column in own if row[f"std_{column}"] != row[f"std_{column}"])  # nan

@@ -1,4 +1,4 @@
-"""What every export says of itself: the file, its temperature, and what it leaves of the whole model."""
+"""What every export states: its file, its temperature, and its error against the whole model."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Exported:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What the data do not determine, and what a reader may take for something else."""
-        said = "not determined by the data, held at its nominal value: a combination of "
+        said = "not determined by the data, fixed at its nominal value: a combination of "
         return tuple(f"{said}{words}" for words in self.fixed)
 
     def to_json(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a form of the robot for others (a table, URDF, machine data) leaves of the model that it was made from.
+"""Error of an export (DH table, URDF, machine data) against the whole model that it was made from.
 
 A form holds the static geometry at one temperature. The rest is measured against the whole model: springs under the
 declared tool, play, errors of angles, expansion at other temperatures, a base that settles in the course of a shift.

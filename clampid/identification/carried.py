@@ -1,4 +1,4 @@
-"""What a stage takes over from those fitted before it: values with their covariance, as a Gaussian prior.
+"""Results of earlier stages as a Gaussian prior of a later stage: values with their covariance.
 
 The pose stage takes gravity and arm-side friction from the torque stage, springs and clearances from clamped sweeps.
 Both are fits of rows that the poses do not contain, so that product of prior and likelihood is the posterior of all of

@@ -1,4 +1,4 @@
-"""How effects begin that have no start from nothing.
+"""Initial values of effects whose parameters have no gradient at zero.
 
 Of one that aligns another's curves, that other is fitted in its place, and its curves are aligned; of one that happens
 once, the fit without it says when; of one with amplitudes of unknown size, a first fit says which size.

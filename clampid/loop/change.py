@@ -1,4 +1,4 @@
-"""By how much a held-out error has changed, with the standard error that pairing whole poses or runs gives it.
+"""Change of a held-out error, with a standard error from pairs of whole poses or runs.
 
 Two models are judged on the same rows. Rows of one pose share its error, so that a pose is one
 observation; of a log, a run or sweep is. With d_u the sum over unit u of the squares after less those before, and n_u

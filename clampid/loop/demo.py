@@ -1,4 +1,4 @@
-"""The main job with nothing to bring: measure, identify, compare, diagnose, add, verify; only then look what it was.
+"""The demo: measure a virtual robot, identify, compare, diagnose, add, verify; then reveal the hidden effect.
 
 The campaign comes from the virtual robot, which hides one effect that the standard model lacks. It shares no code with
 the effects. What was drawn is not shown before the end, and nothing here reads it before.

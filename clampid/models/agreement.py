@@ -1,4 +1,4 @@
-"""Holds springs and clearances of clamped sweeps against those that the poses want, joint by joint.
+"""Compares springs and clearances of clamped sweeps with those that the poses give, joint by joint.
 
 The two have to be independent: poses fitted without anything from the clamped stage. Then for each joint
 z = (c_poses − c_clamped)/√(σ²_poses + σ²_clamped), two-sided, and for all of them together the quadratic form of the

@@ -1,4 +1,4 @@
-"""Errors of joint angles as curves over the angle: what a model says, how sure it is, and where no pose ever was.
+"""Errors of joint angles as curves over the angle: values, standard errors, and where no pose was near.
 
 On a curve that joints share, a pose of any of them counts for all: what one has not visited another may have.
 """

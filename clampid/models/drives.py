@@ -1,4 +1,4 @@
-"""What the clamped stage found of each drive, as the sources tabulate it: spring, clearance, friction, the compliance.
+"""Results of the clamped stage for each drive: spring, clearance, friction, and the compliance matrix.
 
 Springs are found as compliances c at the motors, so that everything here is linear in what was fitted, or one step from
 it: k = 1/c (Nm/rad at the motor), k/T_ii² (Nm/rad at the joint, the own spring alone), and the compliance at the joints

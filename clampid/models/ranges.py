@@ -1,4 +1,4 @@
-"""On what a pose model was identified, and what follows where it is asked beyond that.
+"""The ranges on which a pose model was identified, and which part of a request lies outside them.
 
 Of every joint's angle and gravity torque, of every link's temperature and of the tool's mass a model keeps the lowest
 and the highest of the rows that it was fitted to, each by itself, over all sessions: the robot is theirs together. A

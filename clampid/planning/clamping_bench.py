@@ -1,4 +1,4 @@
-"""What planned sweeps of a clamped arm would say of springs, clearances and friction: the information of each."""
+"""Expected results of planned sweeps of a clamped arm: the information on springs, clearances and friction."""
 
 from __future__ import annotations
 

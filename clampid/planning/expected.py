@@ -1,4 +1,4 @@
-"""What a set of measurements will tell: standard errors, observability, and what stays open, in words."""
+"""Expected results of a set of measurements: standard errors, observability, and what stays unidentified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a planned log of motor torques will tell: information of every move on the asked parameters.
+"""Expected results of a planned log of motor torques: the information of every move on the parameters.
 
 Only what a fit uses counts: motors that clearly move, at steady speed, where inertia is small against the noise. Noise
 of torque logs is correlated: part of its variance is white, the rest is forgotten within a correlation time; each move

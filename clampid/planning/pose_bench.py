@@ -1,4 +1,4 @@
-"""What planned poses will tell: the Jacobian of every visit, and where its tracked points are."""
+"""Expected results of planned poses: the Jacobian of every visit, and where its tracked points are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What plans of logged programs, in free air and of the wrist, have in common: their numbers, and what they tell."""
+"""What plans of logged programs have in common, in free air and of the wrist: counts and expected results."""
 
 from __future__ import annotations
 

@@ -47,8 +47,8 @@ def evidence(found: Json, unit: str) -> list[Table]:
         out.append(
             filled_table(_HEADS, rows, "What was found, in the order to add it; held-out errors are cumulative.")
         )
-    named = {(c.get("effect"), places_text(c)) for c in found.get("candidates") or ()}
-    looked = _once([c for c in found.get("considered") or () if (c.get("effect"), places_text(c)) not in named])
+    named = {(_name(c), places_text(c)) for c in found.get("candidates") or ()}
+    looked = _once([c for c in found.get("considered") or () if (_name(c), places_text(c)) not in named])
     if looked:
         shown = max(MOST_CONSIDERED, sum("reason" in c for c in looked))  # all that were fitted and refused
         more = f" {len(looked) - shown} more are not shown." if len(looked) > shown else ""
@@ -70,7 +70,7 @@ def _once(considered: Sequence[Json]) -> list[Json]:
     """Each effect and place once, the most likely of its shapes; first those that were fitted and refused."""
     best: dict[tuple[str, str], Json] = {}
     for c in considered:
-        key = (str(c.get("effect")), places_text(c))
+        key = (_name(c), places_text(c))
         if key not in best or _order(c) < _order(best[key]):
             best[key] = c
     return sorted(best.values(), key=_order)
@@ -88,7 +88,7 @@ def places_text(c: Json) -> str:
 
 
 def _candidate(c: Json, unit: str) -> tuple[str, ...]:
-    effect = str(c.get("effect", ""))
+    effect = _name(c)
     return (
         f"{effect} (one of the alternatives)" if c.get("alternative") else effect,
         places_text(c),
@@ -97,14 +97,29 @@ def _candidate(c: Json, unit: str) -> tuple[str, ...]:
         p_text(c.get("p_held_out")),
         error_text(c.get("heldout_rms_before"), unit),
         error_text(c.get("heldout_rms_after"), unit),
-        parameters_text([{**p, "name": _short(str(p.get("name", "")), c)} for p in c.get("parameters") or ()]),
+        _identified(c),
         confusable_text(c),
     )
 
 
+def _name(c: Json) -> str:
+    """The effect as the catalogue calls it, not its family."""
+    return str(c.get("name") or c.get("effect") or "")
+
+
+def _identified(c: Json) -> str:
+    """The parameters that the data determine, with their values, and how many others there are."""
+    every = [{**p, "name": _short(str(p.get("name", "")), c)} for p in c.get("parameters") or ()]
+    known = [p for p in every if p.get("identified", True)]
+    if len(known) == len(every) or len(every) > MOST_PARAMETERS:
+        return parameters_text(every)
+    text = parameters_text(known) if known else ""
+    return f"{text}; {len(every) - len(known)} not identifiable" if text else "not identifiable"
+
+
 def _short(name: str, c: Json) -> str:
     """A parameter's name without what its row says already."""
-    name = name.removeprefix(f"{c.get('name') or c.get('effect')}.")
+    name = name.removeprefix(f"{_name(c)}.")
     return name.removesuffix(f"@{places_text(c)}")
 
 
@@ -118,7 +133,7 @@ def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
             f"{state}: the fitted parameters absorb all but {number(100 * float(c.get('retained') or 0.0), 2)} % of it"
         )
     return (
-        str(c.get("effect", "")),
+        _name(c),
         places_text(c),
         p_text(c.get("p_value")),
         p_text(c.get("p_familywise")),

@@ -20,6 +20,8 @@ __all__ = ["Fall", "FirstScreen", "Step", "first_screen"]
 
 Json = Mapping[str, Any]
 MOST_STEPS = 7
+SETTLED = ("DH table", "rejected as outliers")
+"""Words of notes that leave nothing open."""
 MOST_OPEN = 5
 
 
@@ -136,7 +138,7 @@ def _verdict(model: Model, found: Json, added: Sequence[tuple[str, str]]) -> tup
         return headline(found, mended=now), outcome(found, mended=now) == "good"
     names = [named(*_parts(labels)) for labels in _by_effect(added).values()]
     good = outcome(found) == "good"
-    rest = "nothing beyond the noise is left." if good else headline(found)
+    rest = "no further effect was found." if good else headline(found)
     were = "were" if len(names) > 1 else "was"
     for most in (4, 2, 1):
         text = f"{listed(names, most)} {were} missing and {'are' if len(names) > 1 else 'is'} now in the model"
@@ -182,10 +184,10 @@ def _open(model: Model, found: Json) -> list[str]:
         if part["verdict"] == "unknown":
             variables = listed(list(part.get("depends_on") or ()), 4)
             out.append(f"{name}: an error that depends on {variables or 'no recorded variable'} has no known effect.")
-        out += [text for text in notes(name, part, now) if "DH table" not in text]
-        if part["verdict"] == "ambiguous" and part.get("next_measurement"):
+        out += [text for text in notes(name, part, now) if not any(word in text for word in SETTLED)]
+        if part["verdict"] == "ambiguous" and (part.get("next_plan") or {}).get("helps"):
             out.append(f"{name}: To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml")
-    # What to measure next is never cut off.
+    # A plan of what to measure next is never cut off.
     out = [*out[: MOST_OPEN - 1], *out[-1:]] if len(out) > MOST_OPEN else out
     return [_alone(text, found) for text in out]
 

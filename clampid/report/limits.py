@@ -7,6 +7,7 @@ from typing import Any
 
 from clampid.diagnosis.limits import limit_rows, not_testable
 from clampid.display import scale_for, with_std
+from clampid.exports.determined import determined_shifts
 from clampid.report.style import Table, as_table
 
 __all__ = ["detection_limits", "exported", "shifted"]
@@ -19,7 +20,7 @@ MOST_EXPORTED = 12
 def shifted(omission: Sequence[Json]) -> list[Table]:
     """What the model's parameters had taken up of the missing effect."""
     rows = []
-    for p in omission[:MOST_SHIFTED]:
+    for p in determined_shifts(omission)[:MOST_SHIFTED]:
         shift, std = float(p["shift"]), float(p.get("std") or 0.0)
         rows.append((str(p.get("name", "")), with_std(shift, std, scale_for(str(p.get("unit", "")), [shift, std]))))
     caption = "What leaving it out had done to the model: how its parameters shift with it, the clearest first."

@@ -1,4 +1,4 @@
-"""Where it comes from: the literature behind the effects used, version and seed, and the command that does it again."""
+"""Sources of a report: literature of the effects used, version and seed, and the command that repeats the fit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How sure the held-out error is, before anything was added and now: intervals from draws of whole poses."""
+"""Intervals of the held-out error, before and after effects were added, from draws of whole poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a demonstration had hidden beside what the model has of it."""
+"""The effects that a demonstration had hidden, beside the values that the model found."""
 
 from __future__ import annotations
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clampid.report.stage_data import StageData
 from clampid.stages.rows import Array, Bools
+from experiments.checks.clock import counts_rows
 
 __all__ = ["Trend", "Variable", "explained", "trend", "variables_of"]
 
@@ -16,6 +17,7 @@ BINS = 12
 FLIPS = 99
 GAP = 0.1  # of a variable's range without a row: no line is drawn across
 MIN_ROWS_PER_MEDIAN = 3  # rows that a median is drawn of
+ROUNDING = 1e-9  # of a variable's largest value, or of 1: values that differ by less are equal
 FEW = 8  # distinct values up to which a variable is grouped by value instead of by quantiles
 
 
@@ -85,7 +87,10 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
         joints("dir", "direction of motor {}, ±1", data.stacked("motor_motion"))
     time = np.concatenate([p.rows.constants["time"] for p in data.pieces])
     factor, unit = (60.0, "min") if np.ptp(time) > 600.0 else (1.0, "s")
-    found.append(Variable("time", f"time, {unit}", (time - time.min()) / factor))
+    if counts_rows(np.sort(time)):
+        found.append(Variable("time", "number of the row", time))
+    else:
+        found.append(Variable("time", f"time, {unit}", (time - time.min()) / factor))
     found += _temperatures(data)
     if data.stage == "poses":
         position = data.stacked("position")
@@ -93,12 +98,19 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
         target = data.column("target")
         if target is not None:
             found.append(_category("target", "target", target.astype(str).to_numpy()))
-    kept = []
-    for variable in found:
-        finite = variable.values[np.isfinite(variable.values)]
-        if finite.size and np.ptp(finite) > 1e-9 * max(1.0, float(np.abs(finite).max())):
-            kept.append(variable)
-    return tuple(kept)
+    rounded = (_rounded(variable) for variable in found)
+    return tuple(variable for variable in rounded if np.nanmax(variable.values, initial=-np.inf) > _least(variable))
+
+
+def _rounded(variable: Variable) -> Variable:
+    """The variable without what arithmetic leaves: bins of it would be bins of rounding, and part rows by chance."""
+    finite = variable.values[np.isfinite(variable.values)]
+    step = ROUNDING * max(1.0, float(np.abs(finite).max(initial=0.0)))
+    return replace(variable, values=step * np.round(variable.values / step))
+
+
+def _least(variable: Variable) -> float:
+    return float(np.nanmin(variable.values, initial=np.inf))
 
 
 def _category(name: str, title: str, values: np.ndarray) -> Variable:

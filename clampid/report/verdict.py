@@ -18,9 +18,9 @@ __all__ = ["headline", "truth_section", "verdict_section"]
 
 Json = Mapping[str, Any]
 MEANING = {
-    "adequate": "nothing beyond the noise was found",
-    "missing": "the candidates are what was missing; nothing beyond the noise was found after them",
-    "ambiguous": "several effects explain the rest equally well on these data",
+    "adequate": "no missing effect was found",
+    "missing": "the candidates are what was missing; no further effect was found",
+    "ambiguous": "these data do not settle which effect explains the rest",
     "unknown": "structure is left that no known effect explains",
 }
 
@@ -92,7 +92,7 @@ def verdict_section(diagnosis: Json | None, comparison: Json | None) -> Section 
         blocks += ["Model against measurement", comparison_table(tables), *placing_tables(tables)]
     notes = (
         "p, alone: asymptotic score test of the candidate by itself. p, family-wise: sign-flip maximum over all "
-        "candidates at once; only this one decides. “Adequate” means that nothing was found beyond the noise, not "
+        "candidates at once; only this one decides. “Adequate” means that no missing effect was found, not "
         "that nothing is there: an effect below its detection limit, or one that these rows cannot test, is not "
         "excluded.",
     )

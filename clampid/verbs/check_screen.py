@@ -109,7 +109,9 @@ def contents(table: Mapping[str, Any]) -> str:
     for key in ("poses", "visits", "replicates", "runs", "sweeps"):
         if table.get(key):
             words.append(_counted(table[key], key))
-    words.append(f"{table['duration_s'] / 60:.0f} min")
+    if table["duration_s"] is not None:
+        seconds = table["duration_s"]
+        words.append(f"{seconds / 60:.0f} min" if seconds >= 60.0 else f"{seconds:.0f} s")
     moved = table["joints_moved"]
     words.append(f"{places_text([f'joint{j}' for j in moved])} move" if len(moved) > 1 else _single(moved))
     for key, word in (

@@ -1,4 +1,4 @@
-"""``clampid demo``: the main job with nothing to bring."""
+"""``clampid demo``: the whole loop on a virtual robot, for which nothing has to be provided."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from typing import Any
 from clampid.diagnosis.headline import equally_good
 from clampid.diagnosis.headline import listed as joined
 from clampid.display import error_text, places_text, ranged, readable, with_error
+from clampid.exports.determined import determined_shifts
 from clampid.verbs.limits import show_limits, show_plan
 from clampid.verbs.output import Output
 from clampid.verbs.placing import show_placing
@@ -97,7 +98,7 @@ def _place(at: str) -> str:
 def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
     """What a missing effect had put wrong: by how much, and in standard errors of the mended value."""
     rows = []
-    for p in shifted:
+    for p in determined_shifts(shifted):
         off = with_error(p["shift"], p["std"], p["unit"])
         rows.append((p["name"], off, f"{abs(p['shift']) / p['std']:.1f}"))
     if rows:

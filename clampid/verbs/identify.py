@@ -47,6 +47,8 @@ def identify(
         raise CallError(f"--bootstrap: expected 0 or 2 and more draws, found {bootstrap}")
     chosen = split_effects(effects)
 
+    import pandas as pd
+
     from clampid.catalogue import with_user_effects
     from clampid.comparison.nominal import nominal_errors
     from clampid.identification.identify import identify as fit_model
@@ -56,6 +58,7 @@ def identify(
     from clampid.verbs.rejected import rejected_words
     from clampid.verbs.screens import fit_screen
     from clampid.verbs.show import model_json, show_drives, show_model
+    from experiments.checks.points import enough_poses
     from experiments.long_log import LONG_ROWS
 
     with out.working("reading"):
@@ -83,5 +86,8 @@ def identify(
         data["stages"]["clamped"]["drives"] = drives.to_json()
     if "free_air" in data["stages"] and (resolution := resolution_of(read)) is not None:
         data["stages"]["free_air"]["resolution"] = resolution.to_json()
-    out.show(fit_screen(data, nominal, rejected, campaigns, effects_from))
+    if "poses" in data["stages"] and "poses" in read[0].tables:
+        frame = pd.concat([c.tables["poses"] for c in read if "poses" in c.tables])
+        data["stages"]["poses"]["enough_poses"] = enough_poses(frame, data["stages"]["poses"]["parameters"])
+    out.show(fit_screen(data, nominal, rejected, read, campaigns, effects_from))
     out.result(data)

@@ -1,4 +1,4 @@
-"""What verbs read: campaigns that have been looked at, lists of effects, terms to add."""
+"""Inputs of verbs: campaigns that were checked, lists of effects, terms to add."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a diagnosis would have found and what it could not, in a few lines for people."""
+"""Detection limits of a diagnosis, and what its rows cannot test, in a few lines."""
 
 from __future__ import annotations
 

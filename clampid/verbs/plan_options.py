@@ -1,4 +1,4 @@
-"""What the verbs of ``clampid plan`` are told alike: the robot and what stands around it, and how torques are read."""
+"""Options that all verbs of ``clampid plan`` share: the robot, its surroundings, and how torques are read."""
 
 from __future__ import annotations
 

@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
-from clampid.display import change_text, count_text, counted, error_text
+from clampid.display import change_text, count_text, counted, error_text, floor_text
 from clampid.screen import Errors, Next, Screen, Tone
+from clampid.verbs.next_step import free_name
 from clampid.verbs.show import weights_text
 
 if TYPE_CHECKING:
     from clampid.effect import Stage
     from clampid.models.model import Model, Round
+    from experiments.campaign import Campaign
 
 __all__ = [
     "addition_screen",
@@ -31,7 +33,7 @@ Json = Mapping[str, Any]
 HELD_OUT = "Error (rms) on held-out rows"
 SIGMA = "; torques in σ, units of each motor's noise"
 NEAR = 1.3
-"""A held-out error of at most so many noise floors is said to be at the noise floor; as diagnosis has it."""
+"""A held-out error of more than so many noise floors may lack an effect; as diagnosis has it."""
 OVERFITTED = 3.0
 """A held-out error of more than so many fitted ones: the fit followed its rows, and predicts no others."""
 
@@ -59,13 +61,19 @@ def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str
     """A verdict on held-out errors and their floors, stage by stage, and how it is meant."""
     far = [(times, name) for name, error, floor in rows if (times := _times(error, floor)) > NEAR]
     if not far:
-        return "The held-out error is at the noise floor.", "good"
+        said = floor_text((error, floor) for _, error, floor in rows)
+        return f"{said[0].upper()}{said[1:]}.", "good"
     times, name = max(far)
     return f"{name}: the held-out error is {times:.2g} times the noise floor, so an effect may be missing.", "open"
 
 
 def fit_screen(
-    data: Json, nominal: Mapping[Stage, float], rejected: Json, campaigns: Sequence[Path], effects_from: Path | None
+    data: Json,
+    nominal: Mapping[Stage, float],
+    rejected: Json,
+    read: Sequence[Campaign],
+    campaigns: Sequence[Path],
+    effects_from: Path | None,
 ) -> Screen:
     """What ``identify`` did.
 
@@ -77,9 +85,11 @@ def fit_screen(
         Stage → the error of the described robot; see :func:`clampid.comparison.nominal.nominal_errors`.
     rejected
         Stage → its rejected rows in words.
+    read
+        The campaigns of the folders ``campaigns``.
     """
     stages = data["stages"]
-    rows, facts, said = [], [], []
+    rows, facts, said, lacking = [], [], [], []
     for name, part in stages.items():
         unit = part["unit"]
         errors = (_of(nominal, name), part["heldout_rms"], part["noise_floor"])
@@ -90,10 +100,13 @@ def fit_screen(
         if (part["heldout_rms"] or 0.0) > OVERFITTED * (part["rms"] or float("inf")):
             fitted = error_text(part["rms"], unit)
             held_out = error_text(part["heldout_rms"], unit)
+            poses = part.get("enough_poses")
+            more = "more" if poses is None else f"{poses} poses or more"
             said.append(
                 f"{name}: {held_out} on held-out rows, {fitted} on fitted ones: too few rows for {part['parameters']} "
-                "parameters. Measure more, or fit fewer effects."
+                f"parameters. Measure {more}, or fit fewer effects."
             )
+            lacking.append(poses)
         if shown := part.get("resolution"):
             step = 1e3 * shown["step_s"]
             said.append(
@@ -104,11 +117,14 @@ def fit_screen(
         if weighted := weights_text(part.get("weights")):
             said.append(f"{name}: {weighted}.")
         if name in rejected:
-            said.append(f"{name}: rejected as outliers: {_first(rejected[name])}.")
+            said.append(f"{name}: rejected as outliers: {_first(rejected[name])}")
     verdict, tone = _judged([(n, p["heldout_rms"], p["noise_floor"]) for n, p in stages.items()])
-    if any("too few rows" in text for text in said):
-        verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
     model = data["model"]
+    ask = typed("diagnose", model, *campaigns, effects_from=effects_from)
+    steps: tuple[Next, ...] = (Next("Next, find out what is missing:", ask),)
+    if lacking:
+        verdict, tone = "The model fits its rows and does not predict others: do not use it.", "bad"
+        steps = _more_poses(read[0], campaigns[0], lacking[0])
     return Screen(
         f"Fitted {model} to {_campaigns(campaigns)}.",
         Errors(_title(list(stages)), ("nominal", "this model", "noise floor"), tuple(rows)),
@@ -117,8 +133,20 @@ def fit_screen(
         tone,
         tuple(said),
         "Parameters with their standard errors: --verbose, --json FILE.",
-        (Next("Next, find out what is missing:", typed("diagnose", model, *campaigns, effects_from=effects_from)),),
+        steps,
     )
+
+
+def _more_poses(campaign: Campaign, folder: Path, poses: int | None) -> tuple[Next, ...]:
+    """The command that plans as many poses as a fit needs; none where no number is known, or no target to plan for."""
+    if poses is None or not campaign.targets:
+        return ()
+    robot = str(campaign.header.get("robot", campaign.robot.name))
+    own = folder / robot
+    output = free_name(Path("plan.toml"))
+    call = typed("plan", "poses", "--robot", own if own.is_file() else robot, "--like", folder,
+                 "--poses", str(poses), "-o", output)  # fmt: skip
+    return (Next("Next, plan as many poses as this fit needs:", call),)
 
 
 def _once(labels: Sequence[str]) -> list[str]:
@@ -127,9 +155,9 @@ def _once(labels: Sequence[str]) -> list[str]:
 
 
 def _first(text: str) -> str:
-    """The count and the first of several things listed with semicolons."""
+    """The count and the first of several things listed with semicolons, with the mark that ends a sentence."""
     first, more, _ = text.partition("; ")
-    return f"{first}, …" if more else first
+    return f"{first}, …" if more else f"{first}."
 
 
 def _campaigns(campaigns: Sequence[Path]) -> str:

@@ -1,4 +1,4 @@
-"""Standard streams in any encoding: words lose their signs and not themselves, results for programs are UTF-8."""
+"""Standard streams in any encoding: signs that it lacks are spelt out; results for programs are UTF-8."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ if poses.verdict == "ambiguous":
 elif poses.verdict == "unknown":
     print(f"No known effect explains an error that depends on {', '.join(poses.depends_on)}.")
 else:
-    print("Nothing beyond the noise is left.")
+    print("No further effect was found.")
 
 # %% [markdown]
 # ## Measure what decides

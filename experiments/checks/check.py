@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from experiments.campaign import Campaign
 from experiments.checks.angles import angle_findings
-from experiments.checks.clock import clock_findings
+from experiments.checks.clock import clock_findings, counts_rows
 from experiments.checks.distances import distance_findings
 from experiments.checks.finding import Finding
 from experiments.checks.friction import friction_findings
@@ -81,7 +82,8 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
     dict
         ``campaign``, ``robot``, ``joints``, ``instrument``, ``targets``, ``stated`` (what is known beforehand, see
         :meth:`experiments.stated.Stated.to_json`), ``fingerprint`` and, per table in ``tables``:
-        ``rows``, ``duration_s``, ``joints_moved`` (from 1; in ``clamped`` those driven), ``temperatures``; for logs
+        ``rows``, ``duration_s`` (None where times only count rows), ``joints_moved`` (from 1; in ``clamped`` those
+        driven), ``temperatures``; for logs
         ``runs`` (or ``sweeps``) and ``velocities`` or ``fixture``; for poses ``poses``, ``visits``, ``replicates``,
         ``targets``, ``orientation`` and ``directions``, for distances ``anchors``, too.
     """
@@ -97,11 +99,17 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
     }
 
 
+def _duration(frame: pd.DataFrame) -> float | None:
+    """How long a table took, s; None where its times only count rows."""
+    time = frame["time_s"].to_numpy(dtype=np.float64)
+    return None if counts_rows(time) else float(np.ptp(time))
+
+
 def _table(campaign: Campaign, table: str) -> dict[str, Any]:
     frame, long = campaign.tables[table], campaign.long.get(table)
     summary: dict[str, Any] = {
         "rows": long.table.rows if long else len(frame),
-        "duration_s": long.seconds if long else float(np.ptp(frame["time_s"].to_numpy(dtype=np.float64))),
+        "duration_s": long.seconds if long else _duration(frame),
         "joints_moved": [i + 1 for i in moved_joints(campaign, table)],
         "temperatures": list(temperature_columns(map(str, frame.columns))),
     }

@@ -12,7 +12,7 @@ from experiments.checks.finding import Finding
 from experiments.columns import joint_columns
 from experiments.signals import gaps, irregularity, stale_rows
 
-__all__ = ["clock_findings"]
+__all__ = ["clock_findings", "counts_rows"]
 
 # Positions whose rounding is coarse repeat singly by chance, once in ten thousand rows; a source slower than the log
 # holds a fifth of its rows or more.

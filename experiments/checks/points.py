@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from scipy import stats
 
 from experiments.campaign import Campaign, target_points
@@ -30,7 +31,7 @@ from experiments.checks.rigid_fit import (
 from experiments.columns import POSITION, QUATERNION
 from kinematics.poe import forward
 
-__all__ = ["point_findings"]
+__all__ = ["enough_poses", "point_findings"]
 
 
 # A real arm's points spread as the nominal ones do, within per cent. Between that and the nearest wrong unit (inches,
@@ -56,6 +57,8 @@ ON_AXIS_M = 0.005
 # A mistake is named where it fits better than the description by so much that chance does it once in a thousand
 # campaigns, over all mistakes that were tried. A median is worth 0.37 of the rows that a mean of squares would be.
 BY_CHANCE, OF_A_MEDIAN = 1e-3, 0.37
+# Measured numbers for each fitted parameter, with which other poses are predicted nearly as well as noise allows.
+NUMBERS_PER_PARAMETER = 5
 TRIED = 50  # signs and pairs of up to eight joints, targets' names, and a mirror
 
 
@@ -94,15 +97,42 @@ def point_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool 
             yield from _rigid_fit(campaign, table, poses, measured)
 
 
+def enough_poses(frame: pd.DataFrame, parameters: int) -> int:
+    """How many poses determine so many parameters that other poses are predicted nearly as well as they are measured.
+
+    N numbers of random poses, fitted with P parameters, predict others with sqrt(1 + P / (N - P - 1)) of the noise.
+    With `NUMBERS_PER_PARAMETER` that is 1.12.
+
+    Parameters
+    ----------
+    frame
+        The rows of ``poses``, one for each point.
+    parameters
+        How many are fitted.
+    """
+    each, once = _shown(frame)
+    return -(-(NUMBERS_PER_PARAMETER * parameters - once) // each)
+
+
+def _shown(frame: pd.DataFrame) -> tuple[int, int]:
+    """How many numbers each pose shows, and how many all poses together show once.
+
+    A stop shows three numbers of one point, five of two, six of more; distances between targets show once. With an
+    orientation it shows six, of a flange with six of its own.
+    """
+    count = frame["target"].nunique()
+    if QUATERNION[0] in frame or "flange" in set(frame["target"].astype(str)):
+        return 6, 0
+    return {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
+
+
 def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
     """Whether there are enough poses for the geometry, and whether the last joint moves any target."""
     frame, robot = campaign.tables["poses"], campaign.robot
     names = sorted(set(frame["target"].astype(str)))
     oriented = QUATERNION[0] in frame or "flange" in names
     count, poses = len(names), frame["pose"].nunique()
-    # A stop shows three numbers of one point, five of two, six of more; distances between targets show once. With an
-    # orientation it shows six, of a flange with six of its own.
-    shown = (6, 0) if oriented else {1: (3, 0), 2: (5, 1)}.get(count, (6, 3 * count - 6))
+    shown = _shown(frame)
     unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + (6 if oriented else 3 * count)
     least = -(-(unknown - shown[1]) // shown[0])
     if poses < 2 * least:  # seven poses of a UR10 with orientations: 0.1 mm fitted, 1 to 50 mm on others
@@ -113,7 +143,7 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
             "error" if fits and not known else "warning", "poses", "pose", None,
             f"{poses} pose{'s are' if poses > 1 else ' is'} {few} the {least} that the geometry of {robot.n} joints "
             f"and {what} needs ({unknown} parameters): a model fitted to them does not predict other poses; measure "
-            f"{2 * least} or more",
+            f"{enough_poses(frame, unknown)} or more",
         )  # fmt: skip
     if oriented:
         return

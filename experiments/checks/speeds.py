@@ -1,4 +1,4 @@
-"""Judges whether torque logs hold the speeds, and directions, that tell the parts of friction apart."""
+"""Judges whether torque logs have the speeds and directions that separate the parts of friction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Judges whether temperatures are °C, what is missing of them, and whether they can tell anything."""
+"""Judges whether temperatures are in °C, which are missing, and whether effects can be identified from them."""
 
 from __future__ import annotations
 

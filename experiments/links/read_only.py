@@ -1,4 +1,4 @@
-"""What a link answers that only reads: it moves nothing, so that nothing is ever on its way or open."""
+"""Answers of a link that only reads: it moves nothing, so no program is ever under way."""
 
 from __future__ import annotations
 

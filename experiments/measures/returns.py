@@ -1,4 +1,4 @@
-"""Which returns to a pose differ by noise alone, and how many of them it takes to tell how large that is."""
+"""Returns to a pose that differ by noise alone, and how many of them an estimate of the noise needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes a plan as TOML that a person can read: what, where, within which limits, what it tells, then step by step."""
+"""Writes a plan as TOML that a person can read: purpose, limits, expected results, then step by step."""
 
 from __future__ import annotations
 

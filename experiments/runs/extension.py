@@ -1,4 +1,4 @@
-"""A plan that goes on: further visits, runs or sweeps are put behind those that it has."""
+"""Extends a plan: further visits, runs or sweeps follow those that it has."""
 
 from __future__ import annotations
 

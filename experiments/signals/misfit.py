@@ -1,4 +1,4 @@
-"""How well samples of a log show what they are differentiated for: by how far they are from the polynomial taken."""
+"""Whether a log is sampled closely enough to be differentiated: the misfit of its local polynomials."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a command asks the identified arm for what its model was not identified on: see :mod:`clampid.models.ranges`.
+"""Which part of a command lies outside the ranges that a model was identified on: :mod:`clampid.models.ranges`.
 
 Angles and the torques of the weight are a matter of each posture: one small kernel has them and says whether any is
 beyond. Temperatures and the tool's mass are the same for all postures.

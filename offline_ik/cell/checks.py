@@ -1,4 +1,4 @@
-"""What cannot be meant is refused before anything is solved: postures, directions, temperatures, arms.
+"""Checks of a request before anything is solved: postures, directions, temperatures, arms.
 
 For the coordinates themselves see :func:`offline_ik.cell.coordinates.check_target`.
 """

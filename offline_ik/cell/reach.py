@@ -1,4 +1,4 @@
-"""The nearest detector position that can be reached, where the asked one cannot."""
+"""The nearest detector position that can be reached, where the requested one cannot."""
 
 from __future__ import annotations
 

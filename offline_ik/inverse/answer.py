@@ -1,4 +1,4 @@
-"""What became of one asked detector position: the postures that put it there, or the reasons why there is none.
+"""The answer to one requested detector position: the postures that reach it, or the reasons why none does.
 
 Named tuples: a server makes them for every request, and frozen dataclasses take six times as long to be made.
 """

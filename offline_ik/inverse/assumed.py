@@ -1,4 +1,4 @@
-"""What nobody said: what is taken for what a cell leaves to defaults, and what a model makes nothing of."""
+"""Assumptions of an answer: defaults for what a cell does not state, and inputs that the model does not use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The posture nearest to the one at hand, and all that an answer says of it, by one call of the compiled kernel."""
+"""The posture nearest to the present one, with its whole answer, by one call of the compiled kernel."""
 
 from __future__ import annotations
 

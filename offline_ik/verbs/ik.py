@@ -100,7 +100,7 @@ def ik(
             out.warn(note)
         say_assumed(detector, out)
     elif assumed:
-        out.say("\n  ".join(["assumed, because no cell says:", *assumed]))
+        out.say("\n  ".join(["assumed, because no cell file states it:", *assumed]))
     _show(detector, ways, units, out)
     if "pyfai" in data:
         at = ", ".join(f"{name} {fixed(value, 9)}" for name, value in data["pyfai"].items())

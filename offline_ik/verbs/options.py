@@ -87,4 +87,4 @@ def say_assumed(detector: Detector, out: Output) -> None:
 
     assumed = assumptions(detector)
     if assumed:
-        out.warn("\n  ".join(["assumed, because no cell says:", *assumed]))
+        out.warn("\n  ".join(["assumed, because no cell file states it:", *assumed]))

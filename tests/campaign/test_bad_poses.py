@@ -111,7 +111,7 @@ def test_too_few_poses_with_orientations(campaign: Campaign, poses: int, few: st
     assert any(words in f.message for f in told(campaign, full)), told(campaign, full)
     fitted = check_campaign(replace(campaign, tables={**campaign.tables, "poses": full}), fits=True)
     assert any(words in f.message and f.severity == "error" for f in fitted), fitted
-    assert any(f.message.endswith("measure 10 or more") for f in fitted)
+    assert any(f.message.endswith("measure 25 or more") for f in fitted)
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_too_few_poses_are_an_error_where_a_geometry_is_fitted_to_them(campaign:
     spoiled = replace(campaign, tables={**campaign.tables, "poses": few})
     (found,) = [f for f in check_campaign(spoiled, fits=True) if "that the geometry of" in f.message]
     assert found.severity == "error"
-    assert found.message.endswith("measure 10 or more")
+    assert found.message.endswith("measure 27 or more")
     assert all(f.severity != "error" for f in check_campaign(spoiled))
     enough = replace(campaign, tables={**campaign.tables, "poses": campaign.tables["poses"].query("pose <= 10")})
     assert not any("that the geometry of" in f.message for f in check_campaign(enough, fits=True))

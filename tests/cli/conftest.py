@@ -1,3 +1,5 @@
+"""Fixtures of the command line's tests: campaigns and models that several files read."""
+
 from __future__ import annotations
 
 import os

@@ -113,8 +113,11 @@ def test_the_loop_on_one_campaign(clampid: Clampid, poses_only: Path, model: Pat
     assert len(rounds) == 2
     assert all({"stage", "effects", "rms", "heldout_rms", "noise_floor"} <= set(r) for r in rounds)
 
+
+@pytest.mark.slow  # it diagnoses; that `report` writes what was kept is tested below
+def test_compare_writes_a_report(clampid: Clampid, poses_only: Path, model: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.html"
-    assert clampid("compare", mended, poses_only, "--report", report, "-q").code == 0
+    assert clampid("compare", model, poses_only, "--report", report, "-q").code == 0
     assert "<html" in report.read_text()[:2000]
 
 
@@ -285,4 +288,9 @@ def test_a_fit_that_predicts_nothing_is_called_one(clampid: Clampid, tmp_path: P
     assert ran.code == 0, ran.err
     said = " ".join(ran.out.split())
     assert "do not use it" in said
-    assert "Measure more, or fit fewer effects" in said
+    assert "Measure 37 poses or more, or fit fewer effects" in said  # 45 parameters, six numbers a pose
+    assert f"clampid plan poses --robot ur10 --like {tmp_path / 'few'} --poses 37 -o" in said.replace(chr(92) + " ", "")
+    assert "clampid diagnose" not in said
+    # The number that is given would do.
+    clampid("simulate", "-o", tmp_path / "enough", "--robot", "ur10", "--poses", "37", "--tables", "poses", "-q")
+    assert "do not use it" not in clampid("identify", tmp_path / "enough", "-o", tmp_path / "e.json", "-q").out

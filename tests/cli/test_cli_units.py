@@ -1,3 +1,5 @@
+"""Numbers with their units as they are printed, lists of effects as they are typed, and numbers that JSON lacks."""
+
 from __future__ import annotations
 
 import math

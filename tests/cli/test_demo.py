@@ -1,3 +1,5 @@
+"""The demo finds what it hides, and says what was hidden only afterwards."""
+
 from __future__ import annotations
 
 import json

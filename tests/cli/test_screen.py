@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from clampid.screen import HEIGHT, WIDTH, Errors, Next, Screen, command_lines, l
 from clampid.text_table import table_lines
 from clampid.verbs.next_step import next_steps
 from clampid.verbs.output import Output
+from clampid.verbs.screens import comparison_screen
 
 WORD = st.text("abcdefghijklmnopqrstuvwxyz_.@-", min_size=1, max_size=24)
 TEXT = st.lists(WORD, max_size=60).map(" ".join)
@@ -139,10 +141,13 @@ def test_the_verdict_where_effects_explain_the_rest_equally_well() -> None:
 
 
 def test_the_verdict_where_nothing_is_missing_or_nothing_is_known() -> None:
-    assert (
-        headline({"poses": part("adequate")})
-        == "No missing effect was found: the held-out error is at the noise floor."
-    )
+    nothing = "No missing effect was found: the held-out error is"
+    assert headline({"poses": part("adequate", heldout_rms_before=9.2e-5)}) == f"{nothing} at the noise floor."
+    near = part("adequate", heldout_rms_before=1.015e-4)
+    assert headline({"poses": near}) == f"{nothing} 1.13 times the noise floor."
+    torque = {**near, "unit": "sigma", "heldout_rms_before": 1.15, "noise_floor": 1.0}
+    assert headline({"poses": near, "free_air": torque}) == f"{nothing} up to 1.15 times the noise floor."
+    assert "at the noise floor" not in headline({"poses": part("adequate", noise_floor=None)})
     above = part("adequate", above_floor={"times_floor": 2.13, "reasons": ["the floor is too low"]})
     assert "2.1 times the noise floor" in headline({"poses": above})
     assert outcome({"poses": above}) == "open"
@@ -198,3 +203,18 @@ def test_places_in_words() -> None:
     assert named("gear_eccentricity", ["joint2"]) == "gear eccentricity at joint 2"
     assert named("joint_angle_curve", [f"joint{j}" for j in range(1, 7)]) == "joint angle curve at joints 1–6"
     assert named("base_tilt", ["base"]) == "base tilt"
+
+
+def test_compare_says_at_the_noise_floor_only_of_an_error_that_is(tmp_path: Path) -> None:
+    """52.8 µm and 1.15 σ were said to be at floors of 46.8 µm and 1.00 σ."""
+
+    def verdict(**tables: tuple[str, float, float]) -> str:
+        data = {"tables": {name: {"unit": unit, "rms": error, "noise_floor": floor}
+                           for name, (unit, error, floor) in tables.items()}}  # fmt: skip
+        return comparison_screen(data, {}, tmp_path / "m.json", tmp_path, None, None).verdict
+
+    near, torque = ("m", 52.8e-6, 46.8e-6), ("sigma", 1.153, 1.0)
+    assert verdict(poses=near) == "The held-out error is 1.13 times the noise floor."
+    assert verdict(poses=near, free_air=torque) == "The held-out error is up to 1.15 times the noise floor."
+    assert verdict(poses=("m", 47e-6, 46.8e-6)) == "The held-out error is at the noise floor."
+    assert verdict(poses=("m", 107e-6, 46.8e-6)).startswith("poses: the held-out error is 2.3 times the noise floor")

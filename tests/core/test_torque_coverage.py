@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torque_coverage
 
-FEW, MANY = range(8), range(60)  # the benchmark itself goes over 200
+FOUR, FEW, MANY = range(4), range(8), range(60)  # the benchmark itself goes over 200
 
 
 @cache
@@ -24,18 +24,22 @@ def errors(seeds: range) -> np.ndarray:
     return np.array([[t.errors[name] for name in names] for t in trials(seeds)])
 
 
-def test_intervals_hold_the_truth():
-    z = errors(FEW)
-    assert (
-        z.shape[1] >= 22
-    )  # two of friction at each motor, one at least on the arm's side or their sum, ten of gravity
-    # 184 numbers, of which 95 % should be inside: fewer than 167 would be, were they independent, one case in 100.
-    assert np.mean(np.abs(z) < 1.96) >= 0.905
+@pytest.mark.parametrize(("seeds", "least"), [(FOUR, 0.89), pytest.param(FEW, 0.905, marks=pytest.mark.slow)])
+def test_intervals_hold_the_truth(seeds: range, least: float):
+    """95 % should be inside. Fewer than ``least`` would be, were the numbers independent, one case in 100.
+
+    That is 82 of 92 numbers, and 167 of 184.
+    """
+    z = errors(seeds)
+    # Two of friction at each motor, one at least on the arm's side or their sum, ten of gravity.
+    assert z.shape[1] >= 22
+    assert np.mean(np.abs(z) < 1.96) >= least
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.2
 
 
-def test_torques_of_another_program_are_predicted_to_within_their_noise():
-    assert np.max([t.unseen for t in trials(FEW)]) < 1.1
+@pytest.mark.parametrize("seeds", [FOUR, pytest.param(FEW, marks=pytest.mark.slow)])
+def test_torques_of_another_program_are_predicted_to_within_their_noise(seeds: range):
+    assert np.max([t.unseen for t in trials(seeds)]) < 1.1
 
 
 @pytest.mark.study

@@ -1,3 +1,5 @@
+"""Fixtures of the exports' tests: models with given errors of geometry."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,3 +1,5 @@
+"""Exported DH tables and URDF are the model's static geometry, and their stated errors are true."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,3 +1,5 @@
+"""KUKA machine data of a model: what they hold, what they leave, and which arms are refused."""
+
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -1,3 +1,5 @@
+"""The chain of KUKA machine data: its frames against a published file, and fits of arms to it."""
+
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+"""Fixtures of the tests of inverse kinematics: models, cells and detectors."""
+
 from __future__ import annotations
 
 from pathlib import Path

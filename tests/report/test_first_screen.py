@@ -71,7 +71,7 @@ def test_what_another_effect_took_the_place_of_is_not_called_missing() -> None:
 def test_a_diagnosis_after_mending_keeps_what_was_mended_in_the_sentence() -> None:
     screen = first_screen(a_model("gear_eccentricity@joint2"), None, {}, found("adequate"))
     assert screen.verdict.startswith(
-        "Gear eccentricity at joint 2 was missing and is now in the model; nothing beyond the noise"
+        "Gear eccentricity at joint 2 was missing and is now in the model; no further effect was found"
     )
     assert len(screen.verdict.split()) <= 25
 
@@ -117,3 +117,13 @@ def test_what_is_ambiguous_says_how_to_plan_what_separates_it() -> None:
     lines = first_screen(a_model(held_out=(1.07e-4,)), None, {}, data).open
     assert lines[-1] == "To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml"
     assert "The closest two differ by 2 σ; 20 proposed poses raise this to 5.8 σ." in lines
+
+
+def test_no_plan_is_offered_where_no_poses_help() -> None:
+    """A plan was offered below the sentence that no poses distinguish the effects."""
+    one, other = ({**GEAR, "effect": e, "name": e, "alternative": True} for e in ("bearing_tilt", "link_bending"))
+    plan = {"for": "parting", "helps": False, "sigma_before": 1.9, "sigma_after": 1.9, "count": 20}
+    data = found("ambiguous", one, other, next_measurement="no poses", next_plan=plan)
+    lines = first_screen(a_model(held_out=(1.07e-4,)), None, {}, data).open
+    assert any("No poses that this robot can take" in line for line in lines)
+    assert not any("--plan" in line for line in lines)

@@ -1,3 +1,5 @@
+"""Fixtures of the virtual robot's tests."""
+
 import numpy as np
 import pytest
 
