@@ -33,14 +33,17 @@ def listed_outliers(rows: Rows, residual: Array, bad: Bools) -> list[dict[str, A
 
 
 def omission_of(before: Estimate, after: Estimate) -> list[dict[str, Any]]:
-    """What the omission had done to the parameters that were fitted anyway: shifts beyond their standard error."""
+    """What the omission had done to the parameters that were fitted anyway: shifts beyond their standard error.
+
+    Of parameters that both fits determine: what one of them does not has no value that could have shifted.
+    """
     if before is after:
         return []
     std = after.std
     new: dict[Slot, int] = {slot: k for k, slot in enumerate(after.slots)}
     out: list[dict[str, Any]] = []
     for k, slot in enumerate(before.slots):
-        if slot not in new:
+        if slot not in new or not before.identified[k] or not after.identified[new[slot]]:
             continue
         shift = float(before.theta[k] - after.theta[new[slot]])
         spread = float(std[new[slot]])
