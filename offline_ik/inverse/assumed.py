@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from offline_ik.arm.identified import IdentifiedArm
 from offline_ik.cell.cell import Cell
-from offline_ik.collision.shapes import radii_of
 
 if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
@@ -26,7 +25,7 @@ SHIFT = 8 * 3600.0  # s
 def assumptions(detector: Detector) -> tuple[str, ...]:
     """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
     cell, convention = detector.cell, detector.cell.convention
-    base, radii = radii_of(detector.robot, cell)
+    base, radii = cell.world.radii(detector.robot)
     values = {
         "convention": convention.name,
         "sample": f"{_listed(convention.sample, 6)} m",

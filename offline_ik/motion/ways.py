@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from kinematics.collision.moves import LongCheckError
 from offline_ik.cell.checks import check_directions
-from offline_ik.collision.safety import LongCheckError, PathReport, check_path
+from offline_ik.collision.safety import PathReport, check_path
 from offline_ik.inverse.branches import parse_choice
 from offline_ik.inverse.postures import Direction
 from offline_ik.motion.approach import Approach, approach_through

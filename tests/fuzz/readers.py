@@ -123,11 +123,11 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from experiments.plans import cell_of, limits_of, read_plan, write_plan
     from experiments.simulate import simulate
     from experiments.touched import read_touched
+    from kinematics.collision.mesh import read_mesh
     from kinematics.description import load_robot
     from kinematics.kuka_text import machine_data_text, read_machine_data
     from offline_ik.arm.identified import arm_of
     from offline_ik.cell.cell import read_cell
-    from offline_ik.collision.mesh import read_mesh
     from offline_ik.reflections.peak_table import read_peaks
 
     arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
@@ -231,8 +231,8 @@ def is_refusal(error: Exception) -> bool:
     from experiments.instruments import InstrumentError
     from experiments.links.protocol import LinkError
     from experiments.virtual_controller.errors import ControllerError
+    from kinematics.collision.mesh import MeshError
     from kinematics.kuka import MachineDataError
-    from offline_ik.collision.mesh import MeshError
 
     # Verbs make wrong calls of the last three.
     known = (MeshError, MachineDataError, InstrumentError, LinkError, ControllerError)
