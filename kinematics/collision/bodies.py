@@ -1,9 +1,11 @@
 """
 The bodies of a world: the arm's links as capsules, what its flange carries, obstacles; which pairs may not touch.
 
-Neighbouring links meet at the joint between them: what they may do to each other is what joint limits are for. What the
-flange carries is no link. It is held against every link but the one that carries it, and where the capsule of the
-forearm, whose round end is a guess, would reach into it at any posture of the wrist, that end is cut back.
+Neighbouring links meet at the joint between them: what they may do to each other is what joint limits are for. Links
+that touch in most of all postures are neighbours too: they are drawn so (a description's points lie anywhere on the
+axes), not built so. What the flange carries is no link. It is held against every link but the one that carries it, and
+where the capsule of the forearm, whose round end is a guess, would reach into it at any posture of the wrist, that end
+is cut back.
 """
 
 from __future__ import annotations
@@ -16,12 +18,24 @@ from typing import Any, Literal
 import coal  # type: ignore[import-untyped]
 import numpy as np
 
-from kinematics.collision.obstacles import Obstacle
+from kinematics.collision.obstacles import Obstacle, rotation_to
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 from kinematics.typing_ import Array
 
-__all__ = ["CLEARANCE", "Carried", "Shape", "WorldDescription", "carries", "checked_pairs", "distance_of", "shapes_of"]
+__all__ = [
+    "CLEARANCE",
+    "Carried",
+    "Shape",
+    "WorldDescription",
+    "carried_box",
+    "carried_capsule",
+    "carries",
+    "checked_pairs",
+    "distance_of",
+    "points_of",
+    "shapes_of",
+]
 
 CLEARANCE = 0.02  # m, kept between bodies where nobody says
 RADII = (0.11, 0.10, 0.065, 0.07, 0.05, 0.04, 0.035)
@@ -31,6 +45,9 @@ LOWEST_BASE = 1e-3  # m, of its height
 SHORTEST_LINK = 1e-6  # m: shorter ones have no body
 CUT = 0.25  # of a link's radius: the steps in which its end is cut back
 QUARTERS = (0.0, 0.5 * np.pi, -0.5 * np.pi, np.pi)  # rad: a straight wrist is one of these
+TOUCH_AS_DRAWN = 0.5  # share of all postures: links that touch in more of them are neighbours
+POSTURES = 200  # random ones, by which that is told
+UNLIMITED = np.pi  # rad, or m: taken for limits that are not described
 FOOT = 2e-3  # m, height of the disc at the base's foot
 
 
@@ -127,6 +144,20 @@ class Shape:
         return self.kind in ("detector", "tool")
 
 
+def carried_box(size: tuple[float, float, float], mount: Array) -> Carried:
+    """A detector's box: its edges, m, behind the plane of ``mount`` ``(4, 4)``, whose z is the detector's normal."""
+    return Carried("detector", size, np.asarray(mount) @ _placed(np.array([0.0, 0.0, -0.5 * size[2]])))
+
+
+def carried_capsule(end: Array, radius: float) -> Carried | None:
+    """A tool of one radius from the flange to ``end`` ``(3,)``, m, flange frame; None where there is no way."""
+    length = float(np.linalg.norm(end))
+    if length < SHORTEST_LINK:
+        return None
+    along, start = np.asarray(end) / length, min(radius, length)  # nothing of it reaches back behind the flange
+    return Carried("tool", (radius, length - start), _placed(0.5 * (start + length) * along, along))
+
+
 def distance_of(a: Any, a_at: Any, b: Any, b_at: Any) -> float:
     """Between two geometries at their places, m; negative: overlapping."""
     return float(coal.distance(a, a_at, b, b_at, coal.DistanceRequest(), coal.DistanceResult()))
@@ -167,18 +198,37 @@ def checked_pairs(
 ) -> Iterator[tuple[Shape, Shape]]:
     """Pairs of a world's shapes that may not touch, the one nearer to the base first."""
     clearance, lengths = described.clearance, np.linalg.norm(np.diff(points_of(robot), axis=0), axis=1)
-    base = next(s for s in shapes if s.kind == "base")
+    base, moved = next(s for s in shapes if s.kind == "base"), _many_postures(robot)
     for i, a in enumerate(shapes):
         for b in shapes[i + 1 :]:
             if a.link == b.link or (a.kind == "obstacle" and b.link == 1 and carries(a, base, clearance)):
                 continue
             close = float(lengths[a.link : b.link - 1].sum()) < a.radius + b.radius + clearance
-            if a.kind == "obstacle" or not close:
+            if a.kind == "obstacle" or (not close and not _touch_as_drawn(a, b, moved, clearance)):
                 yield a, b
+            elif not close:
+                continue
             elif a.kind == "link" and b.on_flange:
                 cut = _cut(robot, a, b, float(lengths[a.link - 1]), clearance)
-                if cut is not None:
+                if cut is not None and (b.kind == "detector" or not _touch_as_drawn(cut, b, moved, clearance)):
                     yield cut, b
+
+
+def _many_postures(robot: RobotDescription) -> Array:
+    """How the links have moved from the zero posture at many postures within the limits ``(N, n + 1, 4, 4)``."""
+    low = np.where(np.isfinite(robot.lower), robot.lower, -UNLIMITED)
+    high = np.where(np.isfinite(robot.upper), robot.upper, UNLIMITED)
+    q = np.random.default_rng(0).uniform(low, high, (POSTURES, robot.n))
+    return joint_transforms(robot.screws, q @ np.asarray(robot.linkage).T)
+
+
+def _touch_as_drawn(inner: Shape, outer: Shape, moved: Array, clearance: float) -> bool:
+    """Whether two parts, whose sizes are guesses, touch in most of all postures; with a detector's body in all."""
+    touch = [
+        distance_of(inner.geometry, inner.at(G[inner.link]), outer.geometry, outer.at(G[outer.link])) <= clearance
+        for G in moved
+    ]
+    return all(touch) if outer.kind == "detector" else float(np.mean(touch)) > TOUCH_AS_DRAWN
 
 
 def carries(obstacle: Shape, base: Shape, clearance: float) -> bool:
@@ -241,7 +291,5 @@ def _placed(middle: Array, z: Array | None = None) -> Array:
     out = np.eye(4)
     out[:3, 3] = middle
     if z is not None:
-        x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
-        x /= np.linalg.norm(x)
-        out[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+        out[:3, :3] = rotation_to(z)
     return out

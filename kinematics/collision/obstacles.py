@@ -15,7 +15,17 @@ from kinematics.collision.mesh import SHEET, Mesh, MeshError, read_mesh
 from kinematics.section import Section
 from kinematics.typing_ import Array
 
-__all__ = ["FARTHEST", "SHAPES", "Obstacle", "ObstacleShape", "floor_at", "obstacles_of", "pose_of", "sheets_among"]
+__all__ = [
+    "FARTHEST",
+    "SHAPES",
+    "Obstacle",
+    "ObstacleShape",
+    "floor_at",
+    "obstacles_of",
+    "pose_of",
+    "rotation_to",
+    "sheets_among",
+]
 
 ObstacleShape = Literal["box", "cylinder", "sphere", "capsule", "half_space", "mesh"]
 
@@ -96,12 +106,17 @@ class Obstacle:
         return coal.Transform3s(self.pose[:3, :3].copy(), self.pose[:3, 3].copy())
 
 
+def rotation_to(z: Array) -> Array:
+    """A rotation ``(3, 3)`` whose third column is the unit vector ``z`` ``(3,)``."""
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
 def floor_at(height: float, up: Array) -> Obstacle:
     """All that lies lower than ``height``, m, above the base's origin along the unit vector ``up`` ``(3,)``."""
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
-    x /= np.linalg.norm(x)
     pose = np.eye(4)
-    pose[:3, :3] = np.column_stack([x, np.cross(up, x), up])
+    pose[:3, :3] = rotation_to(up)
     pose[:3, 3] = height * np.asarray(up)
     return Obstacle("floor", "half_space", (), pose)
 

@@ -9,16 +9,13 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-import numpy as np
-
-from kinematics.collision.bodies import CLEARANCE, Carried, WorldDescription
+from kinematics.collision.bodies import CLEARANCE, WorldDescription, carried_box
 from kinematics.collision.obstacles import obstacles_of, pose_of
 from kinematics.reading import read_text, toml_of
 from kinematics.robot import RobotDescription
 from kinematics.section import Section, migrated
-from kinematics.typing_ import Array
 
-__all__ = ["CELL_FORMAT", "LARGEST_TOOL", "carried_box", "open_cell", "read_world", "world_in"]
+__all__ = ["CELL_FORMAT", "LARGEST_TOOL", "open_cell", "read_world", "world_in"]
 
 CELL_FORMAT = "clampid-cell/1"
 LARGEST_TOOL = 3.0  # m: what a flange carries, how far it sticks out, a link's radius; beyond, millimetres
@@ -92,10 +89,3 @@ def world_in(
         clearance=safety.number("clearance_m", 0.0, WIDEST_CLEARANCE, "m", CLEARANCE),
         carried=None if size is None else carried_box(tuple(size.tolist()), mount),
     )
-
-
-def carried_box(size: tuple[float, float, float], mount: Array) -> Carried:
-    """A detector's box: its edges, m, behind the plane of ``mount`` ``(4, 4)``, whose z is the detector's normal."""
-    behind = np.eye(4)
-    behind[2, 3] = -0.5 * size[2]
-    return Carried("detector", size, np.asarray(mount) @ behind)

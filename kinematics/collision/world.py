@@ -8,11 +8,13 @@ distance. The geometry is the nominal arm's, whose millimetres the clearance cov
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import coal  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.collision.bodies import Shape, WorldDescription, checked_pairs, points_of, shapes_of
+from kinematics.collision.bodies import Shape, WorldDescription, carries, checked_pairs, points_of, shapes_of
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
 from kinematics.typing_ import Array
@@ -53,6 +55,13 @@ class World:
         self.half_spaces = np.array(half, dtype=np.int64)  # the pairs that have one
         self.normals = planes[:, :3, 2]
         self.heights = np.einsum("ki,ki->k", self.normals, planes[:, :3, 3])  # of its surface along its normal, m
+
+    @cached_property
+    def stands_on(self) -> tuple[str, ...]:
+        """Names of the obstacles that reach the foot of the base, so that the robot stands on them."""
+        base = next(s for s in self.shapes if s.kind == "base")
+        obstacles = (s for s in self.shapes if s.kind == "obstacle")
+        return tuple(s.name for s in obstacles if carries(s, base, self.described.clearance))
 
     def at(self, q: Array) -> Placed:
         """The bodies at postures ``(m, n)``, rad."""

@@ -15,9 +15,9 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.collision.bodies import CLEARANCE, WorldDescription
+from kinematics.collision.bodies import CLEARANCE, WorldDescription, carried_box
 from kinematics.collision.obstacles import Obstacle, pose_of
-from kinematics.collision.reading import LARGEST_TOOL, carried_box, open_cell, world_in
+from kinematics.collision.reading import LARGEST_TOOL, open_cell, world_in
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.section import Section

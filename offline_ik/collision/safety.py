@@ -13,7 +13,7 @@ import coal  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
-from kinematics.collision.bodies import Shape, carries, distance_of
+from kinematics.collision.bodies import Shape, distance_of
 from kinematics.collision.moves import LongCheckError, MoveCheck
 from offline_ik.collision.world import world_of
 from offline_ik.errors import CellError
@@ -183,7 +183,6 @@ def _in_column(detector: Detector, base: Shape, place: Array) -> bool:
     """Whether a place ``(3,)`` is in the base, up to the shoulder, or below an upright one that stands on who knows."""
     gravity = np.asarray(detector.cell.gravity)
     upright = gravity[2] < -0.5 * np.linalg.norm(gravity)
-    obstacles = (s for s in world_of(detector).shapes if s.kind == "obstacle")
-    endless = upright and not any(carries(s, base, detector.cell.clearance) for s in obstacles)
+    endless = upright and not world_of(detector).stands_on
     lowest, shoulder = -np.inf if endless else 0.0, detector.robot.joints[1].point[2]
     return bool(np.hypot(*place[:2]) <= base.radius and lowest <= place[2] <= shoulder)

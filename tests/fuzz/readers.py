@@ -113,8 +113,8 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from clampid.models.model import load_model, save_model
     from clampid.planning.free_air import plan_free_air
     from clampid.planning.logs import torque_noise_of
+    from clampid.planning.obstacle_files import read_obstacles
     from clampid.planning.program import LogWishes
-    from clampid.planning.scene import read_obstacles
     from clampid.trusted import list_of_trusted, trust, trust_file
     from experiments.campaign import read_campaign
     from experiments.checks.check import check_campaign
@@ -184,7 +184,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
         "touched": (TOUCHED.encode(), "touched.toml", read_touched),
         "touches": (TOUCHES.encode(), "touches.csv", lambda path: read_touched(folder / "touched.toml")),
         "peaks": (PEAKS.encode(), "peaks.csv", lambda path: read_peaks(path, 6, 1e-4)),
-        "obstacles": (OBSTACLES.encode(), "obstacles.toml", lambda path: read_obstacles(path, cell)),
+        "obstacles": (OBSTACLES.encode(), "obstacles.toml", read_obstacles),
         "obj": (MESH.encode(), "mesh.obj", read_mesh),
         "stl": (STL.encode(), "mesh.stl", read_mesh),
         "trusted": (trust_file().read_bytes(), "config/clampid/trusted_effects.json", lambda path: list_of_trusted()),
