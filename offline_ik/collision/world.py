@@ -13,21 +13,26 @@ from offline_ik.errors import CellError
 if TYPE_CHECKING:
     from offline_ik.cell.cell import Cell
     from offline_ik.inverse.detector import Detector
+    from offline_ik.inverse.detector_parts import DetectorParts
 
 __all__ = ["sheets_of", "world_of"]
 
 
-@lru_cache(maxsize=8)
 def world_of(detector: Detector) -> World:
-    """The world of a detector.
+    """The world of a detector, whatever its temperatures; made once.
 
     Raises
     ------
     CellError
         The file of a mesh is none.
     """
+    return _world_of(detector.parts)
+
+
+@lru_cache(maxsize=8)
+def _world_of(parts: DetectorParts) -> World:
     try:
-        return World(detector.robot, detector.cell.world)
+        return World(parts.robot, parts.cell.world)
     except MeshError as error:
         raise CellError(str(error)) from None
 
