@@ -34,7 +34,7 @@ from clampid.fitting.noise import NORMAL, Whitened
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages import poses
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["FEWEST_VISITS", "place_of", "scan"]

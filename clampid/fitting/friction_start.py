@@ -20,7 +20,7 @@ from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array
 
 __all__ = ["with_friction_start"]
@@ -30,7 +30,7 @@ PASSES = 2
 
 
 def with_friction_start(
-    experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float]
+    experiment: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float]
 ) -> Mapping[Slot, float]:
     """The start of a fit with values of all slots, where poses have to tell a friction that nothing is known of.
 
@@ -84,7 +84,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     return found if found.cost < estimate.cost else estimate
 
 
-def _flanks(experiment: Experiment, theta: Array) -> Array:
+def _flanks(experiment: FitProblem, theta: Array) -> Array:
     found = poses.flanks(experiment.rows, experiment.chain, theta)
     return np.zeros(0) if found is None else found
 

@@ -29,7 +29,7 @@ from clampid.identification.model_on_campaign import on_campaign
 from clampid.planning.clamping import planned_sweep, postures_for
 from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from experiments.campaign import Campaign, read_campaign
 from experiments.plans.cell import cell_of
 from experiments.plans.limits import course_of, limits_of
