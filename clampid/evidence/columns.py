@@ -13,7 +13,7 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Columns", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
 
-FEW = 8  # functions, below which they are not worth sums over the entries of each row
+FEWEST_SUMMED_FUNCTIONS = 8  # functions, below which they are not worth sums over the entries of each row
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Levers:
     def times(self, place: int, functions: Array, other: Array) -> Array:
         """``(f, r)``: a place's lever times functions ``(N, f)`` of each row, times other ``(M, r)``."""
         known = place in self.last and self.last[place][0] is other
-        if not known and functions.shape[1] < FEW:
+        if not known and functions.shape[1] < FEWEST_SUMMED_FUNCTIONS:
             lines = np.take(functions.T, self.entry, axis=1) * self.values[:, place]
             return np.asarray(lines @ other[: len(self.entry)])
         return np.asarray(functions.T @ self._times(place, other))

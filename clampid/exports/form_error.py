@@ -47,7 +47,8 @@ __all__ = [
 
 POSTURES = 200
 CHECKED = 2000  # postures, drawn apart from those that a form was fitted to or read back at
-SHIFT = 8 * 3600.0  # s, over which the postures are spread: what settles or warms up is not at its beginning only
+SHIFT_SECONDS = 8 * 3600.0
+"""s, over which the postures are spread: what settles or warms up is not at its beginning only."""
 INSTRUMENT = "measurement"  # the station of what is the instrument's and not the robot's
 
 Flange = Callable[[Array], Array]
@@ -318,7 +319,7 @@ def _drawn(
     n, rng = load.robot.n, np.random.default_rng(2)
     warm = rng.uniform(*warmth, len(q))
     data: dict[str, Any] = {"pose": np.arange(len(q)) + 1, "visit": 1, "target": "flange"}
-    data["time_s"] = np.linspace(0.0, SHIFT, len(q))
+    data["time_s"] = np.linspace(0.0, SHIFT_SECONDS, len(q))
     data |= {f"{axis}_m": 0.0 for axis in "xyz"}
     data |= {f"q{i + 1}_rad": q[:, i] for i in range(n)}
     data |= {f"dir{i + 1}": sides for i, sides in enumerate(rng.choice([-1, 1], (n, len(q))))}

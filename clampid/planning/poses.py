@@ -35,7 +35,7 @@ __all__ = ["PoseWishes", "plan_poses"]
 
 
 MOST_POSES = 5000  # at 10 s each half a day; their candidates take a gigabyte
-POOL = 20  # candidates for each pose
+CANDIDATES_PER_POSE = 20  # candidates for each pose
 FEWEST_CANDIDATES = 200
 SIDES = 32  # of a pose that are tried
 STARTS = 80  # configurations from which each place of the grid is looked for
@@ -219,7 +219,7 @@ class _Search:
 
     def _pool(self) -> Array:
         wishes = self.wishes
-        count = max(POOL * wishes.poses, FEWEST_CANDIDATES) + wishes.verification
+        count = max(CANDIDATES_PER_POSE * wishes.poses, FEWEST_CANDIDATES) + wishes.verification
         where = [] if wishes.region is None else [f"with all targets in the {wishes.region.words}"]
         where += [] if wishes.sight is None else [f"seen by the {wishes.sight.words}"]
         why = ", ".join([*where, "clear of floor and obstacles"])

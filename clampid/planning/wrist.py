@@ -40,7 +40,8 @@ SEEN_S = 1.2  # s, at least, that it takes: a log of 10 Hz must show it without 
 LARGEST = 2.5  # rad, of a swing
 SMALLEST = 0.2
 BRISK = 0.5  # share of its top speed for a joint that only serves to turn the others' motors
-SHORT = 0.4  # of the room, for swings that are worth less but take less time: noise is correlated for seconds
+SHORT_SWING_SHARE = 0.4
+"""Of the room, for swings that are worth less but take less time: noise is correlated for seconds."""
 COMBINED = 3  # random combinations per joint and kind
 NOTHING = 1e-3  # of the fastest in a swing: less is no motion to learn from
 
@@ -201,7 +202,7 @@ def _candidates(
             reach = _reach(limits, scene, centre, direction)
             if reach is None:
                 continue
-            for part in (1.0, SHORT):
+            for part in (1.0, SHORT_SWING_SHARE):
                 if part * np.max(np.abs(reach)) < SMALLEST:
                     continue
                 found += [_Swing(centre, part * reach, side, share, seen) for share in shares for side in (-1.0, 1.0)]

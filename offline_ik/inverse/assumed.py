@@ -19,7 +19,7 @@ __all__ = ["assumptions", "moves_by", "notes_of", "time_effects"]
 
 Array = npt.NDArray[np.float64]
 
-SHIFT = 8 * 3600.0  # s
+SHIFT_SECONDS = 8 * 3600.0  # s
 
 
 def assumptions(detector: Detector) -> tuple[str, ...]:
@@ -68,6 +68,6 @@ def time_effects(arm: IdentifiedArm) -> tuple[str, ...]:
 
 
 def moves_by(detector: Detector, q: Array) -> float:
-    """How far the detector moves at a posture ``(n,)`` within :data:`SHIFT` from now on, m."""
-    later = replace(detector.still, elapsed=detector.still.elapsed + SHIFT)
+    """How far the detector moves at a posture ``(n,)`` within :data:`SHIFT_SECONDS` from now on, m."""
+    later = replace(detector.still, elapsed=detector.still.elapsed + SHIFT_SECONDS)
     return float(np.linalg.norm((detector.pose(q[None], later) - detector.pose(q[None]))[0, :3, 3]))

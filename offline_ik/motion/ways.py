@@ -232,7 +232,11 @@ def _others(
     direction: Direction = asked if asked is not None else None if start is None else "moved"
     every = detector.locate(gamma, delta, r, first.roll, near=start, branch="all", direction=direction, nearest=False)
     ortho, linkage = detector.solver.ortho, detector.solver.linkage
-    return [s for s in every.solutions if choice.allows(ortho, linkage @ s.q) and np.abs(s.q - first.q).max() > SAME]
+    return [
+        s
+        for s in every.solutions
+        if choice.allows(ortho, linkage @ s.q) and np.abs(s.q - first.q).max() > SAME_POSTURE_WITHIN
+    ]
 
 
-SAME = 1e-4  # rad: another flank of the same posture
+SAME_POSTURE_WITHIN = 1e-4  # rad: another flank of the same posture
