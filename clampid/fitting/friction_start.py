@@ -26,7 +26,7 @@ from clampid.stages.rows import Array
 __all__ = ["with_friction_start"]
 
 SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
-PASSES = 2
+START_PASSES = 2
 
 
 def with_friction_start(
@@ -48,7 +48,7 @@ def with_friction_start(
     theta = start_of(experiment, start, priors)
     mean = np.where(experiment.fixed(), theta, mean)
     best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
-    for _ in range(PASSES):
+    for _ in range(START_PASSES):
         before = best.cost
         for k in open_:
             best = _past_flips(best, k)
