@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import appendix_data
+from clampid.planning.free_air import plan_free_air
+from clampid.planning.logs import torque_noise_of
 from clampid.planning.obstacle_files import read_obstacles
 from clampid.planning.poses import PoseWishes, plan_poses
+from clampid.planning.program import LogWishes
 from clampid.planning.scene import Scene
-from experiments.plans import cell_of, limits_of
+from clampid.planning.wrist import plan_wrist
+from experiments.plans import Plan, cell_of, limits_of
 from experiments.plans.errors import PlanError
 from experiments.plans.validate import visit_course
 from kinematics.description import load_robot
@@ -139,6 +144,20 @@ def test_every_move_of_a_plan_of_poses_is_one_that_the_server_makes(tmp_path: Pa
         report = check_path(detector, visit_course(visit, before).knots)
         assert report.safe, report.reasons
         before = visit.q
+
+
+@pytest.mark.parametrize(("make", "seconds"), [(plan_free_air, 60.0), (plan_wrist, 300.0)])
+def test_every_move_of_a_log_is_one_that_the_server_makes(
+    tmp_path: Path, make: Callable[..., Plan], seconds: float
+) -> None:
+    scene, detector = both(tmp_path, "kuka_kr20_r1810", BOTH_VERDICTS)
+    cell = CELLS["kuka_kr20_r1810"]
+    noise = torque_noise_of(cell, None, None)[0]
+    plan = make(cell, limits_of(cell.robot)[0], noise, LogWishes(time=seconds), scene=scene)
+    assert plan.runs
+    for run in plan.runs:
+        report = check_path(detector, run.course.knots)
+        assert report.safe, report.reasons
 
 
 def test_a_link_that_the_cell_file_makes_thicker_is_thicker_for_a_plan(tmp_path: Path) -> None:
