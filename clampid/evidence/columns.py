@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -11,9 +12,9 @@ from scipy import sparse
 from clampid.fitting.noise import Whitened
 from clampid.stages.rows import Array, Integers
 
-__all__ = ["Columns", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
+__all__ = ["Columns", "Joined", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
 
-FEWEST_SUMMED_FUNCTIONS = 8  # functions, below which they are not worth sums over the entries of each row
+MOST_JOINED_COLUMNS = 128  # columns that share a product: more would gain no time, and take memory
 
 
 @dataclass(frozen=True)
@@ -119,20 +120,14 @@ class Levers:
         """Sums ``(N,)`` of weights ``(M,)`` over the entries of each row."""
         return np.asarray(np.bincount(self.entry, weights, minlength=self.rows), dtype=float)
 
-    def times(self, place: int, functions: Array, other: Array) -> Array:
-        """``(f, r)``: a place's lever times functions ``(N, f)`` of each row, times other ``(M, r)``."""
-        known = place in self.last and self.last[place][0] is other
-        if not known and functions.shape[1] < FEWEST_SUMMED_FUNCTIONS:
-            lines = np.take(functions.T, self.entry, axis=1) * self.values[:, place]
-            return np.asarray(lines @ other[: len(self.entry)])
-        return np.asarray(functions.T @ self._times(place, other))
-
-    def _times(self, place: int, other: Array) -> Array:
+    def product(self, place: int, other: Array) -> Array:
         """``(N, r)``: a place's lever times other ``(M, r)``, summed over the entries of each row."""
         if place not in self.last or self.last[place][0] is not other:
-            out = np.zeros((self.rows, other.shape[1]))
-            for mine in np.split(np.arange(len(self.entry)), np.flatnonzero(np.diff(self.entry) <= 0) + 1):
-                out[self.entry[mine]] += other[mine] * self.values[mine, place, None]  # each row once at most
+            count = len(self.entry)
+            by_row = sparse.csr_matrix(
+                (self.values[:, place], (self.entry, np.arange(count))), shape=(self.rows, count)
+            )
+            out = np.asarray(by_row @ other[:count])
             self.last.clear()  # others' places are done: of one with hundreds of columns these are 20 MB
             self.last[place] = other, out
         return self.last[place][1]
@@ -169,7 +164,7 @@ class Products:
         return sum(F.shape[1] for F in self.functions)
 
     @property
-    def _placed(self) -> list[tuple[int, Array, slice]]:
+    def placed(self) -> list[tuple[int, Array, slice]]:
         """The places, the functions of each, and where their columns stand."""
         starts = np.cumsum([0, *(F.shape[1] for F in self.functions)]).tolist()
         own = [slice(*both) for both in pairwise(starts)]
@@ -178,8 +173,8 @@ class Products:
     def gram(self) -> Array:
         """``(k, k)``: D'D."""
         out, lever = np.zeros((self.width, self.width)), self.levers.values
-        for number, (i, F, mine) in enumerate(self._placed):
-            for j, G, theirs in self._placed[number:]:
+        for number, (i, F, mine) in enumerate(self.placed):
+            for j, G, theirs in self.placed[number:]:
                 block = (F * self.levers.by_row(lever[:, i] * lever[:, j])[:, None]).T @ G
                 out[mine, theirs], out[theirs, mine] = block, block.T
         return out
@@ -189,7 +184,7 @@ class Products:
         if other.ndim == 1:
             row = [self.levers.by_row(self.levers.values[:, i] * other[: len(self.levers.entry)]) for i in self.places]
             return np.concatenate([F.T @ sums for F, sums in zip(self.functions, row, strict=True)])
-        return np.concatenate([self.levers.times(i, F, other) for i, F, _ in self._placed])
+        return np.concatenate([F.T @ self.levers.product(i, other) for i, F, _ in self.placed])
 
     def cross(self, other: Columns | Products) -> Array:
         """``(k, k')``: D' D'."""
@@ -197,14 +192,93 @@ class Products:
 
     def summed(self, sums: Sums) -> Array:
         """``(groups, k)``: weighted sums of the columns over groups of entries."""
-        return np.hstack([self.levers.summed(i, sums) @ F for i, F, _ in self._placed])
+        return np.hstack([self.levers.summed(i, sums) @ F for i, F, _ in self.placed])
 
     def dense(self, entries: int) -> Array:
         """``(entries, k)``."""
         out, entry = np.zeros((entries, self.width)), self.levers.entry
-        for i, F, mine in self._placed:
+        for i, F, mine in self.placed:
             out[: len(entry), mine] = F[entry] * self.levers.values[:, i, None]
         return out
+
+
+@dataclass(frozen=True)
+class Joined:
+    """The columns of many candidates side by side, K in all: each product is taken with many of them at once.
+
+    A table of hundreds of megabytes is then read once for all of them, and not once for each.
+    """
+
+    members: Sequence[Columns | Products]
+
+    def times(self, other: Array) -> Array:
+        """``(K, r)``: D' other, for other ``(M, r)``, of which only the first entries count."""
+        return self._all(
+            other.shape[1],
+            lambda start, block: block.T @ other[start : start + len(block)],
+            lambda levers, place, F: F.T @ levers.product(place, other),
+        )
+
+    def summed(self, sums: Sums) -> Array:
+        """``(K, groups)``: weighted sums of the columns over groups of entries."""
+        return self._all(
+            sums.groups,
+            lambda start, block: (sums.over(start, start + len(block)) @ block).T,
+            lambda levers, place, F: (levers.summed(place, sums) @ F).T,
+        )
+
+    def own(self, whole: Array) -> list[Array]:
+        """Each candidate's lines of ``(K, …)``."""
+        return np.split(whole, np.cumsum([m.width for m in self.members])[:-1])
+
+    def batches(self, whole: Array, width: int) -> list[tuple[Joined, Array]]:
+        """The candidates in turn, some at a time of about ``width`` columns, with their lines of ``(K, …)``."""
+        which = np.cumsum([0, *(m.width for m in self.members[:-1])]) // width
+        edges = [0, *(np.flatnonzero(np.diff(which)) + 1).tolist(), len(self.members)]
+        own = self.own(whole)
+        return [(Joined(self.members[a:b]), np.concatenate(own[a:b])) for a, b in pairwise(edges)]
+
+    def _all(
+        self, width: int, of_block: Callable[[int, Array], Array], of_place: Callable[[Levers, int, Array], Array]
+    ) -> Array:
+        """``(K, width)``: for the columns of each piece, and of each lever's place, their sum at their lines."""
+        blocks: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
+        places: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
+        levers: dict[int, Levers] = {}
+        first = 0
+        for member in self.members:
+            if isinstance(member, Products):
+                levers[id(member.levers)] = member.levers
+                for place, F, mine in member.placed:
+                    lines = slice(first + mine.start, first + mine.stop)
+                    places.setdefault((id(member.levers), place), []).append((lines, F))
+            else:
+                for start, block in member.pieces:
+                    lines = slice(first, first + member.width)
+                    blocks.setdefault((start, len(block)), []).append((lines, block))
+            first += member.width
+        out = np.zeros((first, width))
+        for (start, _), parts in blocks.items():
+            for at, block in _side_by_side(parts):
+                out[at] += of_block(start, block)
+        for (which, place), parts in places.items():
+            for at, F in _side_by_side(parts):
+                out[at] += of_place(levers[which], place, F)
+        return out
+
+
+def _side_by_side(parts: Sequence[tuple[slice, Array]]) -> list[tuple[Integers, Array]]:
+    """Blocks of one length joined to at least :data:`MOST_JOINED_COLUMNS` columns, with the lines of all of these."""
+    out: list[tuple[Integers, Array]] = []
+    lines: list[Integers] = []
+    blocks: list[Array] = []
+    for number, (own, block) in enumerate(parts, start=1):
+        lines.append(np.arange(own.start, own.stop))
+        blocks.append(block)
+        if number == len(parts) or sum(map(len, lines)) >= MOST_JOINED_COLUMNS:
+            out.append((np.concatenate(lines), np.hstack(blocks)))
+            lines, blocks = [], []
+    return out
 
 
 def channel_starts(white: Whitened) -> tuple[tuple[int, int], ...]:

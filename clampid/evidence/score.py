@@ -21,6 +21,7 @@ from scipy import linalg
 from scipy.special import gammainc, gammaincc, gammaln
 
 from clampid.evidence.candidates import Candidate
+from clampid.evidence.columns import Joined
 from clampid.evidence.of_size import of_any_size, of_size
 from clampid.evidence.space import ABSORBED, Space
 from clampid.stages.rows import Array, Bools
@@ -47,6 +48,7 @@ UNSEEN = 1e-6
 
 The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
 """
+MANY = 512  # columns of candidates that are scored together: more would gain no time, and take memory
 SMALLEST_TAIL = 1e-290  # a smaller tail than this may have underflowed
 
 
@@ -172,14 +174,23 @@ def log_tail(x: Array | float, freedom: float) -> Array:
 
 def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
     """Score every candidate; those without any effect on these rows come back as ``absent``."""
-    return [_score_one(space, c) for c in candidates]
+    if not candidates:
+        return []
+    joined = Joined([c.columns for c in candidates])
+    out = list[Scored]()
+    for some, lines in joined.batches(joined.times(space.basis), MANY):
+        by_unit = some.summed(space.by_unit) - lines @ space.basis_by_unit.T
+        own = zip(candidates[len(out) :], some.own(lines), some.own(by_unit), strict=False)
+        out += [_score_one(space, *one) for one in own]
+    return out
 
 
-def _score_one(space: Space, c: Candidate) -> Scored:
+def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scored:
+    """Score one, of which the products with the basis ``(k, r)`` and each unit's shares ``(k, U)`` are known."""
     k = c.columns.width
     gram = c.columns.gram()
     length = np.sqrt(np.diag(gram))
-    absorbed = c.columns.times(space.basis).T
+    absorbed = lines.T.copy()  # a view would keep those of all candidates
     Z2 = gram - absorbed.T @ absorbed
     left = np.sqrt(np.maximum(np.diag(Z2), 0.0))
     unit_limit = np.where(left > 0, space.scale / np.where(left > 0, left, 1.0), np.inf)
@@ -208,7 +219,7 @@ def _score_one(space: Space, c: Candidate) -> Scored:
     values = values[keep]
     weights = inverse[:, None] * vectors[:, keep] / np.sqrt(values)
     amplitude = c.columns.times(space.residual) @ weights  # the residual is off the basis
-    parts = (c.columns.summed(space.by_unit) - space.basis_by_unit @ absorbed) @ weights
+    parts = by_unit.T @ weights
     # Of a candidate's own columns pseudo-rows have none.
     parts[space.drawn] = -(space.pseudo_std[:, None] * space.basis[space.rows :]) @ absorbed @ weights
     kept, cost, size = np.ones(len(values)), len(values) * float(np.log(max(space.rows, 2))), 1.0

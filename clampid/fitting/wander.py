@@ -55,7 +55,7 @@ class Course:
             gain[i] = variance / spread[i]
             variance = gain[i]  # (1 - gain) variance = variance / spread
         x = values[self.order]
-        level = recurrence(np.broadcast_to(1.0 - gain[:, None], x.shape).copy(), gain[:, None] * x)
+        level = recurrence(1.0 - gain[:, None], gain[:, None] * x)
         out = np.empty_like(x)
         out[self.order] = (x - np.vstack([np.zeros((1, x.shape[1])), level[:-1]])) / np.sqrt(spread)[:, None]
         return out, np.log(spread)
@@ -118,28 +118,44 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
     Wander
         The likeliest one, if the likelihood ratio against none is larger than chance gives once in a hundred times.
     """
-    whole = np.vstack([np.c_[c, r] for c, r in zip(columns, residuals, strict=True)])
-    size = np.linalg.norm(whole[:, :-1], axis=0)
-    kept = np.flatnonzero(size > 0.0)
-    # Of columns that are the others' sum a likelihood would have one parameter too many.
-    _, R, order = linalg.qr(whole[:, kept] / size[kept], mode="economic", pivoting=True)
-    kept = kept[order[: int(np.sum(np.abs(np.diag(R)) > INDEPENDENT))]]
-    freedom = len(whole) - len(kept)
+    basis = _basis(np.vstack(columns))
+    whole = np.c_[basis, np.concatenate(residuals)]
+    freedom = len(whole) - basis.shape[1]
     if freedom < 2:
         return Wander(0.0, 0.0)
+    parts = np.split(whole, np.cumsum([len(r) for r in residuals])[:-1])
 
     def unlikely(wander: float) -> float:
         """-2 log of the restricted likelihood, but for a constant."""
-        parts, spread = [], 0.0
-        for course, residual, column in zip(courses, residuals, columns, strict=True):
-            found, logs = course.innovations(np.c_[column[:, kept] / size[kept], residual], wander)
-            parts.append(found)
+        moments, spread = np.zeros((whole.shape[1], whole.shape[1])), 0.0
+        for course, part in zip(courses, parts, strict=True):
+            found, logs = course.innovations(part, wander)
+            moments += found.T @ found
             spread += float(logs.sum())
-        # Of [X r] the triangle's last diagonal entry is the length of what X leaves of r, the others give det X'X.
-        length = np.maximum(np.abs(np.diag(np.linalg.qr(np.vstack(parts), mode="r"))), 1e-150)
-        return freedom * 2.0 * float(np.log(length[-1])) + spread + 2.0 * float(np.sum(np.log(length[:-1])))
+        # Of [Q r] the factor's last diagonal entry is the length of what Q leaves of r, the others give det Q'Q.
+        length = np.maximum(np.abs(np.diag(_factor(moments))), 1e-150)
+        determinant = 2.0 * float(np.sum(np.log(length[:-1])))
+        return float(freedom * 2.0 * np.log(length[-1]) + spread + determinant)
 
     values = [unlikely(wander) for wander in GRID]
     best = int(np.argmin(values))
     gain = values[0] - values[best]
     return Wander(GRID[best], gain) if gain > stats.chi2.isf(2.0 * RATE, 1) else Wander(0.0, 0.0)
+
+
+def _basis(columns: Array) -> Array:
+    """An orthonormal basis ``(M, k)`` of the columns: of those that are the others' sum a likelihood counts none."""
+    size = np.linalg.norm(columns, axis=0)
+    if not np.any(size > 0.0):
+        return np.zeros((len(columns), 0))
+    Q, R, _ = linalg.qr(columns[:, size > 0.0] / size[size > 0.0], mode="economic", pivoting=True)
+    return np.asarray(Q, dtype=float)[:, np.abs(np.diag(R)) > INDEPENDENT]
+
+
+def _factor(moments: Array) -> Array:
+    """The Cholesky factor, upper, of moments that are positive definite but for rounding."""
+    try:
+        return np.asarray(linalg.cholesky(moments, check_finite=False))
+    except linalg.LinAlgError:  # a column that a wandering level follows all the way
+        values, vectors = np.linalg.eigh(moments)
+        return np.asarray(np.linalg.qr(np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T, mode="r"))

@@ -72,15 +72,20 @@ def _of_motor(wound: Array, relaxed: Array, first: Bools) -> Array:
 
 
 def recurrence(decay: Array, gain: Array) -> Array:
-    """Return z with ``z[i] = decay[i] z[i - 1] + gain[i]``, ``z[-1] = 0``; all ``(N, S)``.
+    """Return z ``(N, S)`` with ``z[i] = decay[i] z[i - 1] + gain[i]``, ``z[-1] = 0``.
 
     Blocks side by side, and then the blocks one after the other: about 2 sqrt(N) steps of numpy instead of N.
+
+    Parameters
+    ----------
+    decay, gain
+        ``(N, S)``; of a decay that all columns share, ``(N, 1)`` will do.
     """
-    count, width = decay.shape
+    count, width = gain.shape
     block = max(int(np.sqrt(count)), 1)
     blocks = -(-count // block)
     padding = ((0, blocks * block - count), (0, 0))
-    a = np.pad(decay, padding).reshape(blocks, block, width)
+    a = np.pad(decay, padding).reshape(blocks, block, decay.shape[1])
     z = np.pad(gain, padding).reshape(blocks, block, width)
     for i in range(1, block):
         z[:, i] += a[:, i] * z[:, i - 1]
