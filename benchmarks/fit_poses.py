@@ -34,7 +34,7 @@ from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import Estimate, solve
 from clampid.identification.identify import stage_rows
 from clampid.slots import Slot
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows
 from experiments.campaign import Campaign
@@ -138,8 +138,8 @@ class Task:
     slots: tuple[Slot, ...]
 
     @cached_property
-    def trial(self) -> Experiment:
-        return experiment(self.rows, catalogue(), self.slots)
+    def trial(self) -> FitProblem:
+        return fit_problem(self.rows, catalogue(), self.slots)
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
@@ -152,7 +152,7 @@ class Task:
 
     def error(self, theta: Array) -> float:
         """Rms error of the other rows, m."""
-        return rms(experiment(self.other, catalogue(), self.slots).residual(theta)[0])
+        return rms(fit_problem(self.other, catalogue(), self.slots).residual(theta)[0])
 
 
 def timed(work: Callable[[], Result], runs: int) -> tuple[float, Result]:

@@ -10,7 +10,7 @@ from clampid.catalogue import catalogue
 from clampid.effect import Parameter
 from clampid.models.model import Model, Session, StageModel
 from clampid.slots import Layout, Term, slots_of_terms
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from kinematics.description import load_robot
 from offline_ik.arm.identified import Conditions, IdentifiedArm, arm_of
 

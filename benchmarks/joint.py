@@ -24,7 +24,7 @@ from clampid.fitting.accuracy import noise_floor, predicted, size_of
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
@@ -62,9 +62,9 @@ def unit_errors(model: Model, campaign: Campaign, stage: Stage) -> tuple[np.ndar
     rows = opened.rows(stage)
     part = opened.stages[stage]
     held = np.flatnonzero(rows.in_folds(opened.held_out(stage)))
-    floor = noise_floor(rows, predicted(experiment(rows, opened.effects, part.slots), part.theta))
+    floor = noise_floor(rows, predicted(fit_problem(rows, opened.effects, part.slots), part.theta))
     test = rows.take(held)
-    residual = predicted(experiment(test, opened.effects, part.slots), part.theta)
+    residual = predicted(fit_problem(test, opened.effects, part.slots), part.theta)
     size, counts = size_of(test, residual, floor)
     if size.ndim == 1:
         size, counts = size[:, None] / floor.norm, counts[:, None]

@@ -31,7 +31,7 @@ from clampid.catalogue import catalogue
 from clampid.identification.identify import identify, stage_rows
 from clampid.models.model import StageModel
 from clampid.slots import Slot
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Rows
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import Measured, Plant, measure
@@ -103,7 +103,7 @@ def trial(name: str, seed: int) -> Trial:
         seed,
         {stage.slots[k].label: float((stage.theta[k] - truth[k]) / stage.std[k]) for k in told},
         left,
-        rms(experiment(rows["verification"], catalogue(), stage.slots, stage.lean).residual(stage.theta)[0]),
+        rms(fit_problem(rows["verification"], catalogue(), stage.slots, stage.lean).residual(stage.theta)[0]),
         measured.truth.plant.instrument.sigma,
         process_time() - start,
     )
@@ -127,7 +127,7 @@ def true_parameters(rows: Rows, stage: StageModel, measured: Measured, robot: Ro
     known, slots = plant_values(measured.truth.plant, robot), stage.slots
     theta = np.array([known.get(slot, 0.0) for slot in slots])
     geometry = np.array([slot.effect == "geometry" for slot in slots])
-    trial = experiment(rows, catalogue(), slots, stage.lean)
+    trial = fit_problem(rows, catalogue(), slots, stage.lean)
     for _ in range(GAUGE_STEPS):
         residual, jacobian = trial.residual(theta)
         columns = jacobian[:, :, geometry].reshape(-1, int(geometry.sum()))

@@ -25,7 +25,7 @@ from clampid.catalogue import catalogue
 from clampid.effect import PRESLIDING_LENGTHS, RELAXATION_TIMES
 from clampid.identification.identify import stage_rows
 from clampid.slots import Term, slots_of_terms
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Bools, Rows
 from experiments.campaign import Campaign, read_campaign
@@ -79,7 +79,7 @@ def _design(campaign: Campaign) -> tuple[Rows, Array]:
     rows = stage_rows([campaign], layout, "free_air", accelerating=True, resting=True)
     terms = [Term(name) for name in ("gravity", "inertia", "link_inertia")]
     slots = slots_of_terms(terms, effects, layout, rows.stage)
-    _, jacobian = experiment(rows, effects, slots).residual(np.zeros(len(slots)))
+    _, jacobian = fit_problem(rows, effects, slots).residual(np.zeros(len(slots)))
     return rows, jacobian[:, :, : len(slots)]
 
 

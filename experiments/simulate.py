@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import numpy as np
 import pandas as pd
 
 from experiments.campaign import Campaign, Instrument, Tool, write_campaign
 from experiments.outputs import write_text
-from experiments.virtual_robot import Hidden, Measured, Plant, measure
+from experiments.virtual_robot import Hidden, Measured, MeasurementChoice, measure
 from kinematics.description import RobotDescription, load_robot
 
 __all__ = ["SimulationError", "declared_campaign", "hidden_file", "measured_campaign", "simulate"]
@@ -34,14 +34,9 @@ def simulate(
     robot: str = "kuka_kr20_r1810",
     hidden: Sequence[str | Hidden] = (),
     *,
-    seed: int = 0,
-    session: int = 1,
-    poses: int = 250,
-    tables: Sequence[str] | None = None,
-    outliers: float = 0.0,
     file_format: Literal["csv", "parquet"] = "parquet",
     overwrite: bool = False,
-    alter: Callable[[Plant], Plant] = lambda plant: plant,
+    **chosen: Unpack[MeasurementChoice],
 ) -> Path:
     """Measure a campaign on the virtual robot and write it.
 
@@ -54,23 +49,12 @@ def simulate(
     hidden
         Effects to hide: ``effect``, ``effect@joint3``, ``effect@joint3:2.0``; the number is a factor on the default
         size.
-    seed
-        Which individual, programs and noise.
-    session
-        Which session of this individual, from 1: later ones have other postures, noise and temperatures, the instrument
-        elsewhere, and the tool mounted anew.
-    poses
-        Number of poses in the table ``poses``.
-    tables
-        Which tables; by default all that the description allows.
-    outliers
-        Share of rows that are wrong.
     file_format
         How the tables are stored.
     overwrite
         Replace an existing campaign.
-    alter
-        Gives the individual numbers of one's choice, see :func:`experiments.virtual_robot.measure`.
+    chosen
+        Seed, session, poses, tables, outliers and alter, see :func:`experiments.virtual_robot.measure`.
 
     Returns
     -------
@@ -91,16 +75,7 @@ def simulate(
         asked = [Hidden.parse(item) if isinstance(item, str) else item for item in hidden]
         beyond: Any = dict.fromkeys(("over", "divide", "invalid"), "ignore") if asked else {}  # is refused below
         with np.errstate(**beyond):
-            measured = measure(
-                description,
-                asked,
-                seed=seed,
-                session=session,
-                poses=poses,
-                tables=tables,
-                outliers=outliers,
-                alter=alter,
-            )
+            measured = measure(description, asked, **chosen)
     except ValueError as error:
         # The virtual robot imports nothing of ours, and so says every refusal as a plain ValueError.
         raise SimulationError(str(error)) from error

@@ -22,7 +22,7 @@ AREAL = 13.6
 their bundled descriptions: KUKA KR20 R1810 28.5, Universal Robots UR10 6.5; this is the geometric mean."""
 BUILD = 0.7  # log: from that mean to either of them
 UNEVEN = 0.7  # of a link's mass, by which links differ from each other beside that
-LEAST = 0.5  # kg
+LEAST_MASS_SPREAD = 0.5  # kg
 OFF_MIDDLE, OFF_LEAST = 0.25, 0.02  # of a link's length, and m: how far its centre of mass is from its middle
 CENTRE_MASS = 2.0  # kg: what a link without length may hold of a neighbour's
 
@@ -48,7 +48,7 @@ def usual_covariance(robot: RobotDescription) -> Array:
         centre = np.asarray(link.com)
         J = np.vstack([np.r_[1.0, centre], np.c_[np.zeros(3), np.eye(3)]]).T  # (m, m c) by (dm, M dc)
         off = (OFF_MIDDLE * long + OFF_LEAST) * max(link.mass, CENTRE_MASS)
-        spread = np.r_[UNEVEN * link.mass + LEAST, np.full(3, off)]
+        spread = np.r_[UNEVEN * link.mass + LEAST_MASS_SPREAD, np.full(3, off)]
         blocks.append(J @ np.diag(spread**2) @ J.T)
         mean.append(np.r_[link.mass, link.mass * centre])
     whole = np.concatenate(mean)

@@ -27,7 +27,7 @@ from kinematics.screws import inverse, log_se3
 
 __all__ = ["BaseFrame", "base_from_circles"]
 
-PASSES = 2  # the second bends the arm as seen from the base that the first has found
+BENDING_PASSES = 2  # the second bends the arm as seen from the base that the first has found
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def base_from_circles(
     measured = rows.measured[:, :3]
     plain = fit_circles(rows, circles, measured, rows.constants["base_reference"][0])
     found, way, by = plain, np.zeros_like(measured), np.zeros((len(rows), 3, 0))
-    for _ in range(0 if rigid else PASSES):
+    for _ in range(0 if rigid else BENDING_PASSES):
         rows = pose_rows([campaign], layout, "poses", {0: found.base}).points
         way, by = gives_way(rows, effects, yielding)
         found = fit_circles(rows, circles, measured - way, found.base)

@@ -28,7 +28,7 @@ from kinematics.screws import exp_se3, exp_so3, inverse
 __all__ = ["Circle", "CircleFit", "circles_of", "fit_circles"]
 
 MIN_ANGLES = 5  # angles on a circle: three define it, and two more say how well
-SAME = 1e-4  # rad: other joints that are closer than this stand still
+SAME_ANGLE_WITHIN = 1e-4  # rad: other joints that are closer than this stand still
 SMALLEST = 0.01  # m: a point nearer to the axis says nothing about where it is
 PARALLEL = 1e-6  # sine of the angle between axes that have no common normal
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations beyond which a point is wrong
@@ -112,12 +112,12 @@ def circles_of(rows: Rows) -> tuple[Circle, ...]:
     chain_q = q @ np.asarray(rows.robot.linkage).T
     found: list[Circle] = []
     for joint in (0, 1):
-        others = np.round(np.delete(q, joint, axis=1) / SAME).astype(np.int64)
+        others = np.round(np.delete(q, joint, axis=1) / SAME_ANGLE_WITHIN).astype(np.int64)
         _, group = np.unique(np.c_[others, np.round(target / 1e-9).astype(np.int64)], axis=0, return_inverse=True)
         radius = _radii(rows.robot, joint, chain_q, target)
         for k in range(int(group.max()) + 1):
             here = np.flatnonzero((group == k) & rows.used[:, 0])
-            angles = np.unique(np.round(q[here, joint] / SAME))
+            angles = np.unique(np.round(q[here, joint] / SAME_ANGLE_WITHIN))
             if len(angles) >= MIN_ANGLES and radius[here[0]] > SMALLEST:
                 found.append(Circle(joint, _target(rows, here[0]), here, float(np.ptp(q[here, joint]))))
     missing = [f"joint {j + 1}" for j in (0, 1) if not any(c.joint == j for c in found)]

@@ -17,7 +17,7 @@ from clampid.models.model import Model, ModelError
 from clampid.role_slots import any_of_role, has_role, slot_of
 from clampid.roles import FRAMES
 from clampid.slots import Slot
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Rows
 from kinematics.description import RobotDescription
 
@@ -105,7 +105,7 @@ def _of_arm(slot: Slot, tips: Collection[str]) -> bool:
 
 def gives_way(rows: Rows, effects: Mapping[str, Effect], yielding: Yielding) -> tuple[Array, Array]:
     """How far the points give way ``(N, 3)`` m, instrument frame, and its derivative ``(N, 3, P)``."""
-    trial = experiment(rows, effects, yielding.slots).with_flanks(yielding.theta)
+    trial = fit_problem(rows, effects, yielding.slots).with_flanks(yielding.theta)
     bent, by = trial.residual(yielding.theta)
-    straight, _ = experiment(rows, effects, ()).residual(np.zeros(0))
+    straight, _ = fit_problem(rows, effects, ()).residual(np.zeros(0))
     return straight[:, :3] - bent[:, :3], by[:, :3]

@@ -16,7 +16,7 @@ import numpy as np
 from clampid.effect import Effect
 from clampid.fitting.fit import fit
 from clampid.role_slots import slot_of
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.measures.iso9283 import WANTED, expected_repeatability, pose_metrics
 from kinematics.screws import log_so3, nearest_rotation
@@ -57,7 +57,7 @@ def as_sent(rows: Rows, effects: Mapping[str, Effect]) -> Attained:
         slots += [slot_of("flange_frame", session, a) for a in axes]
     seen = np.flatnonzero(rows.signals["target_is"].any(axis=0))
     slots += [slot_of("target_point", rows.layout.targets[t], a) for t in seen for a in "xyz"]
-    trial = experiment(sent, effects, slots)
+    trial = fit_problem(sent, effects, slots)
     theta = fit(trial).theta
     residual = trial.residual(theta)[0]
     own = trial.with_rows(rows).residual(theta)[0]

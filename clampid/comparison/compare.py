@@ -26,7 +26,7 @@ from clampid.progress import in_parts
 from clampid.role_slots import slot_of
 from clampid.shown import Shown
 from clampid.slots import Prior, Slot, unit_of
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
@@ -181,7 +181,7 @@ def _as_fitted(
     for _, table, row in model.outliers:
         bad |= (rows.table == table) & (rows.row == row)
     rows = rows.without(bad)
-    trial = opened.experiment(stage, rows)
+    trial = opened.fit_problem(stage, rows)
     residual = predicted(trial, model.theta)
     floor = noise_floor(rows, residual)
     held_out = opened.held_out(stage)
@@ -313,7 +313,7 @@ def _refitted(
     values = np.array([known.get(s, 0.0) for s in slots])
     fixed = tuple(s for s in slots if s not in moved)
     # What is not fitted anew is held where the model has it, as tightly as numbers allow.
-    trial = experiment(rows.take(~out), opened.effects, slots, model.lean)
+    trial = fit_problem(rows.take(~out), opened.effects, slots, model.lean)
     size = trial.sizes()[: len(fixed)]
     prior = Prior(fixed, values[: len(fixed)], np.diag((1e-7 * size) ** 2))
     estimate = fit(trial, (prior,), dict(zip(slots, values.tolist(), strict=True)))

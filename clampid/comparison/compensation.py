@@ -28,7 +28,7 @@ from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.role_slots import any_of_role, numbers_of_role
 from clampid.roles import WEIGHTS
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Rows
 
 __all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
@@ -129,7 +129,7 @@ def compensation_of(opened: ModelOnCampaign) -> Compensation | None:
         model.slots, *WEIGHTS, per="link", effects=opened.effects
     ):
         return None
-    trial = opened.experiment("poses", opened.rows("poses").points)
+    trial = opened.fit_problem("poses", opened.rows("poses").points)
     bent = _bending(opened, trial)
     if not np.any(bent.parts):
         return None
@@ -162,7 +162,7 @@ def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign |
         return None
     less = np.array(found.explained) - 1.0
     tables, rows = dict(opened.campaign.tables), opened.rows("poses")
-    trial = opened.experiment("poses", rows)
+    trial = opened.fit_problem("poses", rows)
     bent = _bending(opened, trial)
     springs = _search(
         opened, trial, np.einsum("p,pkni->kni", less, bent.parts), np.ones(bent.parts.shape[1]), bent.covariance
@@ -170,7 +170,7 @@ def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign |
     tables["poses"] = _shifted(tables["poses"], np.einsum("p,k,pkni->ni", less, springs, bent.parts))
     others = opened.verification()
     if others is not None:
-        parts = _bending(opened, opened.experiment("poses", others)).parts
+        parts = _bending(opened, opened.fit_problem("poses", others)).parts
         tables["verification"] = _shifted(tables["verification"], np.einsum("p,k,pkni->ni", less, springs, parts))
     campaign = replace(opened.campaign, tables=tables)
     return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]})
@@ -192,7 +192,7 @@ class _Bending:
     covariance: Array
 
 
-def _bending(opened: ModelOnCampaign, trial: Experiment) -> _Bending:
+def _bending(opened: ModelOnCampaign, trial: FitProblem) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
     model = opened.stages["poses"]
     springs = numbers_of_role(model.slots, "compliance")
@@ -260,7 +260,7 @@ class _Search:
 
 
 def _search(
-    opened: ModelOnCampaign, trial: Experiment, parts: Array, mean: Array | None = None, spread: Array | None = None
+    opened: ModelOnCampaign, trial: FitProblem, parts: Array, mean: Array | None = None, spread: Array | None = None
 ) -> _Search:
     """Gauss-Newton on factors of deflections ``(F, N, n)``; where a compensation sends the robot, it gives way anew.
 
@@ -305,7 +305,7 @@ def _search(
     return _Search(theta, rows, used, S[:, :, :n], columns, r, step)
 
 
-def _fit(opened: ModelOnCampaign, trial: Experiment, bent: _Bending) -> _Fit:
+def _fit(opened: ModelOnCampaign, trial: FitProblem, bent: _Bending) -> _Fit:
     """Factors on what the arm's own weight and the tool bend, and their covariance."""
     found = _search(opened, trial, bent.parts.sum(axis=1))
     theta, used, r = found.theta, found.used, found.residual
@@ -338,7 +338,7 @@ def _shifted(table: pd.DataFrame, shift: Array) -> pd.DataFrame:
     return table.assign(**dict(zip(names, (table[names].to_numpy(float) + shift).T, strict=True)))
 
 
-def _values(trial: Experiment, opened: ModelOnCampaign) -> Array:
+def _values(trial: FitProblem, opened: ModelOnCampaign) -> Array:
     """The model's station values ``(N, S)``."""
     theta = opened.stages["poses"].theta
     return trial.chain.evaluate(theta, trial.with_flanks(theta).rows.signals).values

@@ -79,7 +79,7 @@ def nominal_points(rows: Rows, effects: Mapping[str, Effect], good: Bools) -> fl
 def _torques(opened: ModelOnCampaign) -> tuple[float, int]:
     """Root mean square in units of the motors' noise, and number of rows."""
     rows = opened.rows("free_air")
-    found = opened.experiment("free_air", rows)
+    found = opened.fit_problem("free_air", rows)
     floor = noise_floor(rows, predicted(found, opened.stages["free_air"].theta))
     nothing = found.start()[: len(found.slots)]
     return rms_of(rows, predicted(found, nothing), floor), len(rows)

@@ -21,7 +21,7 @@ from clampid.evidence.scan import scan
 from clampid.evidence.score import Flips, Scored, canonical, explained_together, flip_maxima, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.solve import Estimate
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Integers, Rows
 from kinematics.description import RobotDescription
 

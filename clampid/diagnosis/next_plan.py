@@ -16,7 +16,7 @@ from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
 

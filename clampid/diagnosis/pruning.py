@@ -10,7 +10,7 @@ from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Slot, Term
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Rows
 
 __all__ = ["Refit", "behind", "needless", "pruned"]

@@ -11,7 +11,7 @@ from scipy import optimize, stats
 from clampid.diagnosis.candidate_scores import IMPOSSIBLE, RATE
 from clampid.effect import Effect
 from clampid.evidence.score import Flips, Scored, log_tail
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from kinematics.robot import RobotDescription
 
 __all__ = ["noncentrality", "testability_of"]

@@ -35,7 +35,7 @@ STRONG = float(np.log(150.0))
 
 STEPS_PER_TURN = 1440  # of a revolution: a quarter of a degree, a fifteenth of the finest harmonic's period at 48
 PEAKS = 10  # of the correlation, a sense: where curves overlap little, the right one is not the highest
-NEAR = np.pi / 360.0  # rad: a turn is refined within half a degree
+REFINED_WITHIN = np.pi / 360.0  # rad: a turn is refined within half a degree
 # Of the curves' size: deviations with which joints are looked for, and tried.
 START, MIN_SIZE, MAX_SIZE = 0.3, 0.01, 0.999
 SIZES = (float(np.log(1e-6)), float(np.log(1e-2)))  # rad: curves' sizes
@@ -222,7 +222,9 @@ class _Group:
             for s in (1.0, -1.0)
             for phase in self.proposed(mean[: self.width], mean[high], s).tolist()
         )
-        value, phase, cost = _peak(lambda x: joined(sense, x), (phase - NEAR, phase + NEAR), 2 * np.pi)
+        value, phase, cost = _peak(
+            lambda x: joined(sense, x), (phase - REFINED_WITHIN, phase + REFINED_WITHIN), 2 * np.pi
+        )
         cost -= float(np.log(2.0))
         return value - part.total() + cost, _Turn(sense, phase, cost)
 

@@ -18,7 +18,7 @@ from clampid.fitting.gauge import independent_geometry
 from clampid.fitting.noise import Whitened
 from clampid.fitting.solve import Estimate, whitened_columns
 from clampid.slots import Slot, Term, slots_of
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array
 from clampid.stages.temperatures import reads_temperatures
 

@@ -14,7 +14,7 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Columns", "Joined", "Levers", "Products", "Sums", "channel_starts", "columns_from"]
 
-MANY = 128  # columns that share a product: more would gain no time, and take memory
+MOST_JOINED_COLUMNS = 128  # columns that share a product: more would gain no time, and take memory
 
 
 @dataclass(frozen=True)
@@ -262,14 +262,14 @@ class Joined:
 
 
 def _side_by_side(parts: Sequence[tuple[slice, Array]]) -> list[tuple[Integers, Array]]:
-    """Blocks of the same length joined to some of at least :data:`MANY` columns, with the lines of all of these."""
+    """Blocks of one length joined to at least :data:`MOST_JOINED_COLUMNS` columns, with the lines of all of these."""
     out: list[tuple[Integers, Array]] = []
     lines: list[Integers] = []
     blocks: list[Array] = []
     for number, (own, block) in enumerate(parts, start=1):
         lines.append(np.arange(own.start, own.stop))
         blocks.append(block)
-        if number == len(parts) or sum(map(len, lines)) >= MANY:
+        if number == len(parts) or sum(map(len, lines)) >= MOST_JOINED_COLUMNS:
             out.append((np.concatenate(lines), np.hstack(blocks)))
             lines, blocks = [], []
     return out

@@ -34,7 +34,7 @@ from clampid.fitting.noise import NORMAL, Whitened
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages import poses
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["FEWEST_VISITS", "place_of", "scan"]
@@ -43,7 +43,7 @@ FEWEST_VISITS = 4  # that show a bump: a height, a middle and a width, and one t
 INSIDE = 0.1  # of its height, which a visit must see of a bump to count
 TABLE = 3600  # angles a turn at which a shape is tabulated
 FARTHEST = 3.0  # standard deviations that a visit counts for in the null: three of which one is wrong are no bump
-STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to place: at most a tenth of it is missed
+SCAN_STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to place: at most a tenth of it is missed
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _places(
     for chosen, table in tables:
         size = np.abs(table) / np.abs(table).max()
         inside = size > INSIDE
-        for k in range(0, TABLE, max(1, int(STEP * np.count_nonzero(size > 0.5)))):
+        for k in range(0, TABLE, max(1, int(SCAN_STEP * np.count_nonzero(size > 0.5)))):
             near = seen & inside[(at - k) % TABLE]
             if len(np.unique(visit[near])) >= FEWEST_VISITS:
                 middle = float(np.remainder(2.0 * np.pi * k / TABLE + np.pi, 2.0 * np.pi) - np.pi)

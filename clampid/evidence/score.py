@@ -49,7 +49,7 @@ UNSEEN = 1e-6
 The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
 """
 MANY = 512  # columns of candidates that are scored together: more would gain no time, and take memory
-TINY = 1e-290  # a smaller tail than this may have underflowed
+SMALLEST_TAIL = 1e-290  # a smaller tail than this may have underflowed
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def log_tail(x: Array | float, freedom: float) -> Array:
     value = np.asarray(x, dtype=float)
     a, half = freedom / 2.0, np.maximum(value, 1e-300) / 2.0  # of zero there is no logarithm
     tail = gammaincc(a, half)
-    tiny = tail < TINY
+    tiny = tail < SMALLEST_TAIL
     tail_or_one = np.where(tiny, 1.0, tail)
     near = np.where(half < a, np.log1p(-gammainc(a, np.minimum(half, a))), np.log(tail_or_one))
     # Leading term of its expansion, summed as a geometric series; where the tail is tiny, half is well above a.

@@ -11,7 +11,7 @@ from scipy import linalg
 from clampid.effect import WEAK as WEAK_PRIOR
 from clampid.evidence.columns import Sums
 from clampid.fitting.solve import Estimate
-from clampid.stages.experiment import HELD
+from clampid.stages.fit_problem import HELD
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["ABSORBED", "Space", "space_of"]

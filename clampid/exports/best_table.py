@@ -33,7 +33,7 @@ LEVER = 0.2  # m, from the flange to a tool's point: orientation counts as what 
 COUNT = 1000  # postures, where no campaign gives them
 SENSED = 200  # of the postures, at which it is found how the table follows the model
 MAX_NEWTON_STEPS = 4  # of Gauss and Newton; the arm is nearly linear in a millimetre
-STEP = 1e-7  # m or rad
+DIFFERENCE_STEP = 1e-7  # m or rad
 NUDGE = 1e-3  # of a parameter's standard error or size: how far the model's parameters are moved for a derivative
 
 
@@ -163,7 +163,10 @@ def _step(rows: Residual, values: Array, start: Array, size: Array, directions: 
 
 def _derivatives(rows: Residual, values: Array) -> Array:
     """``(6 N, G)``, by central differences."""
-    return np.stack([(rows(values + e) - rows(values - e)) / (2 * STEP) for e in STEP * np.eye(len(values))], axis=1)
+    return np.stack(
+        [(rows(values + e) - rows(values - e)) / (2 * DIFFERENCE_STEP) for e in DIFFERENCE_STEP * np.eye(len(values))],
+        axis=1,
+    )
 
 
 def _variance(left: Array) -> float:

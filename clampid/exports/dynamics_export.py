@@ -14,7 +14,7 @@ from clampid.models.consistent import ConsistentArm, consistent_arm, off_by
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.role_slots import any_of_role
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from kinematics.robot import RobotDescription
@@ -111,7 +111,7 @@ def torque_errors(
     rejected = {(table, row) for _, table, row in stage.outliers}
     bad = [key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)]
     rows = rows.without(np.array(bad, dtype=bool))
-    trial = experiment(rows, opened.effects, stage.slots)
+    trial = fit_problem(rows, opened.effects, stage.slots)
     errors = []
     for theta in (stage.theta, arm.slot_values(stage, robot)):
         residual = np.where(rows.used, predicted(trial, theta), 0.0)

@@ -22,7 +22,7 @@ from clampid.role_slots import slot_of
 from clampid.roles import FRAMES
 from clampid.slots import find_parameter
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign, Instrument, Tool, target_points
@@ -47,7 +47,8 @@ __all__ = [
 
 POSTURES = 200
 CHECKED = 2000  # postures, drawn apart from those that a form was fitted to or read back at
-SHIFT = 8 * 3600.0  # s, over which the postures are spread: what settles or warms up is not at its beginning only
+SHIFT_SECONDS = 8 * 3600.0
+"""s, over which the postures are spread: what settles or warms up is not at its beginning only."""
 INSTRUMENT = "measurement"  # the station of what is the instrument's and not the robot's
 
 Flange = Callable[[Array], Array]
@@ -221,7 +222,7 @@ class WholeModel:
         The load, kg.
     """
 
-    trial: Experiment
+    trial: FitProblem
     stage: StageModel
     effects: tuple[str, ...]
     known: Mapping[str, Effect]
@@ -313,12 +314,12 @@ def _load(model: Model, session: int, robot: RobotDescription) -> Campaign:
 
 def _drawn(
     model: Model, load: Campaign, effects: Mapping[str, Effect], session: int, warmth: tuple[float, float], q: Array
-) -> Experiment:
+) -> FitProblem:
     """The model's poses as an experiment at postures ``q``: all links at one temperature, between ``warmth``, degC."""
     n, rng = load.robot.n, np.random.default_rng(2)
     warm = rng.uniform(*warmth, len(q))
     data: dict[str, Any] = {"pose": np.arange(len(q)) + 1, "visit": 1, "target": "flange"}
-    data["time_s"] = np.linspace(0.0, SHIFT, len(q))
+    data["time_s"] = np.linspace(0.0, SHIFT_SECONDS, len(q))
     data |= {f"{axis}_m": 0.0 for axis in "xyz"}
     data |= {f"q{i + 1}_rad": q[:, i] for i in range(n)}
     data |= {f"dir{i + 1}": sides for i, sides in enumerate(rng.choice([-1, 1], (n, len(q))))}
@@ -327,10 +328,10 @@ def _drawn(
     campaigns[session] = replace(load, tables={"poses": pd.DataFrame(data)})
     base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
     stage = model.stages["poses"]
-    return experiment(pose_rows(campaigns, model.layout, "poses", base), effects, stage.slots, stage.lean)
+    return fit_problem(pose_rows(campaigns, model.layout, "poses", base), effects, stage.slots, stage.lean)
 
 
-def _flange(trial: Experiment, theta: Array) -> Array:
+def _flange(trial: FitProblem, theta: Array) -> Array:
     """Poses ``(N, 4, 4)`` of the flange in the instrument's frame, whose own errors are left out."""
     found = poses.evaluate(trial.rows, trial.chain, theta)
     values = np.array(found.values)

@@ -12,7 +12,7 @@ from clampid.fitting.descent import newton_step
 from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
@@ -168,7 +168,7 @@ def rms_of(rows: Rows, residual: Array, floor: Floor) -> float:
     return float(np.sqrt(np.mean(size[counts] ** 2))) if counts.any() else float("nan")
 
 
-def predicted(experiment: Experiment, theta: Array, noise: Noise | None = None) -> Array:
+def predicted(experiment: FitProblem, theta: Array, noise: Noise | None = None) -> Array:
     """Residuals ``(N, m)`` of rows that were not fitted, at given slot values ``(P,)``.
 
     The unknown constants of a run or sweep are found from it, all else fixed.

@@ -26,7 +26,7 @@ from clampid.fitting.solve import Estimate
 from clampid.role_slots import axis_of, has_role, role_of, slot_of
 from clampid.roles import INERTIAL, INERTIAS, WEIGHTS, Role
 from clampid.slots import Slot, find_parameter
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.loads import gravity_regressors
 from clampid.stages.rows import Array, Rows
 from kinematics.dynamics import inertial_parameters
@@ -73,7 +73,7 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
 
 
 def grouped(
-    experiment: Experiment, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
+    experiment: FitProblem, theta: Array, covariance: Array, precision: Array, columns: Array, offsets: Array
 ) -> tuple[BaseParameter, ...]:
     """The base parameters of a torque fit whose columns are given.
 

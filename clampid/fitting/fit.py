@@ -17,7 +17,7 @@ from clampid.fitting.unknown_friction import at_no_friction, without_unknown_fri
 from clampid.fitting.visits import with_repeatability
 from clampid.slots import Prior, Slot
 from clampid.stages.clamped_rows import BLOCK_ROWS
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import POSE_CHANNELS, Array, Bools, Rows, lengths
 from clampid.stages.statements import about
 
@@ -45,7 +45,7 @@ FIRST_FRICTION_STEP = (
 
 
 def fit(
-    experiment: Experiment,
+    experiment: FitProblem,
     priors: Sequence[Prior] = (),
     start: Mapping[Slot, float] | None = None,
     *,
@@ -154,7 +154,7 @@ def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
     return out
 
 
-def again(estimate: Estimate, experiment: Experiment, none: Sequence[int]) -> Estimate:
+def again(estimate: Estimate, experiment: FitProblem, none: Sequence[int]) -> Estimate:
     """The same pose fit of another experiment with the same parameters and rows: noise, prior and outliers stay.
 
     Frictions ``none`` stay at zero, for the reason that :mod:`clampid.fitting.unknown_friction` gives.
@@ -163,12 +163,12 @@ def again(estimate: Estimate, experiment: Experiment, none: Sequence[int]) -> Es
     return replace(with_repeatability(found), outliers=estimate.outliers)
 
 
-def _yields(experiment: Experiment) -> bool:
+def _yields(experiment: FitProblem) -> bool:
     """Whether what holds a clamped arm moves in the model, so that torques of held joints change."""
     return any("fixture" in experiment.effects[slot.effect].acts for slot in experiment.slots)
 
 
-def _kept_first(experiment: Experiment, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
+def _kept_first(experiment: FitProblem, theta: Array, noise: Noise, precision: Array, mean: Array) -> Array:
     """Where the search of a clamped arm begins: found with held motors' friction as their last motion left it.
 
     Springs, and a block of which nothing is known yet, would else draw that friction to where other clearances are

@@ -16,7 +16,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array
 
 __all__ = ["mirrored", "settled"]
@@ -34,7 +34,7 @@ class Found(Protocol):
 
 
 FoundT = TypeVar("FoundT", bound=Found)
-Held = Sequence[Experiment]
+Held = Sequence[FitProblem]
 
 
 def settled(
@@ -72,7 +72,7 @@ def settled(
     return found if lowest == len(ends) - 1 else search(seen[lowest], ends[lowest])
 
 
-def mirrored(trial: Experiment, theta: Array) -> Array | None:
+def mirrored(trial: FitProblem, theta: Array) -> Array | None:
     """The parameters ``(P,)`` with springs and friction above zero at joints where both are below; None if at none."""
     if not trial.chain.reads_flanks:
         return None
@@ -97,6 +97,6 @@ def _same(a: Held, b: Held) -> bool:
     )
 
 
-def _alike(a: Experiment, b: Experiment, signal: str, share: float) -> bool:
+def _alike(a: FitProblem, b: FitProblem, signal: str, share: float) -> bool:
     x, y = (np.asarray(trial.rows.signals.get(signal, np.zeros(1))) for trial in (a, b))
     return float(np.abs(x - y).max(initial=0.0)) <= share * float(np.abs(y).max(initial=0.0))

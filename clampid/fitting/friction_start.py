@@ -20,17 +20,17 @@ from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import Estimate, limits_of, prior_of, solve, stage_point, start_of
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array
 
 __all__ = ["with_friction_start"]
 
 SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
-PASSES = 2
+START_PASSES = 2
 
 
 def with_friction_start(
-    experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float]
+    experiment: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float]
 ) -> Mapping[Slot, float]:
     """The start of a fit with values of all slots, where poses have to tell a friction that nothing is known of.
 
@@ -48,7 +48,7 @@ def with_friction_start(
     theta = start_of(experiment, start, priors)
     mean = np.where(experiment.fixed(), theta, mean)
     best = solve(experiment, theta, initial_noise(experiment.rows), precision, mean)
-    for _ in range(PASSES):
+    for _ in range(START_PASSES):
         before = best.cost
         for k in open_:
             best = _past_flips(best, k)
@@ -84,7 +84,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
     return found if found.cost < estimate.cost else estimate
 
 
-def _flanks(experiment: Experiment, theta: Array) -> Array:
+def _flanks(experiment: FitProblem, theta: Array) -> Array:
     found = poses.flanks(experiment.rows, experiment.chain, theta)
     return np.zeros(0) if found is None else found
 

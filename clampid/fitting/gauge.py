@@ -19,7 +19,7 @@ from clampid.effect import Effect
 from clampid.role_slots import effect_with, has_role
 from clampid.roles import Role
 from clampid.slots import Slot, slots_of
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Rows
 from clampid.stages.statements import stated_equations
 
@@ -51,7 +51,7 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
     anchor = sample.signals["anchor_is"] @ rng.uniform(-ABOUT, ABOUT, (len(rows.layout.anchors), 3))
     constants = {**sample.constants, "anchor": anchor}
     sample = replace(sample, signals={**sample.signals, "q": q}, constants=constants)
-    trial = experiment(sample, effects, slots)
+    trial = fit_problem(sample, effects, slots)
     _, jacobian = trial.residual(np.zeros(len(slots)))
     size = trial.sizes()
     columns = np.vstack([(jacobian * size).reshape(-1, len(slots)), _stated(rows, slots, size, jacobian)])

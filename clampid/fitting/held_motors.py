@@ -21,7 +21,7 @@ import numpy as np
 from clampid.fitting.noise import Noise
 from clampid.stages.clamped import joint_torques, residual_by_angle, standing_angles
 from clampid.stages.clamped_rows import BLOCK_ROWS
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["other_crossings"]
@@ -50,7 +50,7 @@ class _Sweeps:
         ``(sweeps,)``: sweeps of one number share what is known of their constants.
     """
 
-    experiment: Experiment
+    experiment: FitProblem
     rows: Rows
     noise: Noise
     theta: Array
@@ -61,7 +61,7 @@ class _Sweeps:
     clamping: Integers
 
     @classmethod
-    def of(cls, experiment: Experiment, noise: Noise, theta: Array, precision: Array, mean: Array) -> _Sweeps:
+    def of(cls, experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> _Sweeps:
         count, rows = len(experiment.slots), experiment.rows
         keys = rows.constants["offset_keys"]
         own = np.asarray(precision[count:, count:])
@@ -124,7 +124,7 @@ class _Sweeps:
         return best, np.where(clampings, cost, np.inf)
 
 
-def other_crossings(experiment: Experiment, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array | None:
+def other_crossings(experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array | None:
     """Parameters ``(P + K,)`` whose sweeps' own constants are likelier than those given; None where there are none.
 
     Parameters
@@ -155,7 +155,7 @@ def other_crossings(experiment: Experiment, noise: Noise, theta: Array, precisio
     return np.r_[theta[:count], own] if begun else None
 
 
-def _live(experiment: Experiment, theta: Array) -> Bools:
+def _live(experiment: FitProblem, theta: Array) -> Bools:
     """Held motors ``(sweeps, n)`` whose joint's torque the model, its clearances closed, lets change tellably."""
     rows, n, count = experiment.rows, experiment.rows.robot.n, len(experiment.slots)
     keys, run = rows.constants["offset_keys"], rows.constants["run"]
@@ -169,7 +169,7 @@ def _live(experiment: Experiment, theta: Array) -> Bools:
     return out
 
 
-def _strained(experiment: Experiment, theta: Array) -> Array:
+def _strained(experiment: FitProblem, theta: Array) -> Array:
     """The balance by torque ``(N, n, n)``, rad/Nm, where no joint is in its clearance."""
     rows = experiment.rows
     far = np.tile(rows.constants["rated"], (len(rows), 1))

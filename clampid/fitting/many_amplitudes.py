@@ -19,13 +19,13 @@ from clampid.chain.chain import Deviations
 from clampid.fitting.descent import covariance_of
 from clampid.fitting.noise import Noise, Whitened
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["AmplitudePoint", "has_many_amplitudes"]
 
 
-def has_many_amplitudes(experiment: Experiment, noise: Noise) -> bool:
+def has_many_amplitudes(experiment: FitProblem, noise: Noise) -> bool:
     """Whether normal equations of this experiment are found faster by stations."""
     if experiment.stage != "poses" or noise.autocorrelations or noise.wander:
         return False
@@ -39,7 +39,7 @@ class AmplitudePoint:
     ``sensitivity`` ``(N, m, S)`` is the derivative of the measurements by the stations.
     """
 
-    experiment: Experiment
+    experiment: FitProblem
     noise: Noise
     theta: Array
     residual: Array
@@ -47,7 +47,7 @@ class AmplitudePoint:
     deviations: Deviations
 
     @staticmethod
-    def at(experiment: Experiment, noise: Noise, theta: Array) -> AmplitudePoint:
+    def at(experiment: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
         """The point of an experiment of poses, flanks as they are held."""
         deviations = poses.evaluate(experiment.rows, experiment.chain, theta)
         return AmplitudePoint(experiment, noise, theta, *poses.by_station(experiment.rows, deviations), deviations)
@@ -137,7 +137,7 @@ class AmplitudePoint:
 class _Jacobian:
     """The whitened Jacobian of a point, as :class:`clampid.fitting.noise.Late` has it, made of what the point is at."""
 
-    experiment: Experiment
+    experiment: FitProblem
     noise: Noise
     theta: Array
     square: Array | None

@@ -22,7 +22,7 @@ from clampid.fitting.descent import inverse_of
 from clampid.fitting.flanks import settled
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, FitError, limits_of, stage_point
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array
 from experiments.measures.metrics import norm_metrics
 
@@ -100,7 +100,7 @@ class _Lowest:
     theta: Array
 
 
-def _cost(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> tuple[float, Array]:
+def _cost(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> tuple[float, Array]:
     """Sum of the norms over κ with the prior's share, and its gradient ``(P,)``."""
     used = trial.rows.used[:, 0]
     residual, by = trial.residual(theta)
@@ -112,7 +112,7 @@ def _cost(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> 
     return float(norm.sum() / kappa + 0.5 * off @ pull), pull - np.einsum("ni,nip->p", u, by[used, :3]) / kappa
 
 
-def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -> Array:
+def _search(trial: FitProblem, theta: Array, estimate: Estimate, kappa: float) -> Array:
     """SLSQP from ``theta``, flanks held, in coordinates in which least squares would be a ball."""
     free = np.flatnonzero(~trial.fixed())
     J = estimate.whitened.jacobian
@@ -143,7 +143,7 @@ def _search(trial: Experiment, theta: Array, estimate: Estimate, kappa: float) -
     return at(found.x)
 
 
-def _covariance(trial: Experiment, theta: Array, precision: Array, kappa: float, nearest: float) -> Array:
+def _covariance(trial: FitProblem, theta: Array, precision: Array, kappa: float, nearest: float) -> Array:
     """The sandwich ``(P, P)`` of the module's docstring."""
     residual, by = trial.residual(theta)
     used = trial.rows.used[:, 0]

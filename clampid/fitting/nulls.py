@@ -9,7 +9,7 @@ import numpy as np
 from clampid.fitting.observability import projected
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools
 
 __all__ = ["assumed_of", "named_directions", "null_directions"]
@@ -31,7 +31,7 @@ def null_directions(estimate: Estimate, limit: int = 12) -> tuple[str, ...]:
     )
 
 
-def assumed_of(experiment: Experiment) -> Bools:
+def assumed_of(experiment: FitProblem) -> Bools:
     """Which of an experiment's slots ``(P,)`` a prior of their own keeps apart from each other."""
     count = len(experiment.slots)
     return np.asarray((experiment.prior_std() <= experiment.sizes())[:count] & ~experiment.shapes()[:count])

@@ -25,7 +25,7 @@ from clampid.fitting.noise import Noise, initial_noise
 from clampid.fitting.solve import Estimate, prior_of, stage_point, start_of
 from clampid.role_slots import slot_of
 from clampid.slots import Prior
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Rows
 from clampid.stages.statements import stated_equations
 from kinematics.screws import exp_so3, inverse, log_se3
@@ -139,7 +139,7 @@ def _turned(rows: Rows, turn: OpenTurn, angles: Array) -> Rows:
     return replace(rows, constants={**rows.constants, "base_reference": reference})
 
 
-def from_likeliest_turn(experiment: Experiment, priors: Sequence[Prior]) -> Rows:
+def from_likeliest_turn(experiment: FitProblem, priors: Sequence[Prior]) -> Rows:
     """The experiment's rows with each open base turned to where they are likeliest, by one step of a fit at each turn.
 
     At the right turn one step is nearly the whole way: a described robot is nearly the robot. Elsewhere it leaves more.
@@ -160,7 +160,7 @@ def from_likeliest_turn(experiment: Experiment, priors: Sequence[Prior]) -> Rows
     return rows
 
 
-def _likeliest(experiment: Experiment, rows: Rows, turn: OpenTurn, angles: Array, priors: Sequence[Prior]) -> Array:
+def _likeliest(experiment: FitProblem, rows: Rows, turn: OpenTurn, angles: Array, priors: Sequence[Prior]) -> Array:
     precision, mean = prior_of(experiment, priors)
     theta, noise = start_of(experiment, None, priors), initial_noise(rows)
     mean = np.where(experiment.fixed(), theta, mean)
@@ -174,7 +174,7 @@ def _likeliest(experiment: Experiment, rows: Rows, turn: OpenTurn, angles: Array
     return np.asarray(angles[int(np.argmin([cost(a) for a in angles]))])
 
 
-def _stepped(experiment: Experiment, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array:
+def _stepped(experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> Array:
     """Where one step of Gauss and Newton leads from ``theta`` ``(P,)``."""
     A, g = stage_point(experiment, noise, theta).normal()
     size = 1.0 / np.sqrt(np.maximum(np.diag(A + precision), 1e-300))

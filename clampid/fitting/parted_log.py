@@ -19,7 +19,7 @@ import numpy as np
 
 from clampid.fitting.descent import covariance_of
 from clampid.fitting.noise import Noise, Whitened
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["LinearPart", "PartedLog", "PartedPoint"]
@@ -39,14 +39,14 @@ class LinearPart:
         ``(N, n, C)``, Nm: the prediction's derivative.
     """
 
-    experiment: Experiment
+    experiment: FitProblem
     linear: Integers
     other: Integers
     residual: Array
     columns: Array
 
     @staticmethod
-    def of(experiment: Experiment, at: Array) -> LinearPart:
+    def of(experiment: FitProblem, at: Array) -> LinearPart:
         """The linear part of an experiment of ``free_air``, found at any parameters ``(P + K,)``."""
         bends = np.r_[experiment.chain.bends, np.zeros(experiment.offsets, dtype=bool)]
         linear, other = np.flatnonzero(~bends), np.flatnonzero(bends)
@@ -57,7 +57,7 @@ class LinearPart:
             left -= _bent(experiment).error(np.r_[at[other], np.zeros(experiment.offsets)])
         return LinearPart(experiment, linear, other, left, columns)
 
-    def serves(self, experiment: Experiment) -> bool:
+    def serves(self, experiment: FitProblem) -> bool:
         """Whether another experiment has the same effects and rows, of which others may be used."""
         mine, theirs = self.experiment.rows, experiment.rows
         same_rows = mine.signals is theirs.signals and mine.measured is theirs.measured
@@ -68,7 +68,7 @@ class LinearPart:
         return np.asarray(self.residual - self.columns @ theta[self.linear])
 
 
-def _bent(experiment: Experiment) -> Experiment:
+def _bent(experiment: FitProblem) -> FitProblem:
     """The experiment with the parameters V alone."""
     chain = experiment.chain.bent
     return replace(experiment, slots=chain.slots, chain=chain)
@@ -90,14 +90,14 @@ class PartedLog:
         The residual there less that of V alone ``(M,)``, and the columns of C ``(M, C)``, whitened.
     """
 
-    bent: Experiment
+    bent: FitProblem
     noise: Noise
     part: LinearPart
     start: Array
     white: Whitened
 
     @staticmethod
-    def of(experiment: Experiment, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
+    def of(experiment: FitProblem, noise: Noise, start: Array, part: LinearPart | None = None) -> PartedLog:
         """The log of an experiment of ``free_air`` that has linear parameters, of which the ``part`` may be known."""
         part = part or LinearPart.of(experiment, start)
         white = noise.whiten(experiment.rows, part.left(start), part.columns)

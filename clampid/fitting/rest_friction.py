@@ -29,7 +29,7 @@ from clampid.role_slots import has_role
 from clampid.roles import WEIGHTS
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
-from clampid.stages.experiment import HELD, Experiment
+from clampid.stages.fit_problem import HELD, FitProblem
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.rows import Array, Integers
 
@@ -70,7 +70,7 @@ class RestFriction:
 
 
 def with_rest_friction(
-    experiment: Experiment, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
+    experiment: FitProblem, priors: Sequence[Prior], start: Mapping[Slot, float], *, anew: bool = False
 ) -> RestFriction:
     """Seek the frictions that decide on flanks and of which nothing but the poses tells.
 
@@ -114,7 +114,7 @@ def with_rest_friction(
     return RestFriction(estimate.values(), None if _misses(experiment, estimate.residual) else held)
 
 
-def _misses(experiment: Experiment, residual: Array) -> bool:
+def _misses(experiment: FitProblem, residual: Array) -> bool:
     """Whether two thirds of the squares left ``(N, m)`` are not the instrument's noise, lost points not counted."""
     white = (experiment.rows.in_noise_axes(residual) / experiment.rows.sigma)[experiment.rows.used]
     return float(NORMAL * np.median(np.abs(white))) ** 2 > MISSES
@@ -137,7 +137,7 @@ def with_open_friction(estimate: Estimate, held: Prior | None) -> Estimate:
     return replace(estimate, covariance=covariance)
 
 
-def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
+def _open(experiment: FitProblem, priors: Sequence[Prior]) -> list[int]:
     """Numbers of the frictions that decide on flanks, with no prior of their own.
 
     A joint's load must be one that they can be compared with: one that is always the same turns all flanks or none.
@@ -161,12 +161,12 @@ def _open(experiment: Experiment, priors: Sequence[Prior]) -> list[int]:
     return out
 
 
-def _held(experiment: Experiment, open_: Sequence[int], theta: Array) -> Prior:
+def _held(experiment: FitProblem, open_: Sequence[int], theta: Array) -> Prior:
     tight = HELD * experiment.sizes()[list(open_)]
     return Prior(tuple(experiment.slots[k] for k in open_), theta[list(open_)], np.diag(tight**2))
 
 
-def _solved(experiment: Experiment, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
+def _solved(experiment: FitProblem, priors: Sequence[Prior], open_: Sequence[int], theta: Array) -> Estimate:
     precision, mean = prior_of(experiment, (*priors, _held(experiment, open_, theta)))
     mean = np.where(experiment.fixed(), theta, mean)
     return solve(experiment, theta, initial_noise(experiment.rows), precision, mean)

@@ -16,7 +16,7 @@ from clampid.fitting.noise import Noise, Whitened
 from clampid.fitting.parted_log import LinearPart, PartedLog, PartedPoint
 from clampid.fitting.repeatability import Scatter
 from clampid.slots import Prior, Slot
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = [
@@ -64,7 +64,7 @@ class Estimate:
         In poses, how the noise is shared between the measurement and the robot's own repeatability, where told.
     """
 
-    experiment: Experiment
+    experiment: FitProblem
     theta: Array
     covariance: Array
     noise: Noise
@@ -139,7 +139,7 @@ class StagePoint:
         return covariance_of(self.matrix, precision, self.cost, self.count)
 
 
-def stage_point(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint:
+def stage_point(experiment: FitProblem, noise: Noise, theta: Array) -> StagePoint:
     """One stage at ``theta`` ``(P + K,)``, flanks as they are held.
 
     Raises
@@ -172,7 +172,7 @@ class Shared:
         """A normal matrix ``(P, P)`` of an earlier search."""
         return Shared(Chord(AmplitudePoint.gradient, matrix))
 
-    def linear_part(self, experiment: Experiment, at: Array) -> LinearPart:
+    def linear_part(self, experiment: FitProblem, at: Array) -> LinearPart:
         """The linear part of a log's experiment, found at ``(P + K,)`` if it is not known."""
         if self.part is None or not self.part.serves(experiment):
             self.part = LinearPart.of(experiment, at)
@@ -180,7 +180,7 @@ class Shared:
 
 
 def _points(
-    experiment: Experiment, noise: Noise, start: Array, shared: Shared
+    experiment: FitProblem, noise: Noise, start: Array, shared: Shared
 ) -> Callable[[Array], StagePoint | PartedPoint]:
     """What gives the points of a search: of a model linear in its parameters, all from the first.
 
@@ -197,32 +197,32 @@ def _points(
     return lambda theta: StagePoint(theta, part.left(theta), white.moved(theta - start))
 
 
-def point_at(experiment: Experiment, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
+def point_at(experiment: FitProblem, noise: Noise, theta: Array) -> StagePoint | AmplitudePoint:
     """The same with a Jacobian that is made when it is asked for, where it is large."""
     if not has_many_amplitudes(experiment, noise):
         return stage_point(experiment, noise, theta)
     return _amplitude_point(experiment, noise, theta)
 
 
-def _amplitude_point(experiment: Experiment, noise: Noise, theta: Array) -> AmplitudePoint:
+def _amplitude_point(experiment: FitProblem, noise: Noise, theta: Array) -> AmplitudePoint:
     point = AmplitudePoint.at(experiment, noise, theta)
     _must_be_finite(experiment, point.residual)
     return point
 
 
-def _must_be_finite(experiment: Experiment, residual: Array) -> None:
+def _must_be_finite(experiment: FitProblem, residual: Array) -> None:
     if not np.all(np.isfinite(residual)):
         raise FitError(f"{experiment.stage}: the model gives no finite prediction; are the units right?")
 
 
-def limits_of(experiment: Experiment) -> Limits:
+def limits_of(experiment: FitProblem) -> Limits:
     """Sizes and bounds ``(P + K,)`` of a stage's parameters."""
     lower, upper = experiment.bounds()
     return Limits(experiment.sizes(), lower, upper, experiment.bounded())
 
 
 def solve(
-    experiment: Experiment,
+    experiment: FitProblem,
     theta: Array,
     noise: Noise,
     precision: Array,
@@ -249,21 +249,21 @@ def solve(
     """
     theta = limits_of(experiment).clipped(theta)
 
-    def cost(held: Sequence[Experiment], at: Array) -> float:
+    def cost(held: Sequence[FitProblem], at: Array) -> float:
         return point_at(held[0], noise, at).cost + float((at - mean) @ precision @ (at - mean))
 
-    known: dict[bytes, Experiment] = {}
+    known: dict[bytes, FitProblem] = {}
     shared = shared or Shared()
     chord = shared.chord if has_many_amplitudes(experiment, noise) else None
 
-    def held_at(at: Array) -> Experiment:
+    def held_at(at: Array) -> FitProblem:
         """Flanks and loads where a parameter vector puts them, found once."""
         key = at.tobytes()
         if key not in known:
             known[key] = experiment.with_flanks(at)
         return known[key]
 
-    def search(held: Sequence[Experiment], at: Array) -> _End:
+    def search(held: Sequence[FitProblem], at: Array) -> _End:
         limits, one = limits_of(experiment), held[0]
         if chord is None:
             return _End(*descend(_points(one, noise, at, shared), at, precision, mean, limits), one)
@@ -299,7 +299,7 @@ class _End(NamedTuple):
 
     point: StagePoint | PartedPoint | AmplitudePoint
     iterations: int
-    experiment: Experiment
+    experiment: FitProblem
 
     @property
     def theta(self) -> Array:
@@ -307,13 +307,13 @@ class _End(NamedTuple):
         return self.point.theta
 
 
-def _follows_alike(held: Experiment, other: Experiment) -> bool:
+def _follows_alike(held: FitProblem, other: FitProblem) -> bool:
     """Whether two experiments have the same flanks and loads."""
     before, after = held.rows.signals, other.rows.signals
     return before is after or all(np.array_equal(before[name], after[name]) for name in FOLLOWING if name in after)
 
 
-def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Array]:
+def prior_of(experiment: FitProblem, priors: Sequence[Prior]) -> tuple[Array, Array]:
     """Precision ``(P + K, P + K)`` and mean: each parameter's own prior, or what earlier stages know of it."""
     precision, mean = experiment.prior()
     index = {slot: k for k, slot in enumerate(experiment.slots)}
@@ -337,14 +337,14 @@ def prior_of(experiment: Experiment, priors: Sequence[Prior]) -> tuple[Array, Ar
     return precision, mean
 
 
-def holding(experiment: Experiment, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
+def holding(experiment: FitProblem, precision: Array, chosen: Sequence[int] | Integers, within: float) -> Array:
     """A prior's precision ``(P + K, P + K)`` with some parameters held at its mean to ``within`` of their sizes."""
     held = precision.copy()
     held[chosen, chosen] += 1.0 / (within * experiment.sizes()[chosen]) ** 2
     return held
 
 
-def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
+def start_of(experiment: FitProblem, start: Mapping[Slot, float] | None, priors: Sequence[Prior]) -> Array:
     """Where a fit begins ``(P + K,)``: what is known, else what the experiment says."""
     theta = experiment.start()
     known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
@@ -361,7 +361,7 @@ def start_of(experiment: Experiment, start: Mapping[Slot, float] | None, priors:
     return theta
 
 
-def clamping_offsets(experiment: Experiment, theta: Array) -> Array:
+def clamping_offsets(experiment: FitProblem, theta: Array) -> Array:
     """Offsets ``(K,)`` at which, with the measured torques, the sweeps' mean equilibrium holds.
 
     Of the friction that held motors keep: what their last motion left, or none where that is not known.

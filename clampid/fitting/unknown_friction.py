@@ -16,7 +16,7 @@ import numpy as np
 
 from clampid.fitting.many_amplitudes import has_many_amplitudes
 from clampid.fitting.solve import Estimate, Shared, holding, point_at, solve
-from clampid.stages.experiment import HELD
+from clampid.stages.fit_problem import HELD
 from clampid.stages.rows import Array
 
 __all__ = ["at_no_friction", "unknown_frictions", "without_unknown_friction"]

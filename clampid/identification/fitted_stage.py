@@ -32,7 +32,7 @@ from clampid.models.agreement import Agreement
 from clampid.models.model import StageModel
 from clampid.models.ranges import ranges_of
 from clampid.slots import Prior, Slot, Term, slots_of_terms
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.pose_rows import Anchors, anchors_of
 from clampid.stages.rows import Array, Rows
 
@@ -140,21 +140,21 @@ def fit_stage(
     """
     carried_prior, before = (others, {}) if isinstance(others, Prior) else (None, others)
     if carried_prior is None and not start and open_turns(rows):
-        trial = experiment(rows, effects, active_slots(rows, effects, terms))
+        trial = fit_problem(rows, effects, active_slots(rows, effects, terms))
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
     fitted_rows = rows.outside(held)
 
     weights = last.noise if last is not None and rows.stage == "poses" else None
 
     def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
-        first = experiment(fitted_rows, effects, active_slots(rows, effects, chosen))
+        first = fit_problem(fitted_rows, effects, active_slots(rows, effects, chosen))
         if carried_prior is not None:
             return fit(first, (carried_prior,), values, weights=weights)
         priors, carried = carried_over(rows, before, effects)
         return fit(first, priors, {**carried, **values}, weights=weights)
 
     terms, start = initial_values(terms, effects, rows.layout, start or {}, begin)
-    trial = experiment(fitted_rows, effects, active_slots(rows, effects, terms))
+    trial = fit_problem(fitted_rows, effects, active_slots(rows, effects, terms))
     contradicted: tuple[Agreement, ...] = ()
     friction = RestFriction(start, None)
     if carried_prior is not None:

@@ -50,7 +50,7 @@ TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
     "clamped": ("clamped",),
     "poses": ("poses", "distances"),
 }
-FEW = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
+LEAST_MOVING_SHARE = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
@@ -74,7 +74,7 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
             (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in TABLES_OF["poses"] if t in c.tables
         )
         names["poses"] = (*POSES_ALONE, *(POSES_DIRECTED if directed else ()))
-    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < FEW:
+    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < LEAST_MOVING_SHARE:
         names["free_air"] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 

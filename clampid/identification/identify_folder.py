@@ -12,7 +12,7 @@ import numpy as np
 from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
 from clampid.identification.identify import (
-    FEW,
+    LEAST_MOVING_SHARE,
     has_friction_state,
     has_inertia,
     held_out_folds,
@@ -100,7 +100,7 @@ def identify_folder(
             if "free_air" not in catalogue[term.effect].stages:
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
-    elif steady_share(parts) < FEW:
+    elif steady_share(parts) < LEAST_MOVING_SHARE:
         terms = (*terms, *map(Term, DYNAMICS))
     if has_friction_state(terms, catalogue):
         raise EffectError(

@@ -26,7 +26,7 @@ from clampid.fitting.solve import limits_of, prior_of, start_of
 from clampid.models.model import StageModel
 from clampid.roles import INERTIAL, INERTIAS
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
 from clampid.stages.rows import Array, Bools, Integers, Rows
@@ -103,7 +103,7 @@ class LogStage:
         self.facts = facts_of(parts, window) if facts is None else facts
         slots = slots_of_terms(terms, effects, layout, "free_air")
         bare = self._bare(layout, np.zeros((0, 2), dtype=np.int64))
-        chain = experiment(bare, effects, slots).chain
+        chain = fit_problem(bare, effects, slots).chain
         self.design = LogDesign(
             parts,
             self.facts,
@@ -115,7 +115,7 @@ class LogStage:
             sampled=MOST_ROWS,
         )
         self.folds = self._bare(layout, self.design.offset_keys)
-        self.experiment = experiment(self.folds, effects, slots)
+        self.experiment = fit_problem(self.folds, effects, slots)
 
     @property
     def linear(self) -> bool:

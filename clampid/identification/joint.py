@@ -35,7 +35,7 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify_log import FittedLog
 from clampid.models.agreement import is_of_drives
 from clampid.slots import Prior, Slot
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["JointPart", "fit_jointly", "is_shared", "shared_slots"]
@@ -192,25 +192,25 @@ def _alone(part: JointPart) -> Array:
     return part.fit.moments.at if isinstance(part, FittedLog) else part.estimate.theta
 
 
-def _point(part: JointPart, trial: Experiment, theta: Array) -> Point:
+def _point(part: JointPart, trial: FitProblem, theta: Array) -> Point:
     """A stage at its own parameter vector."""
     if isinstance(part, FittedLog):
         return LogPoint(part.fit.moments.moved(theta))
     return stage_point(trial, part.estimate.noise, theta)
 
 
-def _search(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, start: Array) -> _Joint:
+def _search(parts: Sequence[JointPart], held: Sequence[FitProblem], union: _Union, start: Array) -> _Joint:
     """The lowest point downhill from a start ``(U,)``, with flanks held."""
     return descend(lambda x: _at(parts, held, union, x), start, union.precision, union.mean, union.limits)[0]
 
 
-def _at(parts: Sequence[JointPart], held: Sequence[Experiment], union: _Union, theta: Array) -> _Joint:
+def _at(parts: Sequence[JointPart], held: Sequence[FitProblem], union: _Union, theta: Array) -> _Joint:
     """The stages at one joint parameter vector ``(U,)``."""
     found = (_point(p, e, theta[c]) for p, e, c in zip(parts, held, union.columns, strict=True))
     return _Joint(theta, tuple(found), union.columns)
 
 
-def _experiment(part: JointPart) -> Experiment:
+def _experiment(part: JointPart) -> FitProblem:
     return part.stage.experiment if isinstance(part, FittedLog) else part.estimate.experiment
 
 
@@ -244,7 +244,7 @@ def _covariance(parts: Sequence[JointPart], best: _Joint, union: _Union, weights
     return np.asarray(0.5 * (found + found.T) * np.outer(size, size))
 
 
-def _prior_of_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: Experiment) -> Prior:
+def _prior_of_the_others(best: _Joint, union: _Union, weights: Array, k: int, trial: FitProblem) -> Prior:
     """What all rows but those of stage ``k`` say of its slots, and the description."""
     others = weights.copy()
     others[k] = 0.0

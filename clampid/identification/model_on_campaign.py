@@ -19,7 +19,7 @@ from clampid.progress import substep
 from clampid.role_slots import has_role
 from clampid.roles import Role
 from clampid.slots import Layout, Slot
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Integers, Rows
@@ -82,10 +82,10 @@ class ModelOnCampaign:
             return None
         return pose_rows(self.campaigns, self.layout, "verification", base or self.base)
 
-    def experiment(self, stage: Stage, rows: Rows) -> Experiment:
+    def fit_problem(self, stage: Stage, rows: Rows) -> FitProblem:
         """Rows of a stage with the model's slots of it active."""
         model = self.stages[stage]
-        return experiment(rows, self.effects, model.slots, model.lean)
+        return fit_problem(rows, self.effects, model.slots, model.lean)
 
     def held_out(self, stage: Stage) -> tuple[tuple[int, ...], ...]:
         """The folds ``(campaigns, folds)`` that no fit has seen."""

@@ -30,7 +30,7 @@ from kinematics.screws import adjoint, cayley, transform
 
 __all__ = ["CalibratedChain", "calibrated_chain", "sensitivity"]
 
-STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
+DIFFERENCE_STEP = 1e-7  # m or rad: far below every calibrated number, far above rounding
 _AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
@@ -164,10 +164,10 @@ def sensitivity(
     free = numbers_of_role(stage.slots, *FRAMES, *warm)
     columns = []
     for k in free:
-        step = STEP * np.eye(len(stage.slots))[k]
+        step = DIFFERENCE_STEP * np.eye(len(stage.slots))[k]
         sides = [
             numbers(calibrated_chain(model, session=session, robot=robot, theta=theta, temperature=temperature))
             for theta in (stage.theta + step, stage.theta - step)
         ]
-        columns.append(difference(sides[0], sides[1]) / (2 * STEP))
+        columns.append(difference(sides[0], sides[1]) / (2 * DIFFERENCE_STEP))
     return np.array(columns).T, stage.covariance[np.ix_(free, free)]

@@ -16,7 +16,7 @@ from clampid.planning.logs import TorqueNoise
 from clampid.planning.press import Press
 from clampid.slots import parse_term, slots_of_terms
 from clampid.stages.clamped_rows import GAP_SOFTNESS, clamped_rows
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows
 from experiments.plans.errors import PlanError
@@ -47,7 +47,7 @@ class ClampingBench:
         if not any("compliance" in effects[term.effect].roles for term in terms):
             raise PlanError("effects: expected joint_compliance among them: without springs a clamped drive is rigid")
         self.slots = slots_of_terms(terms, effects, self.layout, "clamped")
-        self.experiment: Experiment = experiment(clamped_rows([blank], self.layout), effects, self.slots)
+        self.experiment: FitProblem = fit_problem(clamped_rows([blank], self.layout), effects, self.slots)
         self.size = self.experiment.sizes()[: len(self.slots)]
         self.scale = np.outer(self.size, self.size)
         self.prior = prior_precision(self.experiment) * self.scale

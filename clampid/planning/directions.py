@@ -17,7 +17,7 @@ from clampid.stages.rows import Array
 
 __all__ = ["balanced", "confounded", "covariates_of"]
 
-PASSES = 4  # over all joints
+BALANCING_PASSES = 4  # over all joints
 SWAPS = 200  # of one joint in a pass
 TRIED = 10  # swaps that are looked at before a joint is left as it is
 GAIN = 1e-6
@@ -59,7 +59,7 @@ def balanced(start: Array, covariates: Array, feasible: Feasible = lambda pose, 
     """
     signs = np.array(start, dtype=float)
     basis = _basis(covariates)
-    for _ in range(PASSES):
+    for _ in range(BALANCING_PASSES):
         before = signs.copy()
         for j in range(signs.shape[1]):
             others = np.delete(signs, j, axis=1)

@@ -10,14 +10,14 @@ from clampid.fitting.nulls import null_directions
 from clampid.fitting.observability import observability
 from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import Estimate
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array
 from experiments.plans.model import Expected, ExpectedParameter
 
 __all__ = ["expected_of", "predicted_covariance", "prior_precision"]
 
 
-def prior_precision(experiment: Experiment) -> Array:
+def prior_precision(experiment: FitProblem) -> Array:
     """What a fit of these slots knows before any row ``(P, P)``: the weak prior, and the description's masses."""
     count = len(experiment.slots)
     precision = np.diag(1.0 / experiment.prior_std()[:count] ** 2)
@@ -37,7 +37,7 @@ def predicted_covariance(information: Array, precision: Array, size: Array) -> A
 
 
 def expected_of(
-    experiment: Experiment, information: Array, rows: int, noise: str, extra: tuple[str, ...] = ()
+    experiment: FitProblem, information: Array, rows: int, noise: str, extra: tuple[str, ...] = ()
 ) -> Expected:
     """What the plan says of itself.
 
@@ -69,7 +69,7 @@ def expected_of(
     return Expected(observability(scaled, rows), tuple(parameters), (*extra, *open_), noise)
 
 
-def _estimate(experiment: Experiment, information: Array, covariance: Array, precision: Array) -> Estimate:
+def _estimate(experiment: FitProblem, information: Array, covariance: Array, precision: Array) -> Estimate:
     """The estimate that rows with this information would give, for those who word what an estimate leaves open."""
     values, vectors = np.linalg.eigh(information)
     root = (vectors * np.sqrt(np.maximum(values, 0.0))).T

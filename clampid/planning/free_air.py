@@ -28,10 +28,10 @@ from experiments.plans.motion import Course
 
 __all__ = ["plan_free_air"]
 
-POOL = 400
+CANDIDATE_STOPS = 400
 AT_ONCE = 16  # candidates looked at for the next stop
 TRIALS = 4  # candidates looked at in an exchange
-PASSES = 1
+EXCHANGE_PASSES = 1
 MIN_STOPS = 4  # stops: fewer do not make a program
 
 
@@ -68,7 +68,7 @@ def plan_free_air(
     effects = STANDARD["free_air"] if wished.effects is None else wished.effects
     around = scene or Scene.floor_only(cell)
     bench = LogBench(cell, catalogue(), effects, noise, wished.rate)
-    pool = configurations(limits, POOL, around.clear, wished.seed, why="clear of floor and obstacles")
+    pool = configurations(limits, CANDIDATE_STOPS, around.clear, wished.seed, why="clear of floor and obstacles")
     search = _Search(cell, limits, bench, around, pool, wished)
     search.grow()
     search.improve()
@@ -155,7 +155,7 @@ class _Search:
 
     def improve(self) -> None:
         """Exchange stops for others as long as the determinant grows and the time is kept."""
-        for _ in range(PASSES):
+        for _ in range(EXCHANGE_PASSES):
             moved = False
             for k in range(1, len(self.knots)):
                 moved |= self._exchange(k)

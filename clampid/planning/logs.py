@@ -18,7 +18,7 @@ from clampid.effect import Effect
 from clampid.planning.bench import imagined
 from clampid.slots import Slot, parse_term, slots_of_terms
 from clampid.stages.counting import counting, negligible
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import coupled_joints, layout_of
 from clampid.stages.log_facts import CLEAR_MOTION
 from clampid.stages.rows import Array, Bools, Integers
@@ -145,7 +145,7 @@ class LogBench:
         self.slots: tuple[Slot, ...] = slots_of_terms(terms, effects, self.layout, "free_air")
         if not self.slots:
             raise PlanError(f"{', '.join(wanted)}: nothing of it can be seen in free air at {cell.robot.name}")
-        self.experiment: Experiment = experiment(torque_rows([self._blank], self.layout), effects, self.slots)
+        self.experiment: FitProblem = fit_problem(torque_rows([self._blank], self.layout), effects, self.slots)
         self.size: Array = self.experiment.sizes()[: len(self.slots)]
 
     def tell(self, courses: Sequence[Course]) -> list[Told]:

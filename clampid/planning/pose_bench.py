@@ -12,7 +12,7 @@ from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import resolve_terms
 from clampid.planning.bench import imagined
 from clampid.planning.expected import prior_precision
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
@@ -56,7 +56,7 @@ class PoseBench:
         terms = resolve_terms(wanted, [blank], known, self.layout)["poses"]  # type: ignore[arg-type]
         self.effects = tuple(term.label for term in terms)
         rows = pose_rows([blank], self.layout, "poses", self._base)
-        self.experiment = experiment(rows, known, active_slots(rows, known, terms))
+        self.experiment = fit_problem(rows, known, active_slots(rows, known, terms))
         self.size: Array = self.experiment.sizes()
         self.prior: Array = prior_precision(self.experiment) * np.outer(self.size, self.size)
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
 from clampid.planning.choose import choose
+from clampid.planning.clear_tours import ClearTours
 from clampid.planning.directions import balanced, covariates_of
 from clampid.planning.expected import expected_of
 from clampid.planning.pose_bench import PoseBench
@@ -24,7 +24,6 @@ from clampid.planning.region import Region, SpherePart
 from clampid.planning.sampling import DIGITS, configurations, far_apart
 from clampid.planning.scene import Scene
 from clampid.planning.sight import Sight
-from clampid.planning.tour import short_tour
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.threads import single_threaded
 from experiments.plans.errors import PlanError
@@ -36,11 +35,11 @@ __all__ = ["PoseWishes", "plan_poses"]
 
 
 MOST_POSES = 5000  # at 10 s each half a day; their candidates take a gigabyte
-POOL = 20  # candidates for each pose
+CANDIDATES_PER_POSE = 20  # candidates for each pose
 FEWEST_CANDIDATES = 200
 SIDES = 32  # of a pose that are tried
 STARTS = 80  # configurations from which each place of the grid is looked for
-FORBIDDEN = 1e4  # s, of a way that touches something
+MOST_TOURS = 50  # that are tried until every move by way of the approaches is clear
 RETURNS = (-1.0, 1.0, -1.0)  # of a replicate: from the other side, from the same, from the other
 
 
@@ -147,7 +146,7 @@ class _Search:
         self.rng = np.random.default_rng(seed)
         station = np.zeros(3) if wishes.sight is None else wishes.sight.station
         self.said: tuple[str, ...] = ()
-        self._ways: dict[tuple[tuple[float, ...], ...], bool] = {}
+        self.tours = ClearTours(cell, limits, scene)
         self.bench = PoseBench(cell, wishes.effects, station)
         margin = 1.5 * wishes.approach  # so that every pose can be approached from either side
         # Of joints that turn more than once, one turn tells the same as all, and ways in between are shorter.
@@ -164,9 +163,22 @@ class _Search:
             raise PlanError(f"approach: joint {j + 1} has no room to be approached from both sides by {margin:g} rad")
 
     def plan(self, assumed: tuple[str, ...]) -> Plan:
-        wishes = self.wishes
         pool = self._pool()
         picked = self._choose(pool)
+        for _ in range(MOST_TOURS):
+            visits, words = self._ordered(pool, picked)
+            touching = self.tours.touching(visits)
+            if not touching:
+                return self._finished(visits, (*assumed, *self.scene.assumed, *words))
+            self.tours.forbid(touching)
+        raise PlanError(
+            f"expected moves clear of floor, arm and obstacles by way of the approaches, found none in {MOST_TOURS} "
+            "orders of the poses; expected fewer obstacles or a shorter approach"
+        )
+
+    def _ordered(self, pool: Array, picked: list[int]) -> tuple[list[Visit], tuple[str, ...]]:
+        """Visits of the picked poses and of those for verification, and what has to be said of them."""
+        self.said = ()
         q = pool[picked]
         q = q[self._toured(q, None)]
         again = self._replicates(q)
@@ -176,12 +188,12 @@ class _Search:
             order = again[::-1] if number % 2 else again
             visits += self._visits("poses", q, side * signs, order, [number] * len(order), visits[-1].q)
         words: tuple[str, ...] = ()
-        if wishes.verification:
+        if self.wishes.verification:
             others, words = self._verification(np.delete(pool, picked, axis=0), q)
             others = others[self._toured(others, visits[-1].q)]
             own = self._approached(others, np.zeros(0, dtype=np.int64))
             visits += self._visits("verification", others, own, np.arange(len(others)), [1] * len(others), visits[-1].q)
-        return self._finished(visits, (*assumed, *self.scene.assumed, *self.said, *words))
+        return visits, (*self.said, *words)
 
     def allowed(self, q: Array) -> Bools:
         """Whether configurations ``(N, n)`` are in the region, in sight and clear ``(N,)``; cheap tests first."""
@@ -207,7 +219,7 @@ class _Search:
 
     def _pool(self) -> Array:
         wishes = self.wishes
-        count = max(POOL * wishes.poses, FEWEST_CANDIDATES) + wishes.verification
+        count = max(CANDIDATES_PER_POSE * wishes.poses, FEWEST_CANDIDATES) + wishes.verification
         where = [] if wishes.region is None else [f"with all targets in the {wishes.region.words}"]
         where += [] if wishes.sight is None else [f"seen by the {wishes.sight.words}"]
         why = ", ".join([*where, "clear of floor and obstacles"])
@@ -229,53 +241,10 @@ class _Search:
         return np.asarray((q - self.limits.lower) / (self.limits.upper - self.limits.lower))
 
     def _toured(self, q: Array, before: Array | None) -> Integers:
-        """An order of configurations ``(N, n)`` that takes little time, on ways that touch nothing.
-
-        Raises
-        ------
-        PlanError
-            More than half of the poses have no clear way to them.
-        """
-        places = q if before is None else np.vstack([before, q])
-        cost, first = self._times(places), before is not None
-        kept = np.arange(len(places))
-        while len(kept) > 1:
-            order = kept[short_tour(cost[np.ix_(kept, kept)], 0, fixed=first)]
-            legs = [(a, b) for a, b in pairwise(order) if not self._way_clear(places, int(a), int(b))]
-            if not legs:
-                break
-            stuck = [b for a, b in legs if cost[a, b] >= FORBIDDEN]  # no way round it was found
-            if stuck:
-                kept = np.setdiff1d(kept, max(stuck, key=lambda k: int((cost[k] >= FORBIDDEN).sum())))
-            for a, b in legs:
-                cost[a, b] = cost[b, a] = FORBIDDEN
-        lost = len(places) - len(kept)
-        if len(kept) - first < (len(q) + 1) // 2:
-            raise PlanError(
-                f"expected a way through {len(q)} poses clear of floor, arm and obstacles, found none through more "
-                f"than {len(kept) - first}; expected fewer obstacles or a smaller region"
-            )
-        if lost:
-            self.said += (f"{lost} of {len(q)} poses have no clear way to them, and are left out",)
-        return np.asarray(order[1:] - 1 if first else order)
-
-    def _way_clear(self, places: Array, a: int, b: int) -> bool:
-        """Whether the move between two places is clear; looked at once."""
-        ends = (tuple(places[min(a, b)]), tuple(places[max(a, b)]))
-        if ends not in self._ways:
-            self._ways[ends] = self.scene.way_clear(places[a], places[b])
-        return self._ways[ends]
-
-    def _times(self, q: Array) -> Array:
-        """Times of the moves between configurations ``(N, N)``, s."""
-        N = len(q)
-        out = np.zeros((N, N))
-        for i in range(N - 1):
-            knots = np.empty((2 * (N - 1 - i), q.shape[1]))
-            knots[0::2], knots[1::2] = q[i], q[i + 1 :]
-            course = course_of(self.cell.robot, self.limits, knots)
-            out[i, i + 1 :] = out[i + 1 :, i] = course.duration[0::2]
-        return out
+        """An order of configurations ``(N, n)``; see :meth:`ClearTours.order`."""
+        order, said = self.tours.order(q, before)
+        self.said += said
+        return order
 
     def _approached(self, q: Array, again: Integers) -> Array:
         """Signs ``(N, n)`` from which the poses, in this order, are approached: balanced, on ways that are clear.
@@ -300,8 +269,8 @@ class _Search:
 
     def _open(self, q: Array, signs: Array) -> bool:
         """Whether a pose can be come to from a side and from the opposite one; the pose itself is clear."""
-        via = q - self.wishes.approach * np.outer([1.0, -1.0], signs)
-        return bool(self.scene.clear(via).all())
+        step = self.wishes.approach * signs
+        return self.scene.way_clear(q - step, q + step)
 
     def _replicates(self, q: Array) -> Integers:
         """Which poses ``(r,)`` are visited again, spread over the run, in an order that takes little time.

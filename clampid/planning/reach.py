@@ -11,8 +11,8 @@ from kinematics.poe import forward, space_jacobian
 __all__ = ["reaching"]
 
 ITERATIONS = 60
-CLOSE = 1e-6  # m, and of a unit vector
-STEP = 0.5  # rad: the most that a joint moves in one iteration
+REACHED_WITHIN = 1e-6  # m, and of a unit vector
+LONGEST_STEP = 0.5  # rad: the most that a joint moves in one iteration
 DAMPING = 1e-3
 
 
@@ -34,13 +34,13 @@ def reaching(robot: RobotDescription, place: Array, way: Array, starts: Array, *
     linkage = np.asarray(robot.linkage)
     for _ in range(ITERATIONS):
         error, jacobian = _error(robot, q, linkage, place, way, point, normal)
-        if np.all(np.linalg.norm(error, axis=1) < CLOSE):
+        if np.all(np.linalg.norm(error, axis=1) < REACHED_WITHIN):
             break
         square = np.swapaxes(jacobian, 1, 2) @ jacobian + DAMPING**2 * np.eye(q.shape[1])
         step = np.linalg.solve(square, np.einsum("kij,ki->kj", jacobian, error)[..., None])[..., 0]
-        q += step * np.minimum(1.0, STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
+        q += step * np.minimum(1.0, LONGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
     error, _ = _error(robot, q, linkage, place, way, point, normal)
-    q = q[np.linalg.norm(error, axis=1) < CLOSE]
+    q = q[np.linalg.norm(error, axis=1) < REACHED_WITHIN]
     turning = np.linalg.norm(np.asarray(robot.screws)[:, :3], axis=1) > 0
     lower, upper = np.asarray(robot.lower), np.asarray(robot.upper)
     # A whole turn less may be inside the limits.

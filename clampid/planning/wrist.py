@@ -40,7 +40,8 @@ SEEN_S = 1.2  # s, at least, that it takes: a log of 10 Hz must show it without 
 LARGEST = 2.5  # rad, of a swing
 SMALLEST = 0.2
 BRISK = 0.5  # share of its top speed for a joint that only serves to turn the others' motors
-SHORT = 0.4  # of the room, for swings that are worth less but take less time: noise is correlated for seconds
+SHORT_SWING_SHARE = 0.4
+"""Of the room, for swings that are worth less but take less time: noise is correlated for seconds."""
 COMBINED = 3  # random combinations per joint and kind
 NOTHING = 1e-3  # of the fastest in a swing: less is no motion to learn from
 
@@ -195,16 +196,18 @@ def _candidates(
     if servants and max(speeds) < BRISK:
         # What follows through the transmission is slow, and creeping says nothing: those that only serve go faster.
         shares.append(np.where(np.isin(np.arange(robot.n), servants), BRISK, max(speeds)))
+    # From each side from which friction can be set without touching anything.
+    sides = [[side for side in (-1.0, 1.0) if scene.way_clear(c - _away(robot, side), c)] for c in room]
     for direction in directions(robot, rng):
         seen = facts(robot, direction)
-        for centre in room:
+        for centre, open_sides in zip(room, sides, strict=True):
             reach = _reach(limits, scene, centre, direction)
             if reach is None:
                 continue
-            for part in (1.0, SHORT):
+            for part in (1.0, SHORT_SWING_SHARE):
                 if part * np.max(np.abs(reach)) < SMALLEST:
                     continue
-                found += [_Swing(centre, part * reach, side, share, seen) for share in shares for side in (-1.0, 1.0)]
+                found += [_Swing(centre, part * reach, side, share, seen) for share in shares for side in open_sides]
     if not found:
         raise PlanError(f"{robot.name}: expected room for wrist swings of {SMALLEST:g} rad, found none")
     return found
@@ -237,11 +240,16 @@ def _reach(limits: Limits, scene: Scene, centre: Array, direction: Array) -> Arr
     return None
 
 
+def _away(robot: RobotDescription, side: float) -> Array:
+    """From where friction is set to a side, as seen from a swing's centre ``(n,)``, rad."""
+    away = np.zeros(robot.n)
+    away[list(coupled_joints(robot))] = SETTING * side
+    return away
+
+
 def _knots(robot: RobotDescription, swing: _Swing) -> Array:
     """Stops of a swing after its centre: friction set to a side, forward, back, and to the centre again ``(5, n)``."""
-    away = np.zeros(robot.n)
-    away[list(coupled_joints(robot))] = SETTING * swing.side
-    c = swing.centre
+    away, c = _away(robot, swing.side), swing.centre
     return np.array([c - away, c, c + swing.reach, c - swing.reach, c])
 
 

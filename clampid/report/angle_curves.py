@@ -22,7 +22,7 @@ from kinematics.description import RobotDescription
 __all__ = ["angle_curves_section"]
 
 CURVE_POINTS = 720
-FEW = 3  # poses in a degree, of which a mean is drawn
+FEWEST_POSES_PER_DEGREE = 3  # poses in a degree, of which a mean is drawn
 DEGREES = Scale(1.0, "°")
 
 
@@ -123,7 +123,7 @@ def points_on(one: SharedCurve, poses: StageData | None) -> list[tuple[int, Arra
         left = np.sum(lever * piece.residual / rows.sigma, axis=1)
         degree = np.floor(np.degrees(on[:, k])).astype(int) % 360
         total = np.bincount(degree, weight, 360)
-        seen = np.flatnonzero(np.bincount(degree[weight > 0], minlength=360) >= FEW)
+        seen = np.flatnonzero(np.bincount(degree[weight > 0], minlength=360) >= FEWEST_POSES_PER_DEGREE)
         angle = np.radians(seen + 0.5)
         curve = np.interp(angle, one.angle, one.error)
         out.append(

@@ -14,7 +14,7 @@ from clampid.report.variables import groups_of
 from clampid.role_slots import has_role
 from clampid.roles import FRICTIONS
 from clampid.slots import find_parameter
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["friction_figures"]
@@ -101,7 +101,7 @@ def _drawn(data: StageData, effects: Sequence[str], places: Sequence[int], names
     return Chart(tuple(panels), height, below=f"speed of the {side}, rad/s")
 
 
-def _without(experiment: Experiment, theta: Array, effects: Sequence[str]) -> Array:
+def _without(experiment: FitProblem, theta: Array, effects: Sequence[str]) -> Array:
     """The parameters with some effects' amplitudes at zero."""
     out = theta.copy()
     for k, slot in enumerate(experiment.slots):

@@ -13,7 +13,7 @@ from clampid.fitting.accuracy import Floor, noise_floor, predicted
 from clampid.identification.identify import TABLES_OF, stage_rows
 from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.models.model import StageModel
-from clampid.stages.experiment import Experiment
+from clampid.stages.fit_problem import FitProblem
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Array, Bools, Rows
 
@@ -41,7 +41,7 @@ class Piece:
     """
 
     rows: Rows
-    experiment: Experiment
+    experiment: FitProblem
     residual: Array
     good: Bools
     held_out: Bools
@@ -146,14 +146,14 @@ def _aligned(opened: ModelOnCampaign, rows: Rows) -> dict[int, Array]:
     """Where the instrument sees the base, from the points that the model predicts."""
     model = opened.stages["poses"]
     rows = rows.points
-    residual = predicted(opened.experiment("poses", rows), model.theta)
+    residual = predicted(opened.fit_problem("poses", rows), model.theta)
     motion = align(rows.measured[:, :3] - residual[:, :3], rows.measured[:, :3])
     return {0: motion @ rows.constants["base_reference"][0]}
 
 
 def _piece(opened: ModelOnCampaign, stage: Stage, rows: Rows, verification: bool) -> Piece:
     model = opened.stages[stage]
-    found = opened.experiment(stage, rows)
+    found = opened.fit_problem(stage, rows)
     rejected = {(table, row) for _, table, row in model.outliers} if opened.session is not None else set()
     bad = np.array([key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)], dtype=bool)
     held_out = rows.in_folds(opened.held_out(stage))

@@ -14,7 +14,7 @@ from clampid.report.style import Figure, Section, Table
 
 __all__ = ["steps_section"]
 
-_STEPS = (
+_STEP_COLUMNS = (
     "Step#",
     "Added",
     "p, alone#",
@@ -49,7 +49,9 @@ def _tables(rounds: Sequence[Round], unit: str) -> list[Table]:
     rejected = [_rejection(str(k), e, unit) for k, r in enumerate(rounds, 1) for e in r.evidence.get("rejected", ())]
     tables = [
         filled_table(
-            _STEPS, steps, "What was added, step by step. First in folds: how often it is, without a fifth of the rows."
+            _STEP_COLUMNS,
+            steps,
+            "What was added, step by step. First in folds: how often it is, without a fifth of the rows.",
         )
     ]
     return [*tables, filled_table(_REJECTED, rejected, "What was rejected, and why.")] if rejected else tables

@@ -18,7 +18,7 @@ FLIPS = 99
 GAP = 0.1  # of a variable's range without a row: no line is drawn across
 MIN_ROWS_PER_MEDIAN = 3  # rows that a median is drawn of
 ROUNDING = 1e-9  # of a variable's largest value, or of 1: values that differ by less are equal
-FEW = 8  # distinct values up to which a variable is grouped by value instead of by quantiles
+MOST_SINGLE_VALUES = 8  # distinct values up to which a variable is grouped by value instead of by quantiles
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def groups_of(x: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     if not finite.any():
         return out
     distinct = np.unique(x[finite])
-    if len(distinct) <= FEW:
+    if len(distinct) <= MOST_SINGLE_VALUES:
         out[finite] = np.searchsorted(distinct, x[finite])
         return out
     edges = np.unique(np.quantile(x[finite], np.linspace(0, 1, BINS + 1)[1:-1]))
@@ -171,7 +171,7 @@ def _stretches(x: Array) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Which stretch of neighbouring values each ``(N,)`` is of: a variable of many values parts at wide gaps."""
     out = np.zeros(len(x), dtype=np.int64)
     distinct = np.unique(x[np.isfinite(x)])
-    if len(distinct) > FEW:
+    if len(distinct) > MOST_SINGLE_VALUES:
         gaps = np.flatnonzero(np.diff(distinct) > GAP * np.ptp(distinct))
         out = np.searchsorted(0.5 * (distinct[gaps] + distinct[gaps + 1]), x)
     return np.asarray(out)

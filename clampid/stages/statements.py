@@ -1,7 +1,7 @@
 """What campaigns state beforehand, as whitened equations in the parameters of the pose stage.
 
 A statement is one or more measurements that no row has: b = A theta with errors of variance 1. They weigh as pseudo-
-rows of the prior (:meth:`clampid.stages.experiment.Experiment.prior`) and separate parameters that the robot alone
+rows of the prior (:meth:`clampid.stages.fit_problem.FitProblem.prior`) and separate parameters that the robot alone
 cannot (:mod:`clampid.fitting.gauge`): where the base is known, an offset of joint 1 is one of the robot.
 
 The base X = X_0 exp([w, v]) in the instrument's frame has, to first order, the position p_0 + R_0 v and the angles

@@ -15,7 +15,7 @@ from clampid.verbs.placing import show_placing
 
 __all__ = ["extrapolating_text", "show_addition", "show_comparison", "show_diagnosis", "where_text"]
 
-MANY = 40  # parameters of one effect at one place, beyond which nobody reads them one by one
+MOST_LISTED_PARAMETERS = 40  # parameters of one effect at one place, beyond which nobody reads them one by one
 FIXED = 1e-6  # of its value: a standard error below that share is none, the fit holds the parameter
 WORDS = {
     "adequate": "nothing is missing",
@@ -196,7 +196,7 @@ def _values(parameters: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
         groups.setdefault((effect.partition(".")[0], place), []).append(p)
     out = []
     for (effect, place), own in groups.items():
-        if len(own) <= MANY:
+        if len(own) <= MOST_LISTED_PARAMETERS:
             out += [(p["name"], _value(p)) for p in own]
             continue
         total = sum(p["value"] ** 2 for p in own) ** 0.5

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["show_parameters"]
 
-MANY = 12
+MOST_NAMES_PER_UNIT = 12
 """Parameters of one effect at each place, beyond which nobody reads them one by one: a curve's harmonics."""
 OPEN = "·"
 
@@ -89,7 +89,7 @@ def _side(effect: str, effects: Mapping[str, Effect], robot: RobotDescription) -
 def _show(title: str, cells: Sequence[_Cell], out: Output) -> None:
     places = list(dict.fromkeys(cell.place for cell in cells))
     names = list(dict.fromkeys(cell.parameter for cell in cells))
-    if len(names) > MANY * max(1, len({c.unit for c in cells})):
+    if len(names) > MOST_NAMES_PER_UNIT * max(1, len({c.unit for c in cells})):
         _show_many(title, cells, places, out)
         return
     rows = []

@@ -11,7 +11,7 @@ from clampid.verbs.output import Output
 __all__ = ["show_iso9283", "show_placing"]
 
 KINDS = (("position", "", "m"), ("orientation", " of angle", "microrad"))
-SHORT = {
+POSITION_NAMES = {
     "AP": "AP, accuracy",
     "RP": "RP, from one side",
     "RP_bidirectional": "RP, all sides",
@@ -106,7 +106,7 @@ def _metrics(data: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any], 
     """Label, metric and unit of all that there are."""
     for kind, _, unit in KINDS:
         part = data.get(kind) or {}
-        for key, name in (SHORT if kind == "position" else ANGLES).items():
+        for key, name in (POSITION_NAMES if kind == "position" else ANGLES).items():
             if key in part:
                 yield name, part[key], unit
 
@@ -144,5 +144,5 @@ def _show_missing(name: str, data: Mapping[str, Any], out: Output) -> None:
         for key, reason in (data.get(kind) or {}).get("not_determinable", {}).items():
             missing.setdefault(reason, {})[key] = None
     for reason, keys in missing.items():
-        which: Sequence[str] = () if len(keys) == len(SHORT) else (", ".join(keys), "")
+        which: Sequence[str] = () if len(keys) == len(POSITION_NAMES) else (", ".join(keys), "")
         out.say(f"{name}: ISO 9283: {' '.join(which)}not determinable from these data: {reason}")

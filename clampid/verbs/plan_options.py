@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from experiments.plans.limits import Limits
     from experiments.plans.model import Cell
 
-ARM_RADIUS = 0.08
-"""Of the capsules that stand for the arm, m: half a forearm of a robot of this size."""
-
 __all__ = ["Acceleration", "Effects", "PlanFile", "Surroundings", "TorqueReadings", "names_of"]
 
 PlanFile = Annotated[
@@ -58,10 +55,19 @@ class Surroundings:
     obstacles: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Boxes, spheres, cylinders to stay clear of.")
     ] = None
+    cell_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--cell", metavar="CELL.toml", help="Stay clear of what `ik` and `serve` stay clear of: their cell file.",
+            show_default=False,
+        ),
+    ] = None  # fmt: skip
     arm_radius: Annotated[
         float | None,
         typer.Option(
-            metavar="M", help="Radius of the capsules that stand for the arm; otherwise 0.08 m.", show_default=False
+            metavar="M",
+            help="Radius of all links; otherwise the cell file's, or from the reach.",
+            show_default=False,
         ),
     ] = None
     deg: GivenDegrees = False
@@ -87,15 +93,16 @@ class Surroundings:
 
     def scene(self, cell: Cell) -> Scene:
         """What the arm must not touch."""
-        from clampid.planning.scene import Scene, read_obstacles
+        from clampid.planning.obstacle_files import read_obstacles
+        from clampid.planning.scene import Scene, usual_floor
 
-        usual = Scene.floor_only(cell).floor
-        if self.floor is not None:
-            given = None if self.floor == "none" else self.units.lengths(numbers_of("--floor", self.floor))
-            usual = None if given is None else given[0]
-        around = () if self.obstacles is None else read_obstacles(self.obstacles, cell)
-        radius = ARM_RADIUS if self.arm_radius is None else self.units.metres(self.arm_radius)
-        return Scene(cell, around, usual, radius)
+        given = None if self.floor in (None, "none") else self.units.lengths(numbers_of("--floor", self.floor))
+        floor = None if given is None else given[0]
+        around = () if self.obstacles is None else read_obstacles(self.obstacles)
+        radius = None if self.arm_radius is None else self.units.metres(self.arm_radius)
+        if self.cell_file is not None:
+            return Scene.of_cell_file(cell, self.cell_file, around, floor, radius)
+        return Scene.around(cell, around, usual_floor(cell) if self.floor is None else floor, radius)
 
 
 @dataclass(frozen=True)

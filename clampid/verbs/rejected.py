@@ -50,7 +50,7 @@ def _visits(model: Model, campaigns: Sequence[Campaign], effects_from: Path | No
     """Visits with rejected points, the worst first."""
     opened = on_campaign(model, campaigns, effects_from)
     rows = opened.rows("poses")
-    residual = predicted(opened.experiment("poses", rows), model.stages["poses"].theta)
+    residual = predicted(opened.fit_problem("poses", rows), model.stages["poses"].theta)
     visits: dict[tuple[int, str, int, int], list[tuple[str, float]]] = {}
     for session, table, row in model.stages["poses"].outliers:
         cells = campaigns[session].tables[table].iloc[row - 1]

@@ -32,7 +32,7 @@ __all__ = [
 Json = Mapping[str, Any]
 HELD_OUT = "Error (rms) on held-out rows"
 SIGMA = "; torques in σ, units of each motor's noise"
-NEAR = 1.3
+CLOSE_TO_FLOOR = 1.3
 """A held-out error of more than so many noise floors may lack an effect; as diagnosis has it."""
 OVERFITTED = 3.0
 """A held-out error of more than so many fitted ones: the fit followed its rows, and predicts no others."""
@@ -59,7 +59,7 @@ def _times(error: float | None, floor: float | None) -> float:
 
 def _judged(rows: Sequence[tuple[str, float | None, float | None]]) -> tuple[str, Tone]:
     """A verdict on held-out errors and their floors, stage by stage, and how it is meant."""
-    far = [(times, name) for name, error, floor in rows if (times := _times(error, floor)) > NEAR]
+    far = [(times, name) for name, error, floor in rows if (times := _times(error, floor)) > CLOSE_TO_FLOOR]
     if not far:
         said = floor_text((error, floor) for _, error, floor in rows)
         return f"{said[0].upper()}{said[1:]}.", "good"

@@ -143,7 +143,7 @@ def _show_unknown(
     name: str, stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription, out: Output
 ) -> None:
     """By what rule a parameter is called not identifiable, with the numbers for those that are."""
-    from clampid.stages.experiment import parameter_of
+    from clampid.stages.fit_problem import parameter_of
 
     limits: dict[tuple[str, str], list[str]] = {}
     for slot, known in zip(stage.slots, stage.identified, strict=True):

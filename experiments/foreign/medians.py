@@ -17,8 +17,8 @@ __all__ = ["medians"]
 
 ROBUST = 1.4826  # median absolute deviation to standard deviation of a normal
 # By the number of samples, so that half of all normal points come out too large; from 4 million drawn points each.
-FEW = np.array([1.0, 1.0, 1.414, 1.869, 1.488, 1.340, 1.264, 1.208, 1.178, 1.150])
-MANY = 1.15  # beyond these n / (n - MANY), within 0.3 %
+SMALL_SAMPLE_FACTORS = np.array([1.0, 1.0, 1.414, 1.869, 1.488, 1.340, 1.264, 1.208, 1.178, 1.150])
+LARGE_SAMPLE_OFFSET = 1.15  # beyond these n / (n - LARGE_SAMPLE_OFFSET), within 0.3 %
 KEYS = ["pose", "visit", "target"]
 
 
@@ -76,7 +76,11 @@ def medians(
     out["samples"] = grouped.size().to_numpy()
     off = (frame[axes] - grouped[axes].transform("median")).abs()
     size = out["samples"].to_numpy()
-    factor = np.where(size < len(FEW), FEW[np.minimum(size, len(FEW) - 1)], size / (size - MANY).clip(min=1.0))
+    factor = np.where(
+        size < len(SMALL_SAMPLE_FACTORS),
+        SMALL_SAMPLE_FACTORS[np.minimum(size, len(SMALL_SAMPLE_FACTORS) - 1)],
+        size / (size - LARGE_SAMPLE_OFFSET).clip(min=1.0),
+    )
     spread = off.groupby([frame[key] for key in KEYS], sort=False).median().mul(ROBUST * factor, axis=0)
     for axis in axes:
         out[f"scatter_{axis}"] = spread[axis].to_numpy()

@@ -29,7 +29,7 @@ from experiments.links.read_only import ReadOnly
 from experiments.links.rsi_config import GEAR
 from experiments.links.schema import AXES, Element
 from experiments.links.splitter import Splitter, StreamError, values_of
-from experiments.links.turning import APART, turns
+from experiments.links.turning import SHORTEST_STATUS_INTERVAL, turns
 
 __all__ = ["Cycle", "RsiCounts", "RsiLink", "connect", "cycle_of"]
 
@@ -148,7 +148,7 @@ class RsiLink(ReadOnly):
             if not self._kept:
                 raise LinkLostError("rsi: no datagram has come yet")
             last, received = self._kept[-1], self._received
-            older = (one for one in reversed(self._kept) if last.ipoc - one.ipoc >= 1000 * APART)
+            older = (one for one in reversed(self._kept) if last.ipoc - one.ipoc >= 1000 * SHORTEST_STATUS_INTERVAL)
             before = next(older, None)
         return Status(
             joints=last.joints,

@@ -20,7 +20,7 @@ MAX_DEPTH = 4
 MAX_VALUES = 512  # attributes and texts of a document
 BETWEEN = b" \t\r\n\0"
 _OPEN = re.compile(rb'<([A-Za-z_][\w.-]{0,63})((?:\s+[A-Za-z_][\w.-]{0,63}\s*=\s*"[^"<&]{0,256}")*)\s*(/?)>')
-_CLOSE = re.compile(rb"</([A-Za-z_][\w.-]{0,63})\s*>")
+_CLOSING_TAG = re.compile(rb"</([A-Za-z_][\w.-]{0,63})\s*>")
 _ATTRIBUTE = re.compile(rb'([A-Za-z_][\w.-]*)\s*=\s*"([^"]*)"')
 MAX_INT = 2**31
 
@@ -113,7 +113,7 @@ class Splitter:
         self._size += len(tag)
         if self._size > MAX_DOCUMENT:
             raise StreamError(f"a document of more than {MAX_DOCUMENT} bytes")
-        closing = _CLOSE.fullmatch(tag)
+        closing = _CLOSING_TAG.fullmatch(tag)
         if closing is None:
             opening = _OPEN.fullmatch(tag)
             if opening is None:

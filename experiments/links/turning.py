@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 from experiments.links.values import Status
 
-__all__ = ["APART", "Turning", "turns"]
+__all__ = ["SHORTEST_STATUS_INTERVAL", "Turning", "turns"]
 
 Array = npt.NDArray[np.float64]
 
-APART = 0.01  # s at least between two statuses that are compared
+SHORTEST_STATUS_INTERVAL = 0.01  # s at least between two statuses that are compared
 PACE = 5e-3  # rad/s from which on joints turn: encoders flicker less, and an arm is slower only at its very end
 
 
@@ -28,7 +28,7 @@ class Turning:
         """The same status, with whether the joints turn; not known of the first one."""
         before = self._before
         apart = -1.0 if before is None or before.boot != status.boot else _time(status) - _time(before)
-        if before is not None and 0.0 <= apart < APART:
+        if before is not None and 0.0 <= apart < SHORTEST_STATUS_INTERVAL:
             return replace(status, moves=self._moves)
         self._before = status
         self._moves = None

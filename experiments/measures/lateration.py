@@ -13,7 +13,7 @@ __all__ = ["Located", "locate"]
 FloatArray = npt.NDArray[np.float64]
 
 ROUGH_M = 2e-3  # by which points of an arm out of calibration are off: beyond, an error counts by its size alone
-ENOUGH = 8  # points: twice as many as numbers of a place and a constant
+FEWEST_POINTS = 8  # points: twice as many as numbers of a place and a constant
 TRIED = 4  # of the starts, those that fit best
 
 
@@ -111,7 +111,7 @@ def _search(points: FloatArray, distances: FloatArray, start: FloatArray) -> tup
 
 def _with_constant(points: FloatArray, distances: FloatArray, place: FloatArray) -> tuple[float, FloatArray]:
     """Constant and place with it, where no errors as large as those that are left could make it; else 0."""
-    if len(points) < ENOUGH:
+    if len(points) < FEWEST_POINTS:
         return 0.0, place
     _, found = _search(points, distances, np.r_[place, 0.0])
     constant = float(found[3])

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,16 @@ from experiments.second_world.campaign_out import base_section, hidden_file, wri
 from experiments.second_world.hidden import HIDDEN, Active
 from experiments.second_world.individual import Robot
 from experiments.second_world.noise import draw_noise, rounded
-from experiments.second_world.session import Hidden, Session, activate, open_session, points_seen, row_times, torques
+from experiments.second_world.session import (
+    Hidden,
+    Session,
+    SessionChoice,
+    activate,
+    open_session,
+    points_seen,
+    row_times,
+    torques,
+)
 
 __all__ = ["TABLES", "Truth", "measure"]
 
@@ -109,17 +119,14 @@ def measure(
     robot: Robot,
     out_folder: str | Path,
     *,
-    program: str = "quick",
-    log: str = "trapezoids_10hz",
-    noise: str | None = None,
     hidden: Sequence[Hidden] = (),
     tables: Sequence[str] = TABLES,
     temperatures: bool = True,
     base_known: bool = False,
-    seed: int = 0,
+    **chosen: Unpack[SessionChoice],
 ) -> Truth:
     """
-    Measure a robot and write a campaign folder.
+    Measure a robot and write a campaign folder. The same call writes the same bytes.
 
     Parameters
     ----------
@@ -127,10 +134,6 @@ def measure(
         Of `draw_robot`.
     out_folder
         The campaign folder. What was hidden goes beside it, to `<out_folder>.hidden.json`.
-    program, log
-        Names in `POSE_PROGRAMS` and `LOG_PROGRAMS`.
-    noise
-        Name in `NOISES`; None chooses one by seed.
     hidden
         Hidden effects: name, where (None for the default place), magnitude (factor on the default size).
     tables
@@ -139,8 +142,8 @@ def measure(
         Whether temperature sensors are recorded.
     base_known
         Whether the campaign says where the base stands, to 0.2 mm and 0.1 mrad.
-    seed
-        Of the session: programme, instrument and noise. The same call writes the same bytes.
+    chosen
+        Programme, log, noise and seed of the session; see `open_session`.
 
     Returns
     -------
@@ -149,7 +152,7 @@ def measure(
     """
     if wrong := [t for t in tables if t not in TABLES]:
         raise ValueError(f"table {wrong[0]!r}: expected some of {', '.join(TABLES)}")
-    session = open_session(robot, program, log, noise, seed)
+    session = open_session(robot, **chosen)
     active = activate(session, hidden)
     laws = [a for _, _, a in active]
     made = {
@@ -158,7 +161,7 @@ def measure(
         if t in tables
     }
     folder = Path(out_folder)
-    base = base_section(session, stream(seed, "base")) if base_known else ""
+    base = base_section(session, stream(session.seed, "base")) if base_known else ""
     write_campaign(folder, robot, session, made, base)
     records = [_record(n, w, h[2], a) for h, (n, w, a) in zip(hidden, active, strict=True)]
     write_truth(hidden_file(folder), records)

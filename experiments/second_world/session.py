@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypedDict
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from experiments.second_world.noise import Noise, choose_noise
 from experiments.second_world.pose_programs import POSE_PROGRAMS, PoseProgram, run_poses
 from experiments.second_world.states import LogState, Visits
 
-__all__ = ["Hidden", "Session", "activate", "open_session", "points_seen", "row_times", "torques"]
+__all__ = ["Hidden", "Session", "SessionChoice", "activate", "open_session", "points_seen", "row_times", "torques"]
 
 Hidden = tuple[str, str | None, float]  # name, where (None: its default place), magnitude
 _SLIP_RAD = 4e-4  # presliding of the elastic friction, seen at the joint
@@ -55,7 +56,29 @@ class Session:
         return run_log(self.robot, self.log, self.seed)
 
 
-def open_session(robot: Robot, program: str, log: str, noise: str | None, seed: int) -> Session:
+class SessionChoice(TypedDict, total=False):
+    """
+    What is chosen of a session, by name; see `open_session`.
+
+    Attributes
+    ----------
+    program, log
+        Names in `POSE_PROGRAMS` and `LOG_PROGRAMS`.
+    noise
+        Name in `NOISES`; None chooses one by seed.
+    seed
+        Of the session: programme, instrument and noise.
+    """
+
+    program: str
+    log: str
+    noise: str | None
+    seed: int
+
+
+def open_session(
+    robot: Robot, program: str = "quick", log: str = "trapezoids_10hz", noise: str | None = None, seed: int = 0
+) -> Session:
     """
     Choose programmes and noise by name, and set up the instrument.
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Unpack
 
 import numpy as np
 import pinocchio as pin
@@ -13,12 +14,21 @@ from experiments.second_world.equilibrium import clearance_side
 from experiments.second_world.friction import direction
 from experiments.second_world.hidden import HIDDEN, Active
 from experiments.second_world.individual import Robot
-from experiments.second_world.session import Hidden, Session, activate, open_session, points_seen, torques
+from experiments.second_world.session import (
+    Hidden,
+    Session,
+    SessionChoice,
+    activate,
+    open_session,
+    points_seen,
+    torques,
+)
 from experiments.second_world.states import PoseState
 
 __all__ = ["magnitude_for", "pose_std_m", "size_in_sigma"]
 
 _ROWS = 1500  # of a log, that a refit of the standard model is judged by
+_WHITE: SessionChoice = {"noise": "white"}
 _NOTHING = 1e-5  # sigma: what rounding may leave of an effect that is absorbed
 
 
@@ -135,20 +145,17 @@ def size_in_sigma(
     robot: Robot,
     hidden: Sequence[Hidden],
     *,
-    program: str = "quick",
-    log: str = "trapezoids_10hz",
-    noise: str | None = "white",
-    seed: int = 0,
     tables: Sequence[str] = ("poses", "free_air"),
     beyond_standard: bool = False,
+    **chosen: Unpack[SessionChoice],
 ) -> dict[str, float]:
     """
     Size of what hidden effects add, per coordinate or motor, over its noise.
 
     Parameters
     ----------
-    robot, hidden, program, log, noise, seed
-        As for `measure`.
+    robot, hidden, chosen
+        As for `measure`; the noise is white unless another one is chosen.
     tables
         Which of `poses` and `free_air` are asked for; a table in which nothing hidden acts is left out.
     beyond_standard
@@ -161,7 +168,7 @@ def size_in_sigma(
     dict
         Table to size in sigma: the rms over all numbers of the table of added value over standard deviation.
     """
-    session = open_session(robot, program, log, noise, seed)
+    session = open_session(robot, **(_WHITE | chosen))
     laws = [active for _, _, active in activate(session, hidden)]
     touched = {t for name, _, _ in hidden for t in HIDDEN[name].tables}
     return {t: _SIZERS[t](session, beyond_standard)(laws) for t in tables if t in touched}
@@ -174,19 +181,16 @@ def magnitude_for(
     sigma: float,
     *,
     table: str | None = None,
-    program: str = "quick",
-    log: str = "trapezoids_10hz",
-    noise: str | None = "white",
-    seed: int = 0,
     beyond_standard: bool = False,
+    **chosen: Unpack[SessionChoice],
 ) -> float:
     """
     Magnitude at which one hidden effect has a wanted size.
 
     Parameters
     ----------
-    robot, program, log, noise, seed
-        As for `measure`.
+    robot, chosen
+        As for `measure`; the noise is white unless another one is chosen.
     name, where
         The effect and its place; None is its default place.
     sigma
@@ -202,7 +206,7 @@ def magnitude_for(
         For `measure`; within 1 % of the size, unless the effect is far from proportional.
     """
     table = table or HIDDEN[name].tables[0]
-    session = open_session(robot, program, log, noise, seed)
+    session = open_session(robot, **(_WHITE | chosen))
     size_of = _SIZERS[table](session, beyond_standard)
     magnitude = 1.0
     for _ in range(4):

@@ -23,7 +23,7 @@ from experiments.signals.typing_ import Array, Integers
 __all__ = ["choose_window"]
 
 # Shorter than this, a stretch has no spectrum worth the name.
-_SHORT = 64
+_SHORTEST_STRETCH = 64
 _LONGEST_BLOCK = 4096
 # The top eighth of the band holds noise, if anything does; below 2N there is more noise than motion.
 _TOP = 8
@@ -108,7 +108,7 @@ def _spectrum(values: Array, time: Array, run: Integers, step: float) -> tuple[A
     the sides of any window would hide their noise. Logs of uneven steps are interpolated by cubic splines first.
     """
     length = _block(values, run)
-    if length < _SHORT // 4:
+    if length < _SHORTEST_STRETCH // 4:
         return None
     breaks = np.flatnonzero((run[1:] != run[:-1]) | (np.diff(time) < 0.0)) + 1
     taper = np.hanning(length + 2)[1:-1]

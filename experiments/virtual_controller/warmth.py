@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from experiments.virtual_robot.description import Array
-from experiments.virtual_robot.heat import STEP, Temperatures
+from experiments.virtual_robot.heat import HEAT_STEP, Temperatures
 from experiments.virtual_robot.plant import Heat
 
 __all__ = ["Warmth"]
@@ -46,24 +46,24 @@ class Warmth:
     @property
     def time(self) -> float:
         """Until when the temperatures are worked out, s."""
-        return self.steps * STEP
+        return self.steps * HEAT_STEP
 
     def advance(self, time: float) -> None:
         """Work out the temperatures until a time that has passed, s."""
-        while self.time + STEP <= time:
+        while self.time + HEAT_STEP <= time:
             self._step()
 
     def _step(self) -> None:
         heat = self._heat
         motor, link, air = self._rows[-1]
-        gone = self._travel(self.time + STEP)
-        work = np.minimum((gone - self._gone) / STEP / (BRISK * self._speed), HARDEST)
+        gone = self._travel(self.time + HEAT_STEP)
+        work = np.minimum((gone - self._gone) / HEAT_STEP / (BRISK * self._speed), HARDEST)
         self._gone = gone
         self.steps += 1
         self._rows.append(
             (
-                motor + STEP * ((air - motor) / heat.motor_time + heat.motor_rise / heat.motor_time * work),
-                link + STEP * ((air - link) / heat.link_time + (motor - link) / heat.contact_time),
+                motor + HEAT_STEP * ((air - motor) / heat.motor_time + heat.motor_rise / heat.motor_time * work),
+                link + HEAT_STEP * ((air - link) / heat.link_time + (motor - link) / heat.contact_time),
                 self._air(self.time),
             )
         )
@@ -81,7 +81,7 @@ class Warmth:
         first = self.steps - len(self._rows) + 1
         rows = []
         for time in times:
-            at = min(max(time / STEP - first, 0.0), len(self._rows) - 1.0)
+            at = min(max(time / HEAT_STEP - first, 0.0), len(self._rows) - 1.0)
             low = int(at)
             high = min(low + 1, len(self._rows) - 1)
             rows.append(self._rows[low][which] * (1 - (at - low)) + self._rows[high][which] * (at - low))

@@ -2,8 +2,19 @@
 
 from experiments.virtual_robot.description import RobotDescription
 from experiments.virtual_robot.hidden import HIDEABLE, OUTSIDE, Hidden
-from experiments.virtual_robot.measure import Measured, Truth, measure
+from experiments.virtual_robot.measure import Measured, MeasurementChoice, Truth, measure
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.session import Session
 
-__all__ = ["HIDEABLE", "OUTSIDE", "Hidden", "Measured", "Plant", "RobotDescription", "Session", "Truth", "measure"]
+__all__ = [
+    "HIDEABLE",
+    "OUTSIDE",
+    "Hidden",
+    "Measured",
+    "MeasurementChoice",
+    "Plant",
+    "RobotDescription",
+    "Session",
+    "Truth",
+    "measure",
+]

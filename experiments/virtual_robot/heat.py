@@ -9,7 +9,7 @@ import numpy as np
 from experiments.virtual_robot.description import Array
 from experiments.virtual_robot.plant import Heat
 
-STEP = 10.0  # s; a hundredth of the shortest time constant
+HEAT_STEP = 10.0  # s; a hundredth of the shortest time constant
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,15 @@ def session(heat: Heat, time: Array, activity: Array) -> History:
     activity
         How hard each motor worked in each segment; 1 keeps it at its full rise in the end, (m, n).
     """
-    grid = np.arange(0.0, time[-1] + 2 * STEP, STEP)
+    grid = np.arange(0.0, time[-1] + 2 * HEAT_STEP, HEAT_STEP)
     work = activity[np.minimum(np.searchsorted(time, grid), len(time) - 1)]
     ambient = heat.ambient + heat.swing * np.sin(2 * np.pi * grid / heat.period + heat.phase)
     motor, link = np.empty((len(grid), len(heat.motor_time))), np.empty((len(grid), len(heat.motor_time)))
     m, k = ambient[0] + heat.start[0], ambient[0] + heat.start[1]
     for i, air in enumerate(ambient):
         motor[i], link[i] = m, k
-        m_next = m + STEP * ((air - m) / heat.motor_time + heat.motor_rise / heat.motor_time * work[i])
-        k = k + STEP * ((air - k) / heat.link_time + (m - k) / heat.contact_time)
+        m_next = m + HEAT_STEP * ((air - m) / heat.motor_time + heat.motor_rise / heat.motor_time * work[i])
+        k = k + HEAT_STEP * ((air - k) / heat.link_time + (m - k) / heat.contact_time)
         m = m_next
     return History(grid, motor, link, ambient)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import pandas as pd
@@ -71,6 +71,17 @@ class Measured:
     header: dict[str, Any]
     hidden: list[dict[str, Any]]
     truth: Truth
+
+
+class MeasurementChoice(TypedDict, total=False):
+    """What is chosen of a measured campaign; see :func:`measure`."""
+
+    seed: int
+    session: int
+    poses: int
+    tables: Sequence[str] | None
+    outliers: float
+    alter: Callable[[Plant], Plant]
 
 
 def measure(

@@ -19,7 +19,7 @@ __all__ = ["Kernel"]
 
 Array = npt.NDArray[np.float64]
 
-FEW = 64  # rows; fewer are not worth a block
+FEWEST_BLOCK_ROWS = 64  # rows; fewer are not worth a block
 
 
 class Kernel:
@@ -52,7 +52,7 @@ class Kernel:
 
     def many(self, *columns: Array) -> list[Array]:
         """The outputs of rows whose columns come in blocks ``(N, k)`` one beside the other."""
-        if len(columns[0]) < FEW:
+        if len(columns[0]) < FEWEST_BLOCK_ROWS:
             rows = np.concatenate(columns, axis=1)
             found = [[out.copy() for out in self.one(row)] for row in rows]
             return [np.array([f[i] for f in found]).reshape(len(rows), len(o)) for i, o in enumerate(self.out)]

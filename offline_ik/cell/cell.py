@@ -7,67 +7,38 @@ what a cell file does not say is taken from :func:`default_cell` and listed in `
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from kinematics.collision.bodies import CLEARANCE, WorldDescription, carried_box
+from kinematics.collision.obstacles import Obstacle, pose_of
+from kinematics.collision.reading import LARGEST_TOOL, open_cell, world_in
 from kinematics.gravity import STANDARD_GRAVITY
-from kinematics.reading import read_text, toml_of
 from kinematics.robot import RobotDescription
-from kinematics.section import Section, migrated
+from kinematics.section import Section
 from offline_ik.cell.cell_defaults import assumed_of
 from offline_ik.cell.cell_values import COLDEST, HOTTEST, spread
 from offline_ik.cell.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
 
-__all__ = ["FORMAT", "LONGEST", "Cell", "Obstacle", "default_cell", "read_cell"]
+__all__ = ["LONGEST", "Cell", "default_cell", "read_cell"]
 
 Array = npt.NDArray[np.float64]
-Shape = Literal["box", "cylinder", "sphere", "capsule", "mesh"]
 
-FORMAT = "clampid-cell/1"
 PIXEL = 55e-6  # m, of the reference robot's detector
 # What the cell file's numbers may be at most: wide of anything real, short of other units.
-HAND = 3.0  # m: what a flange carries, how far it sticks out, a link's radius
-CELL, HALL = 10.0, 100.0  # m: around a robot; around an instrument, and obstacles
-WIDEST = 1.0  # m, of a clearance
+CELL, HALL = 10.0, 100.0  # m: around a robot; around an instrument
 LARGEST_PIXEL = 0.01  # m
 MOST_PIXELS = 100_000  # along an edge
 LARGEST_MARGIN = 0.5  # rad
 HEAVIEST = 2000.0  # kg
 LONGEST = 1e8  # s, three years
-LONGEST_PATH = 4096  # characters
 WEAKEST, STRONGEST = 9.0, 10.6  # m/s², of gravity
-SHAPES: Mapping[Shape, int] = {"box": 3, "cylinder": 2, "sphere": 1, "capsule": 2, "mesh": 0}
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A thing in the robot's way.
-
-    Attributes
-    ----------
-    size
-        m. Box: x, y, z edges; cylinder and capsule: radius, length along z; sphere: radius; mesh: none.
-    pose
-        ``(4, 4)``: its middle in the robot's base frame.
-    file
-        Of a mesh (STL, OBJ, DAE; m).
-    holds_sample
-        The sample may lie inside (a cryostat's shroud, a stage drawn as one box).
-    """
-
-    name: str
-    shape: Shape
-    size: tuple[float, ...]
-    pose: Array
-    file: Path | None = None
-    holds_sample: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,11 +89,17 @@ class Cell:
     running: float | None = None
     radius: Array | None = None
     base_radius: float | None = None
-    clearance: float = 0.02
+    clearance: float = CLEARANCE
     limit_margin: float = 0.0
     speed: float = 0.3
     obstacles: tuple[Obstacle, ...] = ()
     assumed: tuple[str, ...] = ()
+
+    @property
+    def world(self) -> WorldDescription:
+        """What stands around the robot, how thick its links are, and the detector's body."""
+        carried = None if self.size is None else carried_box(self.size, self.mount)
+        return WorldDescription(self.obstacles, self.base_radius, self.radius, self.clearance, carried)
 
     def to_json(self) -> dict[str, Any]:
         """What a result must say about the cell beside its convention."""
@@ -175,48 +152,36 @@ def read_cell(path: str | Path, robot: RobotDescription) -> Cell:
         The file is not there, no TOML, has unknown keys or values that cannot be meant, or is of another robot.
     """
     path = Path(path)
-    try:
-        table = toml_of(read_text(path))
-    except FileNotFoundError:
-        raise CellError(f"{path}: expected a cell file, found none") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise CellError(f"{path}: expected a cell as TOML, found: {error}") from error
-    try:
-        return _cell(Section(migrated(table, FORMAT, {}), "", error=CellError), robot, path.parent)
-    except ValueError as error:
-        raise CellError(f"{path}, {error}") from None
+    return _cell(open_cell(path, robot, "model", CellError), robot, path.parent)
 
 
 def _cell(at: Section, robot: RobotDescription, folder: Path) -> Cell:
-    at.has("format")
-    stated = at.text("robot")
-    if stated != robot.name:
-        raise at.fault("robot", f"{robot.name!r}, which the model is of", repr(stated))
     detector, tool, heat, safety, shape, convention = (
         at.section(k, optional=True) for k in ("detector", "tool", "temperature", "safety", "robot_shape", "convention")
     )
     cell, n = default_cell(robot), robot.n
+    world = world_in(at, detector, shape, safety, n, folder)
     out = replace(
         cell,
         convention=_convention(convention, cell.convention),
-        mount=_pose(detector, HAND),
+        mount=pose_of(detector, LARGEST_TOOL),
         gravity=_gravity(at, cell.gravity),
         session=at.integer("session", default=1) - 1,
         targets=_targets(detector),
-        size=_three(detector.vector("size_m", 3, 0.0, HAND, "m", None, above=True)),
+        size=_three(detector.vector("size_m", default=None)),
         pixel=detector.number("pixel_m", 0.0, LARGEST_PIXEL, "m", PIXEL, above=True),
         pixels=_pixels(detector),
         tool_mass=tool.number("mass_kg", 0.0, HEAVIEST, "kg", None),
-        tool_com=_three(tool.vector("com_m", 3, -HAND, HAND, "m", np.zeros(3))),
+        tool_com=_three(tool.vector("com_m", 3, -LARGEST_TOOL, LARGEST_TOOL, "m", np.zeros(3))),
         link_temperature=heat.vector("link_C", n, COLDEST, HOTTEST, "°C", None),
         motor_temperature=heat.vector("motor_C", n, COLDEST, HOTTEST, "°C", None),
         running=heat.number("running_s", 0.0, LONGEST, "s", None),
-        radius=shape.vector("radius_m", n, 0.0, HAND, "m", None, above=True),
-        base_radius=shape.number("base_radius_m", 0.0, HAND, "m", None, above=True),
-        clearance=safety.number("clearance_m", 0.0, WIDEST, "m", cell.clearance),
+        radius=world.link_radii,
+        base_radius=world.base_radius,
+        clearance=world.clearance,
         limit_margin=_limit_margin(safety, robot),
         speed=safety.number("speed", 0.0, 1.0, "", cell.speed, above=True),
-        obstacles=_obstacles(at.sections("obstacle", optional=True), folder),
+        obstacles=world.obstacles,
         assumed=assumed_of(at.content, robot),
     )
     for section in (detector, tool, heat, safety, shape, convention, at):
@@ -248,7 +213,7 @@ def _gravity(at: Section, default: tuple[float, float, float]) -> Any:
 
 def _targets(detector: Section) -> Mapping[str, Array]:
     at = detector.section("targets_m", optional=True)
-    return spread(at, {name: at.vector(name, 3, -HAND, HAND, "m") for name in at.keys()})  # noqa: SIM118 - no dict
+    return spread(at, {name: at.vector(name, 3, -LARGEST_TOOL, LARGEST_TOOL, "m") for name in at.keys()})  # noqa: SIM118 - no dict
 
 
 def _limit_margin(safety: Section, robot: RobotDescription) -> float:
@@ -274,34 +239,3 @@ def _convention(at: Section, default: Convention) -> Convention:
         sample=_three(at.vector("sample_m", 3, -most, most, "m", np.array(default.sample))),
         frame=frame,
     )
-
-
-def _obstacles(parts: list[Section], folder: Path) -> tuple[Obstacle, ...]:
-    out: list[Obstacle] = []
-    for count, at in enumerate(parts, 1):
-        name, shape = at.text("name", default=f"obstacle {count}"), at.text("shape", tuple(SHAPES))
-        if name in [o.name for o in out]:
-            raise at.fault("name", "a name of its own", f"{name!r} twice")
-        size, file = (), None
-        if shape == "mesh":
-            file = folder / at.text("file", longest=LONGEST_PATH)
-            if not file.is_file():
-                raise at.fault("file", f"a mesh at {file}", "none")
-        else:
-            size = _three(at.vector("size_m", SHAPES[shape], 0.0, HALL, "m", above=True))
-        out.append(Obstacle(name, shape, size, _pose(at, HALL), file, at.flag("holds_sample", False)))
-        at.done()
-    return tuple(out)
-
-
-def _pose(at: Section, most: float) -> Array:
-    """From ``position_m``, at most ``most`` off, ``x`` and ``z``; y follows."""
-    z, x = at.vector("z", default=np.array([0.0, 0.0, 1.0])), at.vector("x", default=np.array([1.0, 0.0, 0.0]))
-    lengths = np.linalg.norm(x), np.linalg.norm(z)
-    if min(lengths) < 1e-9 or abs(float(x @ z)) > 1e-6 * float(lengths[0] * lengths[1]):
-        raise at.fault("", "x and z perpendicular directions", f"{x.tolist()} and {z.tolist()}")
-    x, z = x / lengths[0], z / lengths[1]
-    out = np.eye(4)
-    out[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    out[:3, 3] = at.vector("position_m", 3, -most, most, "m", np.zeros(3))
-    return out

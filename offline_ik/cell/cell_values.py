@@ -15,7 +15,7 @@ __all__ = ["COLDEST", "HOTTEST", "spread"]
 Array = npt.NDArray[np.float64]
 
 COLDEST, HOTTEST = -273.15, 200.0  # °C: what a temperature of a robot may be
-APART = 5e-3  # m: by how much targets must lie off a line
+LEAST_DISTANCE_OFF_LINE = 5e-3  # m: by how much targets must lie off a line
 
 
 def spread(at: Section, points: Mapping[str, Array]) -> Mapping[str, Array]:
@@ -32,7 +32,7 @@ def spread(at: Section, points: Mapping[str, Array]) -> Mapping[str, Array]:
         raise at.fault("", "at least three targets", str(len(points)))
     placed = np.array(list(points.values()))
     off = np.linalg.svd(placed - placed.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(points))
-    if off < APART:
-        expected = f"targets at least {1e3 * APART:g} mm (root mean square) off a line"
+    if off < LEAST_DISTANCE_OFF_LINE:
+        expected = f"targets at least {1e3 * LEAST_DISTANCE_OFF_LINE:g} mm (root mean square) off a line"
         raise at.fault("", expected, f"{', '.join(points)} within {1e3 * off:.1f} mm of one")
     return points

@@ -21,7 +21,7 @@ __all__ = ["identified_mount", "mount_jacobian"]
 
 Array = npt.NDArray[np.float64]
 
-STEP = 1e-6  # m
+DIFFERENCE_STEP = 1e-6  # m
 
 
 def identified_mount(cell: Cell, arm: IdentifiedArm, theta: Array | None = None) -> Array:
@@ -57,8 +57,8 @@ def mount_jacobian(cell: Cell, arm: IdentifiedArm) -> Array:
     for k, slot in enumerate(arm.slots):
         if has_role(slot, "target_point"):
             theta = arm.theta.copy()
-            theta[k] += STEP
+            theta[k] += DIFFERENCE_STEP
             moved = identified_mount(cell, arm, theta)
-            out[:3, k] = (moved[:3, 3] - here[:3, 3]) / STEP
-            out[3:, k] = log_so3(moved[:3, :3] @ here[:3, :3].T) / STEP
+            out[:3, k] = (moved[:3, 3] - here[:3, 3]) / DIFFERENCE_STEP
+            out[3:, k] = log_so3(moved[:3, :3] @ here[:3, :3].T) / DIFFERENCE_STEP
     return out

@@ -23,7 +23,7 @@ POINTS, BLOCK = 6000, 250  # of the arm's whole reach, tried on the nominal arm;
 SHELLS = np.geomspace(2e-3, 1.0, 12)  # m around the asked position
 DIRECTIONS = 120
 EACH = 2  # starts on each branch, this far apart
-APART = 0.1  # m
+LEAST_CANDIDATE_DISTANCE = 0.1  # m
 DRAWN = 32  # postures to start from where no branch leads anywhere
 INSIDE = 1e-7  # rad that is kept from the limits: what is found must be found again
 FOUND = 1e-6  # rad that the normal may miss the sample by
@@ -152,7 +152,7 @@ def _starts(detector: Detector, target: Array, roll: float | None) -> list[Array
                 break
             first = rows[int(np.argmin(np.linalg.norm(at[rows] - goal, axis=1)))]
             found.append(q[first])
-            rows = rows[np.linalg.norm(at[rows] - at[first], axis=1) > APART]
+            rows = rows[np.linalg.norm(at[rows] - at[first], axis=1) > LEAST_CANDIDATE_DISTANCE]
     return found or list(drawn)
 
 

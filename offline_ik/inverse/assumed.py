@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from offline_ik.arm.identified import IdentifiedArm
 from offline_ik.cell.cell import Cell
-from offline_ik.collision.shapes import radii_of
 
 if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
@@ -20,13 +19,13 @@ __all__ = ["assumptions", "moves_by", "notes_of", "time_effects"]
 
 Array = npt.NDArray[np.float64]
 
-SHIFT = 8 * 3600.0  # s
+SHIFT_SECONDS = 8 * 3600.0  # s
 
 
 def assumptions(detector: Detector) -> tuple[str, ...]:
     """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
     cell, convention = detector.cell, detector.cell.convention
-    base, radii = radii_of(detector.robot, cell)
+    base, radii = cell.world.radii(detector.robot)
     values = {
         "convention": convention.name,
         "sample": f"{_listed(convention.sample, 6)} m",
@@ -69,6 +68,6 @@ def time_effects(arm: IdentifiedArm) -> tuple[str, ...]:
 
 
 def moves_by(detector: Detector, q: Array) -> float:
-    """How far the detector moves at a posture ``(n,)`` within :data:`SHIFT` from now on, m."""
-    later = replace(detector.still, elapsed=detector.still.elapsed + SHIFT)
+    """How far the detector moves at a posture ``(n,)`` within :data:`SHIFT_SECONDS` from now on, m."""
+    later = replace(detector.still, elapsed=detector.still.elapsed + SHIFT_SECONDS)
     return float(np.linalg.norm((detector.pose(q[None], later) - detector.pose(q[None]))[0, :3, 3]))

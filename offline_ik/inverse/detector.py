@@ -24,7 +24,7 @@ from offline_ik.cell.checks import check_directions, check_posture, check_temper
 from offline_ik.cell.coordinates import check_target, detector_pose
 from offline_ik.cell.frames import Framing
 from offline_ik.cell.reach import nearest_reachable
-from offline_ik.collision.shapes import sheets_of
+from offline_ik.collision.world import sheets_of
 from offline_ik.errors import TargetError
 from offline_ik.inverse.answer import Answer, Solution
 from offline_ik.inverse.assumed import notes_of

@@ -39,7 +39,8 @@ AROUND = (
     0.2,
     0.01,
 )  # rad: the best roll of a calibrated arm is not the nominal one's, the more so the less the roll matters
-CLOSE = 0.05  # rad: of the effort, and beyond a limit, the same for all joints together and singular wrists
+SAME_EFFORT_WITHIN = 0.05
+"""rad: of the effort, and beyond a limit, the same for all joints together and singular wrists."""
 ALL_MOVES = 0.1
 BARRED = 100.0  # more than any joint moves, rad: beyond a limit or out of reach
 NOT_ASKED = 1000.0  # of a branch that was not asked for
@@ -137,9 +138,11 @@ class _Along:
         """The best rolls of the identified arm, one a valley, the best first."""
         valleys = self.valleys()
         least = valleys[0][0] if valleys else BARRED
-        near = [v for v in valleys if v[0] <= least + CLOSE or BARRED <= v[0] <= BARRED + CLOSE]
+        near = [
+            v for v in valleys if v[0] <= least + SAME_EFFORT_WITHIN or BARRED <= v[0] <= BARRED + SAME_EFFORT_WITHIN
+        ]
         found = sorted(self.on_identified(roll, branch) for _, roll, branch in near)
-        others = [roll for cost, roll, _ in valleys if least + CLOSE < cost < BARRED]
+        others = [roll for cost, roll, _ in valleys if least + SAME_EFFORT_WITHIN < cost < BARRED]
         return [roll for cost, roll in found if math.isfinite(cost)] + others
 
     def on_identified(self, roll: float, branch: int) -> tuple[float, float]:

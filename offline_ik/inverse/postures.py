@@ -31,7 +31,7 @@ ROLLS = 24  # tried at least where the roll is free, and starts of an arm withou
 WRIST_SINGULAR = STRAIGHT
 ELBOW_SINGULAR = 0.02  # |sin| of the elbow's angle
 SHOULDER_SINGULAR = 0.02  # m: the wrist this near to axis 1
-SAME = 1e-9  # rad: not another turn
+SAME_TURN_WITHIN = 1e-9  # rad: not another turn
 STAYED = 0.1  # rad: joints 1 and 4 this near to where they are leave nothing to look for
 LIMIT_MARGIN = 0.05  # rad: by which the nominal arm may be beyond its limits and the identified one still be tried
 
@@ -86,7 +86,7 @@ class PostureSearch:
                         "no posture was found: out of reach, or nearly"] = None  # fmt: skip
                 continue
             end = solved.q[0]
-            if any(np.abs(end - other).max() < SAME for other in ends):  # at a singular pose branches meet
+            if any(np.abs(end - other).max() < SAME_TURN_WITHIN for other in ends):  # at a singular pose branches meet
                 continue
             ends.append(end)
             q = self._within(base, end, start, signs, conditions)
@@ -100,7 +100,7 @@ class PostureSearch:
     def _within(self, base: Array, end: Array, start: Array, signs: Array, conditions: Conditions) -> Array | None:
         """A solution in the turns within the limits that are nearest to where it was sought; None: there are none."""
         q = candidate_turns(end, start, self.lower, self.upper)
-        if q is None or np.abs(q - end).max() <= SAME:
+        if q is None or np.abs(q - end).max() <= SAME_TURN_WITHIN:
             return q
         again = self.solver.solve(base[None], q[None], signs[None], conditions)  # since ratios may be off
         q = again.q[0]
@@ -224,7 +224,7 @@ class PostureSearch:
 
 
 def _nearer(q: Array, than: Array, here: Array) -> bool:
-    return bool(np.abs(q - here).max() < np.abs(than - here).max() - SAME)
+    return bool(np.abs(q - here).max() < np.abs(than - here).max() - SAME_TURN_WITHIN)
 
 
 def directions_of(direction: Direction, start: Array, here: Array) -> Array:

@@ -35,7 +35,7 @@ LM_STEPS = 80
 LONG_STEPS = 1500
 MAX_JOINT_CHANGE = np.pi + 0.1  # rad: what Newton's method has moved a joint by went astray
 DAMPING, GROWTH = 1e-3, 2.0  # at first
-NEAR = 1e-3  # m and rad: what is further off after a search lies in another valley
+SAME_VALLEY_COST = 1e-3  # m and rad: what is further off after a search lies in another valley
 
 
 @dataclass(frozen=True)
@@ -131,10 +131,10 @@ class Search:
                 break
             some = wanted.of(rows)
             best.keep(rows, self.refine(some.poses, start(some), wanted.conditions))
-        rows = np.flatnonzero((best.cost > 0.1 * CONVERGED) & (best.cost < NEAR))
+        rows = np.flatnonzero((best.cost > 0.1 * CONVERGED) & (best.cost < SAME_VALLEY_COST))
         if len(rows):  # within 1e-4 rad of a fold Newton's steps are short
             best.keep(rows, self.refine(wanted.poses[rows], best.q[rows], wanted.conditions, LONG_STEPS))
-        rows = np.flatnonzero((best.cost > CONVERGED) & (best.cost < NEAR))
+        rows = np.flatnonzero((best.cost > CONVERGED) & (best.cost < SAME_VALLEY_COST))
         if self.mounted.ortho is not None and len(rows):  # a few in a million
             self._last(best, rows, wanted)
         q = wanted.near + wrapped(best.q - wanted.near)

@@ -13,8 +13,8 @@ import coal  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
+from kinematics.collision.bodies import Shape, shapes_of
 from kinematics.poe import joint_transforms
-from offline_ik.collision.shapes import Shape, shapes_of
 
 if TYPE_CHECKING:
     from offline_ik.motion.simulation import Simulation
@@ -26,6 +26,7 @@ Array = npt.NDArray[np.float64]
 WIDTH, HEIGHT, MARGIN = 460.0, 420.0, 34.0  # of one view
 POINTS = 25  # of the detector's way
 AROUND = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+FLOOR = 1.0  # m, half of the edge of what is drawn of a half-space
 MAX_CORNERS = 400  # corners of a mesh that are drawn
 VIEWS = (("from the side", "x", "z", (0, 2)), ("from above", "x", "y", (0, 1)))
 COLOURS = {"obstacle": "#8a8f98", "base": "#c9b899", "link": "#e08a3c", "detector": "#2f6fb0"}
@@ -35,7 +36,7 @@ ASIDE = 3.0  # of the reach, beyond which bodies do not widen the picture
 def picture_of(simulation: Simulation) -> str:
     """The picture, as the text of an SVG file: where the robot stands, where it goes, and the detector's way."""
     detector = simulation.detector
-    shapes, corners = shapes_of(detector), simulation.postures
+    shapes, corners = shapes_of(detector.robot, detector.cell.world), simulation.postures
     robot = detector.robot
     reach = float(robot.reach)
     sample = detector.to_base(_at(np.asarray(detector.cell.convention.sample)))[:3, 3]
@@ -124,6 +125,8 @@ def _corners(geometry: Any) -> Array:
             return _ball(geometry.radius)
         case coal.Capsule():
             return np.vstack([_ball(geometry.radius) + np.array([0, 0, z * geometry.halfLength]) for z in (-1, 1)])
+        case coal.Halfspace():  # the part of its surface around its own origin
+            return np.array([[x, y, 0.0] for x in (-FLOOR, FLOOR) for y in (-FLOOR, FLOOR)])
     points = np.array([np.asarray(p) for p in geometry.points()]).reshape(-1, 3)
     return points[:: max(len(points) // MAX_CORNERS, 1)]
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from kinematics.collision.moves import LongCheckError
 from offline_ik.cell.checks import check_directions
-from offline_ik.collision.safety import LongCheckError, PathReport, check_path
+from offline_ik.collision.safety import PathReport, check_path
 from offline_ik.inverse.branches import parse_choice
 from offline_ik.inverse.postures import Direction
 from offline_ik.motion.approach import Approach, approach_through
@@ -231,7 +232,11 @@ def _others(
     direction: Direction = asked if asked is not None else None if start is None else "moved"
     every = detector.locate(gamma, delta, r, first.roll, near=start, branch="all", direction=direction, nearest=False)
     ortho, linkage = detector.solver.ortho, detector.solver.linkage
-    return [s for s in every.solutions if choice.allows(ortho, linkage @ s.q) and np.abs(s.q - first.q).max() > SAME]
+    return [
+        s
+        for s in every.solutions
+        if choice.allows(ortho, linkage @ s.q) and np.abs(s.q - first.q).max() > SAME_POSTURE_WITHIN
+    ]
 
 
-SAME = 1e-4  # rad: another flank of the same posture
+SAME_POSTURE_WITHIN = 1e-4  # rad: another flank of the same posture

@@ -28,7 +28,7 @@ __all__ = ["Seen", "Spread", "check_pixels", "pixel_of", "poni_text", "spread_of
 
 Array = npt.NDArray[np.float64]
 
-STEP = 1e-6  # rad
+DIFFERENCE_STEP = 1e-6  # rad
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,11 @@ def _displaced(detector: Detector, pose: Array, point: Array, covariance: Array)
 
 
 def _spread(convention: Convention, gamma: float, delta: float, r: float, cov: Array) -> Spread:
-    g = np.array([gamma + STEP, gamma - STEP, gamma, gamma, gamma])
-    d = np.array([delta, delta, delta + STEP, delta - STEP, delta])
+    g = np.array([gamma + DIFFERENCE_STEP, gamma - DIFFERENCE_STEP, gamma, gamma, gamma])
+    d = np.array([delta, delta, delta + DIFFERENCE_STEP, delta - DIFFERENCE_STEP, delta])
     u = -detector_pose(convention, g, d, 1.0)[:, :3, 2]
     found = []
-    for along in ((u[0] - u[1]) / (2 * STEP), (u[2] - u[3]) / (2 * STEP)):
+    for along in ((u[0] - u[1]) / (2 * DIFFERENCE_STEP), (u[2] - u[3]) / (2 * DIFFERENCE_STEP)):
         length = float(along @ along)
         found.append(math.sqrt(max(float(along @ cov @ along), 0.0)) / (r * length) if length > 1e-12 else math.inf)
     return Spread(found[0], found[1], math.sqrt(max(float(u[4] @ cov @ u[4]), 0.0)))

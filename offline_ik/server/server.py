@@ -26,7 +26,7 @@ __all__ = ["LINE_BYTES", "Limits", "Server", "serve", "settle", "take"]
 
 
 BACKLOG = 100  # connections that wait to be accepted
-STOPS = 4  # stops at a time that wait for the robot's link
+MOST_WAITING_STOPS = 4  # stops at a time that wait for the robot's link
 GRACE = 0.8  # s that a stop waits for the robot's link, and then for a computation that is under way
 SWITCH = 5e-4  # s after which a computation in its thread gives way to the answers that are ready at once
 
@@ -54,7 +54,7 @@ class Server:
         self._twin: Detector = speaker.detector.twin
         self._switched = sys.getswitchinterval()
         self._link_thread = ThreadPoolExecutor(1, "clampid-link")
-        self._stop_threads = ThreadPoolExecutor(STOPS, "clampid-stop")
+        self._stop_threads = ThreadPoolExecutor(MOST_WAITING_STOPS, "clampid-stop")
         self._waiting = Waiting()
         self._busy, self._lock = 0, threading.Lock()
 

@@ -19,7 +19,7 @@ from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import stage_rows
 from clampid.models.model import StageModel
 from clampid.slots import Prior, Slot, Term
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 
@@ -137,7 +137,7 @@ def test_a_stage_without_drives_gives_nothing(clamped: StageModel, alone: Fitted
 
 def test_a_prior_of_very_different_units_keeps_all_it_knows(alone: FittedStage):
     """Variances of 1e-12 rad² beside 1e4 kg²: a pseudo-inverse would call the small ones zero."""
-    trial = experiment(
+    trial = fit_problem(
         alone.rows,
         catalogue(),
         (*(s for s in alone.model.slots if s.effect == "backlash"), Slot("gravity", "m", "link2")),

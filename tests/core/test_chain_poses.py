@@ -18,7 +18,7 @@ from clampid.chain.chain import Deviations
 from clampid.effect import Stage
 from clampid.slots import Slot
 from clampid.stages import poses
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.loads import bearing_signals, gravity_signals, inertia_torque
 from clampid.stages.pose_kernel import kernel
 from clampid.stages.pose_rows import align
@@ -76,7 +76,7 @@ def _deviations(rows: Rows, values: np.ndarray) -> Deviations:
 
 
 def _width(rows: Rows) -> int:
-    chain = experiment(rows, catalogue(), (Slot("geometry", "x", "link1"),)).chain
+    chain = fit_problem(rows, catalogue(), (Slot("geometry", "x", "link1"),)).chain
     return max(s.stop for s in chain.offsets.values())
 
 

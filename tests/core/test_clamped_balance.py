@@ -11,18 +11,18 @@ from clampid.catalogue import catalogue
 from clampid.effect import Stage
 from clampid.slots import slots_of
 from clampid.stages.clamped import joint_torques
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.rows import Rows
 
 STIFF = 0.1  # of its loops' compliance has a drive without a spring in the model
 
 
-def trial(rows: Rows, *names: str) -> Experiment:
+def trial(rows: Rows, *names: str) -> FitProblem:
     effects = catalogue()
-    return experiment(rows, effects, tuple(s for name in names for s in slots_of(effects[name], rows.layout)))
+    return fit_problem(rows, effects, tuple(s for name in names for s in slots_of(effects[name], rows.layout)))
 
 
-def torques(of: Experiment, theta: np.ndarray) -> np.ndarray:
+def torques(of: FitProblem, theta: np.ndarray) -> np.ndarray:
     count = len(of.slots)
     return joint_torques(of.rows, of.chain, theta[:count], theta[count:])
 

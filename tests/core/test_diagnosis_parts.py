@@ -26,7 +26,7 @@ from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.slots import Slot, Term
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from experiments.campaign import Campaign
 from kinematics.description import load_robot
 

@@ -24,7 +24,7 @@ from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.calibrated import calibrated_chain
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Slot, slots_of
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import align, anchors_of, pose_rows
 from experiments.campaign import Campaign, Instrument, Tool
@@ -180,7 +180,7 @@ def test_distances_and_points_agree_and_together_determine_more():
 def test_distances_and_points_are_weighed_by_their_own_noise():
     rows = pose_rows([both := measured(3, points=True)], layout_of([both]), "poses")
     slots = identify(both, ["geometry"]).stages["poses"].slots
-    estimate = fit(experiment(rows, catalogue(), slots))
+    estimate = fit(fit_problem(rows, catalogue(), slots))
     sigma = estimate.noise.sigma
     assert np.median(sigma[~rows.ranged, :3]) == pytest.approx(POINT_SIGMA, rel=0.15)
     assert np.median(sigma[rows.ranged, 6]) == pytest.approx(SIGMA, rel=0.15)
@@ -196,7 +196,7 @@ def test_derivatives_are_differences(simulated: Simulated):
     assert rows.measured.shape[1] == 7
     names = ("geometry", "joint_compliance", "backlash", "thermal_expansion", "instrument_scale")
     slots = [s for name in names for s in slots_of(catalogue()[name], layout)]
-    trial = experiment(rows, catalogue(), slots)
+    trial = fit_problem(rows, catalogue(), slots)
     size = trial.sizes()
     theta = trial.start() + 0.3 * size * np.random.default_rng(0).uniform(-1, 1, len(slots))
     trial = trial.with_flanks(theta)

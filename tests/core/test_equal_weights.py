@@ -22,7 +22,7 @@ from clampid.identification.identify import has_inertia, identify, stage_rows
 from clampid.identification.identify_log import FittedLog, LogStage
 from clampid.loop.add import add
 from clampid.slots import Term
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts
 from clampid.stages.prewhitening import REACH, Grouping, Predictors
@@ -159,7 +159,7 @@ def worse_than_least_squares(fitted: Campaign, unseen: Campaign) -> tuple[float,
     prior = LogPrior(precision, mean, limits_of(log.experiment))
     ordinary, _ = weighted(log.design, every, prior, none, LogNoise(np.ones(log.design.n)), mean)
     rows = stage_rows([unseen], layout_of([unseen]), "free_air", accelerating=moves)
-    trial = experiment(rows, effects, model.slots)
+    trial = fit_problem(rows, effects, model.slots)
     own, other = (predicted(trial, theta) ** 2 for theta in (model.theta, ordinary.at[: len(model.slots)]))
     scale = np.mean(other, axis=0, where=rows.used)
     worse = np.sum((own - other) * rows.used / scale, axis=1)

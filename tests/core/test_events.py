@@ -20,7 +20,7 @@ from clampid.identification.identify import identify, stage_rows
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.loop.add import add
 from clampid.slots import Slot, Term, slots_of
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
@@ -63,7 +63,7 @@ def unwatched(campaign: Campaign) -> Campaign:
 def fitted(campaign: Campaign) -> Estimate:
     rows = stage_rows([campaign], layout_of([campaign]), "clamped")
     terms = tuple(Term(name) for name in STANDARD)
-    return fit(experiment(rows, catalogue(), active_slots(rows, catalogue(), terms)))
+    return fit(fit_problem(rows, catalogue(), active_slots(rows, catalogue(), terms)))
 
 
 def test_the_time_is_found_to_the_row(with_slip: Estimate):

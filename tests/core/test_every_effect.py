@@ -16,7 +16,7 @@ from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC
 from clampid.effect import UNITS, Effect, Stage
 from clampid.fitting.solve import clamping_offsets
 from clampid.slots import find_parameter, slots_of
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.rows import Rows
 from kinematics.sources import load_sources
 
@@ -51,16 +51,16 @@ def effect(request: pytest.FixtureRequest) -> Effect:
     return EFFECTS[request.param]
 
 
-def _trial(effect: Effect, rows: Rows) -> tuple[Experiment, int]:
+def _trial(effect: Effect, rows: Rows) -> tuple[FitProblem, int]:
     """An experiment of the effect, and of what it shows through; how many slots are the effect's."""
     own = slots_of(effect, rows.layout, rows.stage)
     if rows.stage == "free_air" and "friction_state" not in effect.acts:
-        return experiment(rows, EFFECTS, own), len(own)
+        return fit_problem(rows, EFFECTS, own), len(own)
     others = [slots_of(EFFECTS[name], rows.layout) for name in REVEALS[rows.stage] if name != effect.name]
-    return experiment(rows, EFFECTS, (*own, *(slot for slots in others for slot in slots))), len(own)
+    return fit_problem(rows, EFFECTS, (*own, *(slot for slots in others for slot in slots))), len(own)
 
 
-def _values(trial: Experiment, near: float, seed: int) -> np.ndarray:
+def _values(trial: FitProblem, near: float, seed: int) -> np.ndarray:
     """Parameters at random within ``near`` times their sizes; shapes, and what it shows through, at usual values."""
     rng = np.random.default_rng(seed)
     theta, (lower, upper) = trial.start(), trial.bounds()
@@ -131,7 +131,7 @@ def test_acts_where_its_stations_are_seen(name: str, stage: Stage):
 @pytest.mark.parametrize(("name", "stage"), ACTING)
 def test_vanishes_without_amplitude(name: str, stage: Stage, few_rows: dict[Stage, Rows]):
     rows, effect = few_rows[stage], EFFECTS[name]
-    trial = experiment(rows, EFFECTS, slots_of(effect, rows.layout, stage))  # raises where a signal is not declared
+    trial = fit_problem(rows, EFFECTS, slots_of(effect, rows.layout, stage))  # raises where a signal is not declared
     torque = np.random.default_rng(1).normal(0.0, 50.0, (len(rows), rows.robot.n))
     for level in range(max((len(p.grid) for p in effect.parameters), default=0) or 1):
         theta = trial.start()[: len(trial.slots)]

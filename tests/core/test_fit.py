@@ -16,7 +16,7 @@ from clampid.fitting.nulls import null_directions
 from clampid.fitting.solve import FitError
 from clampid.identification.identify import identify, stage_rows
 from clampid.slots import Prior, Slot, slots_of
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign
@@ -100,7 +100,7 @@ def arm(simulated: Simulated) -> Campaign:
 def test_a_prior_is_kept_where_it_is_tight_and_left_where_it_is_loose(arm: Campaign):
     rows = stage_rows([arm], layout_of([arm]), "poses")
     slots = (*slots_of(catalogue()["geometry"], rows.layout)[:6], Slot("gear_eccentricity", "a1", "joint2"))
-    trial = experiment(rows, catalogue(), slots)
+    trial = fit_problem(rows, catalogue(), slots)
     last = slots[-1:]
     free = fit(trial).theta[-1]
     tight = fit(trial, (Prior(last, np.array([3e-3]), np.array([[1e-18]])),)).theta[-1]
@@ -116,7 +116,7 @@ def test_a_prior_and_rows_weigh_by_their_precision(arm: Campaign):
     """A linear fit with a prior as good as the rows ends in the middle."""
     rows = stage_rows([arm], layout_of([arm]), "poses")
     slot = Slot("instrument_scale", "s", "instrument")
-    trial = experiment(rows, catalogue(), (slot,))
+    trial = fit_problem(rows, catalogue(), (slot,))
     noise = fit(trial, reject=False).noise
     alone = fit(trial, reject=False, noise=noise)
     white = noise.whiten(rows, *trial.residual(alone.theta))
@@ -141,7 +141,7 @@ def test_a_joint_that_never_moves_is_named(arm: Campaign):
     rows = replace(rows, measured=_nominal(rows))
     slots = slots_of(catalogue()["gear_eccentricity"], rows.layout)
     targets = tuple(Slot("geometry", f"target_{a}", t) for t in rows.layout.targets for a in "xyz")
-    estimate = fit(experiment(rows, catalogue(), (*targets, *slots)))
+    estimate = fit(fit_problem(rows, catalogue(), (*targets, *slots)))
     assert robot.n == 6
     untold = [s.place for s, known in zip(estimate.slots, estimate.identified, strict=False) if not known]
     assert set(untold) <= {"joint6", *rows.layout.targets}
@@ -160,7 +160,7 @@ def test_a_target_on_the_last_axis_leaves_the_last_joint_undetermined(arm: Campa
     rows = stage_rows([one], layout_of([one]), "poses")
     rows = replace(rows, measured=_nominal(rows))
     slots = slots_of(catalogue()["gear_eccentricity"], rows.layout)
-    estimate = fit(experiment(rows, catalogue(), slots))
+    estimate = fit(fit_problem(rows, catalogue(), slots))
     untold = {s.place for s, known in zip(estimate.slots, estimate.identified, strict=False) if not known}
     assert untold == {"joint6"}
     lines = null_directions(estimate)
@@ -169,14 +169,14 @@ def test_a_target_on_the_last_axis_leaves_the_last_joint_undetermined(arm: Campa
 
 def _nominal(rows: Rows) -> np.ndarray:
     """What a perfect robot would have measured there, with noise."""
-    trial = experiment(rows, catalogue(), (Slot("instrument_scale", "s", "instrument"),))
+    trial = fit_problem(rows, catalogue(), (Slot("instrument_scale", "s", "instrument"),))
     noise = 5e-5 * np.random.default_rng(0).standard_normal(rows.measured.shape)
     return rows.measured - trial.residual(np.zeros(1))[0] + noise
 
 
 def test_nothing_to_fit_is_said(arm: Campaign):
     rows = stage_rows([arm], layout_of([arm]), "poses")
-    trial = experiment(replace(rows, used=np.zeros_like(rows.used)), catalogue(), (Slot("geometry", "x", "link2"),))
+    trial = fit_problem(replace(rows, used=np.zeros_like(rows.used)), catalogue(), (Slot("geometry", "x", "link2"),))
     with pytest.raises(FitError, match="no rows"):
         fit(trial)
 
@@ -189,7 +189,7 @@ def test_a_tight_prior_keeps_what_rows_leave_open(arm: Campaign):
     assumed = tuple(replace(p, spread=1.0) for p in first.parameters)
     effects = {**catalogue(), first.name: replace(first, parameters=assumed)}
     sine, cosine = Slot(first.name, "a1", "joint2"), Slot(first.name, "b1", "joint2")
-    trial = experiment(rows, effects, (sine, cosine))
+    trial = fit_problem(rows, effects, (sine, cosine))
     off, _ = trial.residual(np.array([0.0, 2e-4]))
     noise = np.random.default_rng(0).normal(0.0, rows.sigma)
     trial = trial.with_rows(replace(rows, measured=rows.measured - off + noise))
@@ -199,7 +199,7 @@ def test_a_tight_prior_keeps_what_rows_leave_open(arm: Campaign):
     assert estimate.std[1] < 0.2 * assumed[0].size
     assert abs(estimate.theta[1] - 2e-4) < 4 * estimate.std[1]
     assert list(estimate.identified) == [False, True]
-    assert experiment(rows, catalogue(), (sine,)).prior_std()[0] == 10 * first.parameters[0].size
+    assert fit_problem(rows, catalogue(), (sine,)).prior_std()[0] == 10 * first.parameters[0].size
 
 
 def test_a_spread_must_be_positive():

@@ -17,7 +17,7 @@ from clampid.fitting.flanks import mirrored, settled
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify, stage_rows
 from clampid.slots import Term
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 
@@ -26,13 +26,13 @@ STANDARD = ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupli
 
 
 @pytest.fixture(scope="module")
-def poses(simulated: Simulated) -> Experiment:
+def poses(simulated: Simulated) -> FitProblem:
     campaign = simulated(seed=4, poses=12, tables=("poses",))
     rows = stage_rows([campaign], layout_of([campaign]), "poses")
-    return experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term(name) for name in STANDARD]))
+    return fit_problem(rows, catalogue(), active_slots(rows, catalogue(), [Term(name) for name in STANDARD]))
 
 
-def friction_at(trial: Experiment, size: float) -> np.ndarray:
+def friction_at(trial: FitProblem, size: float) -> np.ndarray:
     """Parameters at their start, dry friction at all joints ``size``, Nm."""
     theta = trial.start()
     theta[[s.effect == "wrist_coupling_friction" for s in trial.slots]] = size
@@ -41,18 +41,18 @@ def friction_at(trial: Experiment, size: float) -> np.ndarray:
 
 @settings(max_examples=20, deadline=None)
 @given(size=st.floats(-50.0, 0.0))
-def test_an_estimate_below_zero_decides_as_no_friction_does(poses: Experiment, size: float):
+def test_an_estimate_below_zero_decides_as_no_friction_does(poses: FitProblem, size: float):
     none, below = (poses.with_flanks(friction_at(poses, f)).rows.signals["flank"] for f in (0.0, size))
     np.testing.assert_array_equal(none, below)
 
 
-def test_joint_1_of_an_arm_on_the_floor_rests_where_it_came_from(poses: Experiment):
+def test_joint_1_of_an_arm_on_the_floor_rests_where_it_came_from(poses: FitProblem):
     for size in (-5.0, 0.0, 5.0):
         flank = poses.with_flanks(friction_at(poses, size)).rows.signals["flank"]
         np.testing.assert_array_equal(flank[:, 0], poses.rows.signals["direction"][:, 0])
 
 
-def test_friction_above_zero_decides(poses: Experiment):
+def test_friction_above_zero_decides(poses: FitProblem):
     small, large = (poses.with_flanks(friction_at(poses, f)).rows.signals["flank"] for f in (0.0, 1e3))
     assert (small != large).any()
     np.testing.assert_array_equal(large, poses.rows.signals["direction"])
@@ -101,7 +101,7 @@ def test_flanks_that_stay_end_the_search():
     assert found.theta[0] == 1.5
 
 
-def test_a_spring_and_a_friction_below_zero_are_a_mirror_image(poses: Experiment):
+def test_a_spring_and_a_friction_below_zero_are_a_mirror_image(poses: FitProblem):
     theta = friction_at(poses, 2.0)
     at = {s.label: k for k, s in enumerate(poses.slots)}
     spring, friction = at["joint_compliance.c@joint6"], at["wrist_coupling_friction.F@joint6"]

@@ -12,7 +12,7 @@ from clampid.fitting.gauge import independent_geometry
 from clampid.fitting.nulls import named_directions
 from clampid.identification.identify import stage_rows
 from clampid.slots import Slot
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
 from kinematics.description import load_robot
@@ -86,7 +86,7 @@ def test_what_is_left_out_adds_nothing(robot: str):
     rest = [s for s in every if s not in kept]
 
     def columns(slots: list[Slot] | tuple[Slot, ...]) -> np.ndarray:
-        trial = experiment(rows, catalogue(), slots)
+        trial = fit_problem(rows, catalogue(), slots)
         jacobian = trial.residual(np.zeros(len(slots)))[1] * trial.sizes()
         return jacobian.reshape(-1, len(slots))
 

@@ -17,7 +17,7 @@ from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify
 from clampid.slots import parse_term
 from clampid.stages.clamped_rows import clamped_rows
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from experiments.virtual_robot import Hidden, Measured, measure
 from kinematics.description import load_robot
@@ -36,22 +36,22 @@ def measured() -> Measured:
 
 
 @pytest.fixture(scope="module")
-def trial(measured: Measured) -> Experiment:
+def trial(measured: Measured) -> FitProblem:
     campaign = clamped_hidden.campaign_of(measured, watched=False)
     layout = layout_of([campaign])
     rows = clamped_rows([campaign], layout)
     terms = [parse_term(name, catalogue(), layout) for name in TERMS]
-    return experiment(rows, catalogue(), active_slots(rows, catalogue(), terms))
+    return fit_problem(rows, catalogue(), active_slots(rows, catalogue(), terms))
 
 
-def test_every_held_motor_keeps_some_friction(trial: Experiment):
+def test_every_held_motor_keeps_some_friction(trial: FitProblem):
     rows, n = trial.rows, trial.rows.robot.n
     run, motion = rows.constants["run"], rows.signals["motor_motion"]
     held = {(s, n + i) for s in np.unique(run) for i in range(n) if not motion[run == s, i].any()}
     assert held == {(s, k) for s, k in rows.constants["offset_keys"] if k >= n}
 
 
-def test_a_motor_that_stands_still_keeps_its_friction(trial: Experiment):
+def test_a_motor_that_stands_still_keeps_its_friction(trial: FitProblem):
     precision, mean = prior_of(trial, ())
     keys, n, count = trial.rows.constants["offset_keys"], trial.rows.robot.n, len(trial.slots)
     covariance = np.linalg.inv(precision[count:, count:])
@@ -84,7 +84,7 @@ def test_the_angle_nearest_to_intervals_is_inside_all_where_it_can_be(seed: int)
     assert np.all(np.maximum(far, 0.0) <= np.maximum(alone, 0.0) + 1e-12)
 
 
-def test_without_clearances_nothing_is_crossed(trial: Experiment):
+def test_without_clearances_nothing_is_crossed(trial: FitProblem):
     bare = trial.with_slots([slot for slot in trial.slots if slot.effect != "backlash"])
     precision, mean = prior_of(bare, ())
     assert other_crossings(bare, initial_noise(bare.rows), bare.start(), precision, mean) is None

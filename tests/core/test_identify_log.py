@@ -18,7 +18,7 @@ from clampid.identification.identify import has_inertia, held_out_folds, stage_r
 from clampid.identification.identify_log import FittedLog, LogStage
 from clampid.slots import Term
 from clampid.stages.counting import folds_of
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import LogPart, log_parts
 from experiments.campaign import Campaign, Tool

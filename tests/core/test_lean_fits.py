@@ -23,7 +23,7 @@ from clampid.fitting.solve import prior_of, solve, stage_point
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import stage_rows
 from clampid.slots import Term
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array, Rows
@@ -31,10 +31,10 @@ from experiments.campaign import Campaign
 
 
 @pytest.fixture(scope="module")
-def arm(tiny: Campaign) -> Experiment:
+def arm(tiny: Campaign) -> FitProblem:
     rows = pose_rows([tiny], layout_of([tiny]), "poses")
     names = ("geometry", "joint_compliance", "joint_angle_curve")
-    return experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
+    return fit_problem(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
 
 
 def test_harmonics_are_sines_and_cosines():
@@ -90,7 +90,7 @@ def test_a_kept_matrix_leads_to_the_same_place_in_fewer_matrices():
     np.testing.assert_allclose(ends[1], ends[0], atol=1e-5)
 
 
-def test_errors_and_steps_are_those_of_the_whole_derivative(arm: Experiment):
+def test_errors_and_steps_are_those_of_the_whole_derivative(arm: FitProblem):
     rng = np.random.default_rng(1)
     size = arm.sizes()
     theta = arm.start() + 0.1 * size * rng.normal(size=len(size))
@@ -105,7 +105,7 @@ def test_errors_and_steps_are_those_of_the_whole_derivative(arm: Experiment):
     np.testing.assert_allclose(arm.moved(theta, steps), expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_a_candidate_fitted_along_has_the_derivatives_of_both(arm: Experiment):
+def test_a_candidate_fitted_along_has_the_derivatives_of_both(arm: FitProblem):
     estimate = fit(arm, reject=False)
     s = next(s for s in score(space_of(estimate), named_candidates(estimate, catalogue())) if s.freedom)
     near = linear_refit(estimate, s)
@@ -125,7 +125,7 @@ def test_a_candidate_fitted_along_has_the_derivatives_of_both(arm: Experiment):
 def test_errors_and_steps_of_a_log_are_those_of_the_whole_derivative(few_rows: dict[Stage, Rows]):
     rows = few_rows["free_air"]
     names = ("gravity", "coulomb_friction", "load_dependent_friction", "torque_ripple")
-    log = experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
+    log = fit_problem(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
     rng = np.random.default_rng(2)
     size = log.sizes()
     theta = log.start() + 0.1 * size * rng.normal(size=len(size))
@@ -146,7 +146,7 @@ def test_errors_and_steps_of_a_log_are_those_of_the_whole_derivative(few_rows: d
 @pytest.mark.parametrize("further", [(), ("stribeck_friction",)])
 def test_a_linear_log_is_searched_from_its_first_derivative(few_rows: dict[Stage, Rows], further: tuple[str, ...]):
     rows, names = few_rows["free_air"], ("gravity", "coulomb_friction", *further)
-    log = experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
+    log = fit_problem(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
     assert log.affine is (not further)  # whose speed is a shape
     noise = learn_noise(rows, log.error(log.start()))
     precision, mean = prior_of(log, ())
@@ -164,7 +164,7 @@ def test_a_log_by_parts_is_the_whole_log(tiny: Campaign, shaped: str):
     known, layout = catalogue(), layout_of([tiny])
     names = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction", shaped)
     rows = stage_rows([tiny], layout, "free_air")
-    trial = experiment(rows, known, active_slots(rows, known, [Term(name) for name in names]))
+    trial = fit_problem(rows, known, active_slots(rows, known, [Term(name) for name in names]))
     assert 0 < trial.chain.bends.sum() < len(trial.slots)
     rng, start = np.random.default_rng(1), trial.start()
     noise = learn_noise(rows, trial.residual(start)[0])

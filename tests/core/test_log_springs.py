@@ -21,7 +21,7 @@ from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify, stage_rows, standard_effects
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Prior, Slot
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.loads import declared_weight, gravity_signals
 from clampid.stages.rows import Array
@@ -133,9 +133,9 @@ def test_a_model_keeps_it(tmp_path: Path):
 
 
 @cache
-def log_experiment() -> Experiment:
+def log_problem() -> FitProblem:
     campaign = campaign_of(HEAVY)
-    return experiment(stage_rows([campaign], layout_of([campaign]), "free_air"), catalogue(), SLOTS)
+    return fit_problem(stage_rows([campaign], layout_of([campaign]), "free_air"), catalogue(), SLOTS)
 
 
 SLOTS = (Slot("coulomb_friction", "Fc", "joint1"), Slot("gravity", "mx", "link2"), Slot("gravity", "mz", "link2"))
@@ -145,7 +145,7 @@ SLOTS = (Slot("coulomb_friction", "Fc", "joint1"), Slot("gravity", "mx", "link2"
 @settings(max_examples=30, deadline=None)
 def test_a_prior_that_follows_is_one_of_the_difference(theta: Array, slope: Array):
     """(m - mean - s f)' C^-1 (m - mean - s f), and the prior of what is followed."""
-    trial = log_experiment()
+    trial = log_problem()
     covariance, mean = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([0.3, -0.7])
     friction = Prior(SLOTS[:1], np.array([1.5]), np.array([[0.04]]))
     loads = Prior(SLOTS[1:], mean, covariance, SLOTS[:1], slope[:, None])

@@ -16,16 +16,16 @@ from clampid.fitting.noise import initial_noise
 from clampid.fitting.solve import stage_point
 from clampid.identification.fitted_stage import active_slots
 from clampid.slots import Term
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
 from kinematics.screws import exp_so3
 
 
-def arm(campaign: Campaign, *names: str) -> Experiment:
+def arm(campaign: Campaign, *names: str) -> FitProblem:
     rows = pose_rows([campaign], layout_of([campaign]), "poses")
-    return experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
+    return fit_problem(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
 
 
 @pytest.mark.parametrize("oblique", [False, True])

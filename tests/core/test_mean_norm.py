@@ -16,7 +16,7 @@ from clampid.fitting.solve import Estimate, FitError, solve
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import identify, stage_rows
 from clampid.slots import Term
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 
@@ -34,7 +34,7 @@ def clean(arm: Campaign) -> Estimate:
     """Geometry fitted to points that are exactly where that geometry has them."""
     rows = stage_rows([arm], layout_of([arm]), "poses")
     effects = catalogue()
-    first = fit(experiment(rows, effects, active_slots(rows, effects, [Term("geometry")])))
+    first = fit(fit_problem(rows, effects, active_slots(rows, effects, [Term("geometry")])))
     exact = replace(rows, measured=rows.measured - first.experiment.residual(first.theta)[0])
     return replace(first, experiment=first.experiment.with_rows(exact))
 

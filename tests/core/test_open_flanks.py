@@ -17,7 +17,7 @@ from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model, StageModel, load_model, save_model
 from clampid.slots import Slot
 from clampid.stages import poses
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.loads import gravity_signals, lean_torque
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
@@ -101,7 +101,7 @@ def test_the_lean_is_kept_in_the_file_and_in_commands(tmp_path: Path) -> None:
     again = load_model(tmp_path / "model.json")
     np.testing.assert_array_equal(again.stages["poses"].lean, stage.lean)
     rows = on_campaign(again, campaign).rows("poses")
-    chain = experiment(rows, catalogue(), stage.slots, stage.lean).chain
+    chain = fit_problem(rows, catalogue(), stage.slots, stage.lean).chain
     theta = np.maximum(stage.theta, chain.least)
     found = poses.pressing(rows, chain, theta)
     assert found is not None
@@ -111,7 +111,7 @@ def test_the_lean_is_kept_in_the_file_and_in_commands(tmp_path: Path) -> None:
         conditions = Conditions(rows.signals["direction"][k], np.zeros(6), np.zeros(6))
         pressing = forward.one(np.r_[rows.signals["q"][k], conditions.vector])[3]
         np.testing.assert_allclose(pressing, found[k], rtol=1e-6, atol=1e-6)
-    level = experiment(rows, catalogue(), stage.slots).chain
+    level = fit_problem(rows, catalogue(), stage.slots).chain
     assert np.any(np.sign(found) != poses.flanks(rows, level, theta))
 
 

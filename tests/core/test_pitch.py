@@ -18,7 +18,7 @@ from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.slots import Layout, Slot, unit_of
 from clampid.stages import poses
-from clampid.stages.experiment import experiment, parameter_of
+from clampid.stages.fit_problem import fit_problem, parameter_of
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign, Instrument, Tool
@@ -67,7 +67,7 @@ def test_it_is_exactly_the_screw_of_another_pitch(name: str):
     axes = ("rx", "ry", "rz", "x", "y", "z")
     slots = [Slot("pitch_error", "h", f"joint{i + 1}") for i in range(n)]
     slots += [Slot("geometry", axis, f"link{i + 1}") for i in range(n) for axis in axes]
-    trial = experiment(pose_rows([campaign], Layout(n), "poses", {0: np.eye(4)}), catalogue(), slots)
+    trial = fit_problem(pose_rows([campaign], Layout(n), "poses", {0: np.eye(4)}), catalogue(), slots)
     theta = np.r_[h, moved.ravel()]
     position, rotation, _ = poses.predict(trial.rows, poses.evaluate(trial.rows, trial.chain, theta))
     for row, angles in enumerate(q @ np.asarray(robot.linkage).T):

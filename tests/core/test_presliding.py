@@ -17,7 +17,7 @@ from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify, stage_rows, standard_effects
 from clampid.loop.add import add
 from clampid.slots import Term
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.presliding import dry_states, recurrence
 from experiments.campaign import Campaign
@@ -93,7 +93,7 @@ def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campai
     excess = []
     for terms in (standard, (*standard, Term("presliding_friction", "joint2"))):
         fitted = fit_stage(rows, effects, terms, {}, held=((1,),))
-        residual, _ = experiment(rows, effects, fitted.model.slots).residual(fitted.model.theta)
+        residual, _ = fit_problem(rows, effects, fitted.model.slots).residual(fitted.model.theta)
         sigma = noise_floor(rows, residual).sigma[1]
         excess.append(np.mean(residual[seen, 1] ** 2) / sigma**2 - 1.0)
     assert excess[0] > 1.0  # friction held at rest: as much error again as there is noise

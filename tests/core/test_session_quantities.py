@@ -15,7 +15,7 @@ from clampid.evidence.candidates import terms_not_active
 from clampid.identification.identify import identify
 from clampid.models.model import Model, load_model, save_model
 from clampid.models.session_differences import session_differences
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Rows
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import simulate
@@ -87,7 +87,7 @@ def test_the_file_keeps_them_and_one_session_has_its_own(
 
 def test_diagnosis_does_not_look_for_them(few_rows: dict[Stage, Rows]):
     effects = catalogue()
-    trial = experiment(few_rows["poses"], effects, ())
+    trial = fit_problem(few_rows["poses"], effects, ())
     looked_for = {term.effect for term in terms_not_active(SimpleNamespace(slots=(), experiment=trial), effects)}  # type: ignore[arg-type]
     assert {"payload", "instrument_scale"} <= looked_for
     assert not {"session_payload", "session_scale"} & looked_for

@@ -10,7 +10,7 @@ from clampid.chain import steady
 from clampid.identification.fitted_stage import active_slots
 from clampid.slots import Term
 from clampid.stages import poses
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import pose_rows
 from experiments.campaign import Campaign
@@ -18,9 +18,9 @@ from experiments.campaign import Campaign
 CURVES = ("joint_angle_curve", "shared_angle_curve")
 
 
-def arm(campaign: Campaign, *names: str) -> Experiment:
+def arm(campaign: Campaign, *names: str) -> FitProblem:
     rows = pose_rows([campaign], layout_of([campaign]), "poses")
-    return experiment(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
+    return fit_problem(rows, catalogue(), active_slots(rows, catalogue(), [Term(name, None) for name in names]))
 
 
 @pytest.mark.parametrize("curve", CURVES)

@@ -13,7 +13,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.fitting.noise import initial_noise
 from clampid.identification.identify import identify
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import join_rows, pose_rows
 from experiments.campaign import Campaign, CampaignError, Instrument, read_campaign, write_campaign
@@ -44,7 +44,7 @@ def spoilt(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def ideal(plain: Campaign) -> Campaign:
     """The same poses of a robot without any error, read without noise."""
     rows = pose_rows([plain], layout_of([plain]), "poses")
-    residual, _ = experiment(rows, catalogue(), ()).residual(np.zeros(0))
+    residual, _ = fit_problem(rows, catalogue(), ()).residual(np.zeros(0))
     return with_points(plain, rows.measured - residual, None)
 
 

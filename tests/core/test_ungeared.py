@@ -9,7 +9,7 @@ from virtual_arms import arm
 from clampid.catalogue import catalogue
 from clampid.identification.identify import identify
 from clampid.slots import Slot
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot

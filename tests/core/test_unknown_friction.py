@@ -8,7 +8,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.identification.identify import identify, stage_rows
 from clampid.models.model import StageModel
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from experiments.campaign import Campaign
 from experiments.simulate import measured_campaign
@@ -40,7 +40,7 @@ def test_a_friction_that_no_row_determines_is_none(stage: StageModel) -> None:
 def test_what_is_stated_of_a_measured_pose_is_what_the_poses_determine(campaign: Campaign, stage: StageModel) -> None:
     """Of P parameters told by rows, predictions of these rows know P of their variances, not thousands."""
     rows = stage_rows([campaign], layout_of([campaign]), "poses")
-    trial = experiment(rows, catalogue(), stage.slots).with_flanks(stage.theta)
+    trial = fit_problem(rows, catalogue(), stage.slots).with_flanks(stage.theta)
     _, jacobian = trial.residual(stage.theta)
     stated = np.einsum("nip,pq,niq->n", jacobian[:, :3], stage.covariance, jacobian[:, :3])
     noise = float(np.mean(rows.sigma[:, 0] ** 2))

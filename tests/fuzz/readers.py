@@ -113,8 +113,8 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from clampid.models.model import load_model, save_model
     from clampid.planning.free_air import plan_free_air
     from clampid.planning.logs import torque_noise_of
+    from clampid.planning.obstacle_files import read_obstacles
     from clampid.planning.program import LogWishes
-    from clampid.planning.scene import read_obstacles
     from clampid.trusted import list_of_trusted, trust, trust_file
     from experiments.campaign import read_campaign
     from experiments.checks.check import check_campaign
@@ -123,11 +123,11 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
     from experiments.plans import cell_of, limits_of, read_plan, write_plan
     from experiments.simulate import simulate
     from experiments.touched import read_touched
+    from kinematics.collision.mesh import read_mesh
     from kinematics.description import load_robot
     from kinematics.kuka_text import machine_data_text, read_machine_data
     from offline_ik.arm.identified import arm_of
     from offline_ik.cell.cell import read_cell
-    from offline_ik.collision.mesh import read_mesh
     from offline_ik.reflections.peak_table import read_peaks
 
     arm = simulate(folder / "arm", "ur10", seed=3, poses=8, tables=("poses",), file_format="csv")
@@ -184,7 +184,7 @@ def readers(folder: Path) -> dict[str, tuple[bytes, str, Reader]]:
         "touched": (TOUCHED.encode(), "touched.toml", read_touched),
         "touches": (TOUCHES.encode(), "touches.csv", lambda path: read_touched(folder / "touched.toml")),
         "peaks": (PEAKS.encode(), "peaks.csv", lambda path: read_peaks(path, 6, 1e-4)),
-        "obstacles": (OBSTACLES.encode(), "obstacles.toml", lambda path: read_obstacles(path, cell)),
+        "obstacles": (OBSTACLES.encode(), "obstacles.toml", read_obstacles),
         "obj": (MESH.encode(), "mesh.obj", read_mesh),
         "stl": (STL.encode(), "mesh.stl", read_mesh),
         "trusted": (trust_file().read_bytes(), "config/clampid/trusted_effects.json", lambda path: list_of_trusted()),
@@ -231,8 +231,8 @@ def is_refusal(error: Exception) -> bool:
     from experiments.instruments import InstrumentError
     from experiments.links.protocol import LinkError
     from experiments.virtual_controller.errors import ControllerError
+    from kinematics.collision.mesh import MeshError
     from kinematics.kuka import MachineDataError
-    from offline_ik.collision.mesh import MeshError
 
     # Verbs make wrong calls of the last three.
     known = (MeshError, MachineDataError, InstrumentError, LinkError, ControllerError)

@@ -12,7 +12,7 @@ from ik_arms import MOUNT, conditions, drawn_arm, postures
 from ik_general import general
 
 from clampid.catalogue import catalogue
-from clampid.stages.experiment import parameter_of
+from clampid.stages.fit_problem import parameter_of
 from kinematics.description import load_robot
 from kinematics.poe import forward
 from kinematics.screws import log_so3

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from offline_ik.collision.mesh import SHEET, MeshError, read_mesh
-from offline_ik.collision.shapes import distance_of
+from kinematics.collision.bodies import distance_of
+from kinematics.collision.mesh import SHEET, MeshError, read_mesh
 
 TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])[[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]]
 PLATE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])[[[0, 1, 2], [0, 2, 3]]]

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from clampid.cli import app
 from clampid.models.model import save_model
 from offline_ik.errors import CellError, DetectorError, TargetError
-from offline_ik.inverse.assumed import SHIFT, moves_by, time_effects
+from offline_ik.inverse.assumed import SHIFT_SECONDS, moves_by, time_effects
 from offline_ik.inverse.detector import Detector
 from offline_ik.inverse.opening import open_detector
 from offline_ik.server.protocol import Job, Session, Speaker
@@ -56,7 +56,7 @@ def test_the_answer_is_of_the_time_that_was_said(warming: Detector) -> None:
     assert np.allclose(later.pose(answer.solutions[0].q[None])[0], answer.target, atol=3e-9)
     assert answer.cell["running_s"] == 2 * HOUR
     assert moves_by(warming, q) == pytest.approx(
-        np.linalg.norm(warming.at_running(SHIFT).pose(q[None])[0][:3, 3] - at[0.0])
+        np.linalg.norm(warming.at_running(SHIFT_SECONDS).pose(q[None])[0][:3, 3] - at[0.0])
     )
     # the uncertainty is that of the time as well: nothing has grown at the start
     grown = [

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from ik_arms import drawn_arm
 
+from kinematics.collision.moves import LongCheckError
+from kinematics.collision.obstacles import Obstacle
 from kinematics.description import load_robot
 from offline_ik.arm.identified import nominal_arm
-from offline_ik.cell.cell import Cell, Obstacle, default_cell
-from offline_ik.collision.safety import LongCheckError, check_path, move_time
+from offline_ik.cell.cell import Cell, default_cell
+from offline_ik.collision.safety import check_path, move_time
 from offline_ik.collision.world import world_of
 from offline_ik.errors import CellError
 from offline_ik.inverse.detector import Detector

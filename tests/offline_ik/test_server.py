@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from server_lines import GOOD, rubbish
 
-from offline_ik.collision.safety import LongCheckError, PathReport, check_path
+from kinematics.collision.moves import LongCheckError
+from offline_ik.collision.safety import PathReport, check_path
 from offline_ik.errors import DetectorError
 from offline_ik.exchange.address import is_loopback, parse_address
 from offline_ik.inverse.detector import Detector

@@ -124,7 +124,7 @@ def test_wrong_wishes_are_refused(cell: Cell, limits: Limits, options: dict, wor
 def test_a_scene_that_leaves_no_room_is_refused(cell: Cell, limits: Limits) -> None:
     noise, _ = torque_noise_of(cell, None, None)
     with pytest.raises(PlanError, match="clear of floor and obstacles, found"):
-        plan_free_air(cell, limits, noise, LogWishes(time=60.0), scene=Scene(cell, floor=5.0))
+        plan_free_air(cell, limits, noise, LogWishes(time=60.0), scene=Scene.around(cell, floor=5.0))
 
 
 def test_missing_data_are_asked_for() -> None:

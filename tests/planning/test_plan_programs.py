@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from clampid.planning.returns import Cube, Returns, off_line, plan_cube, plan_fixed, plan_line
-from clampid.planning.scene import Obstacle, Scene
+from clampid.planning.scene import Scene
 from clampid.planning.visiting import Approach
 from clampid.planning.warm_up import WarmUp, plan_warm_up
 from experiments.plans import Cell, Limits, Plan, PlanError, Visit, read_plan, write_plan
 from experiments.plans.model import Steady
 from experiments.plans.runner import run_plan
 from experiments.plans.virtual import VirtualRobot
+from kinematics.collision.obstacles import Obstacle
 from kinematics.poe import forward
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -213,8 +214,10 @@ def test_what_cannot_be_run_is_refused(
 
 
 def test_a_way_through_an_obstacle_is_refused(cell: Cell, limits: Limits) -> None:
-    wall = Obstacle("wall", "box", np.array([0.2, 0.05, 0.2]), np.array([0.9, 0.05, 1.1]), np.eye(3))
-    scene = Scene(cell, (wall,), None, 0.08)
+    pose = np.eye(4)
+    pose[:3, 3] = 0.9, 0.05, 1.1
+    wall = Obstacle("wall", "box", (0.2, 0.05, 0.2), pose)
+    scene = Scene.around(cell, (wall,), None, 0.08)
     with pytest.raises(PlanError, match="clear of floor, arm and obstacles"):
         plan_line(cell, limits, scene, wanted(), ENDS, stops=3, repetitions=1)
 

@@ -21,7 +21,7 @@ from clampid.planning.poses import PoseWishes, plan_poses
 from clampid.planning.reach import reaching
 from clampid.planning.region import Box, SpherePart, box_of, sphere_part_of
 from clampid.planning.sampling import configurations
-from clampid.planning.scene import Obstacle, Scene
+from clampid.planning.scene import Scene
 from clampid.planning.sight import sight_of
 from clampid.planning.tour import short_tour, tour_length
 from clampid.verbs.errors import is_wrong_input
@@ -32,6 +32,7 @@ from experiments.plans import Cell, Limits, Plan, PlanError, Visit, cell_of, rea
 from experiments.plans.limits import course_of
 from experiments.plans.validate import visit_course
 from experiments.plans.virtual import run_virtually
+from kinematics.collision.obstacles import Obstacle
 from kinematics.description import load_robot
 from kinematics.poe import forward
 
@@ -76,14 +77,20 @@ def test_visits_are_what_was_asked_for(poses: Plan, cell: Cell) -> None:
         before = visit.q
 
 
+def box_at(size: tuple[float, float, float], centre: tuple[float, float, float]) -> Obstacle:
+    pose = np.eye(4)
+    pose[:3, 3] = centre
+    return Obstacle("wall", "box", size, pose)
+
+
 def test_a_hand_that_slides_at_the_end_of_the_forearm_does_not_hit_it() -> None:
     """Radians in the place of its metres would take the two for parts that are seldom close together."""
     scara = cell_of(str(Path(__file__).parents[2] / "benchmarks" / "scara.toml"))[0]
     rng, robot = np.random.default_rng(0), scara.robot
-    clear = Scene(scara, floor=None).clear(rng.uniform(robot.lower, robot.upper, (50, robot.n)))
+    clear = Scene.around(scara, floor=None).clear(rng.uniform(robot.lower, robot.upper, (50, robot.n)))
     assert clear.mean() > 0.5
-    wall = Obstacle("wall", "box", np.array([0.1, 4.0, 4.0]), np.array([0.6, 0.0, 0.0]), np.eye(3))
-    assert Scene(scara, (wall,), floor=None).clear(np.zeros((1, robot.n))).tolist() == [False]
+    wall = box_at((0.1, 4.0, 4.0), (0.6, 0.0, 0.0))
+    assert Scene.around(scara, (wall,), floor=None).clear(np.zeros((1, robot.n))).tolist() == [False]
 
 
 def test_every_joint_is_approached_from_both_sides_whatever_the_posture(poses: Plan) -> None:
@@ -143,8 +150,8 @@ def test_region_sight_and_obstacles_are_kept(cell: Cell, limits: Limits) -> None
     station = np.array([3.0, 0.5, 1.0])
     sight = sight_of(station, view=(-1.0, 0.0, 0.0, 0.6), facing=(0.0, 0.0, 1.0, 0.9), tolerance=0.05)
     region = box_of((0.4, -0.9, 0.3, 1.6, 0.9, 1.8))
-    wall = Obstacle("wall", "box", np.array([0.1, 2.0, 0.6]), np.array([2.2, 0.0, 0.3]), np.eye(3))
-    scene = Scene(cell, (wall,))
+    wall = box_at((0.1, 2.0, 0.6), (2.2, 0.0, 0.3))
+    scene = Scene.around(cell, (wall,))
     plan = plan_poses(
         cell, limits, PoseWishes(poses=20, replicates=2, verification=6, region=region, sight=sight), scene=scene
     )
@@ -157,7 +164,7 @@ def test_region_sight_and_obstacles_are_kept(cell: Cell, limits: Limits) -> None
     # Nothing of the wall between instrument and target, by stepping along the ray.
     for point in points.reshape(-1, 3):
         along = point + np.linspace(0, 1, 400)[:, None] * (station - point)
-        assert not np.any(np.all(np.abs(along - wall.centre) <= wall.size / 2, axis=1))
+        assert not np.any(np.all(np.abs(along - wall.pose[:3, 3]) <= np.array(wall.size) / 2, axis=1))
 
 
 def test_the_arm_hides_what_is_behind_it(cell: Cell) -> None:

@@ -13,6 +13,8 @@ from pathlib import Path
 PACKAGES = ("clampid", "experiments", "kinematics", "offline_ik")
 MAX_LINES = 400
 MAX_PARAMETERS = 8
+VAGUE = ("STEPS", "FEWEST", "MOST", "FAR", "FIRST", "BEYOND", "APART", "CLOSE", "PASSES", "SHIFT", "SHORT", "STEP")
+"""Words that were constants of a dozen modules with as many meanings; a constant says what it is of."""
 COMMAND_LINES = ("clampid/verbs/", "offline_ik/verbs/")  # a verb's parameters are the options of its command line
 
 
@@ -42,6 +44,18 @@ def parameters_over(root: Path) -> dict[str, int]:
                 count = len(named) + (own.vararg is not None) + (own.kwarg is not None)
                 if count > MAX_PARAMETERS:
                     found[f"{where}:{node.name}"] = count
+    return found
+
+
+def shared_words(root: Path) -> dict[str, list[str]]:
+    """Constant of one of `VAGUE` words → modules that define it."""
+    found: dict[str, list[str]] = {}
+    for where, text in sources(root):
+        for node in ast.parse(text).body:
+            targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+            for target in targets:
+                if isinstance(target, ast.Name) and target.id.lstrip("_") in VAGUE:
+                    found.setdefault(target.id, []).append(where)
     return found
 
 
@@ -88,4 +102,5 @@ if __name__ == "__main__":
     ROOT = Path(__file__).parents[2]
     print("modules over", MAX_LINES, "lines:", long_modules(ROOT) or "none")
     print("functions over", MAX_PARAMETERS, "parameters:", parameters_over(ROOT) or "none")
+    print("constants of vague words:", shared_words(ROOT) or "none")
     print("circles of imports:", cycles(import_graph(ROOT)) or "none")

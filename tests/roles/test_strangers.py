@@ -21,7 +21,7 @@ from clampid.identification.carried import is_load
 from clampid.identification.fitted_stage import active_slots
 from clampid.identification.identify import stage_rows
 from clampid.slots import Slot, Term
-from clampid.stages.experiment import experiment
+from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.standard_sets import STANDARD
 from experiments.campaign import Campaign, read_campaign
@@ -46,14 +46,14 @@ def first_names(campaign: Campaign, stage: str, name: str) -> set[str]:
     """The candidates of the largest evidence, where an effect was added to the rows of a stage."""
     rows = stage_rows([campaign], layout_of([campaign]), stage)
     slots = active_slots(rows, EFFECTS, [Term(n) for n in STANDARD[stage]])
-    estimate = fit(experiment(rows, EFFECTS, slots))
+    estimate = fit(fit_problem(rows, EFFECTS, slots))
     parameter, place, amount = HIDDEN[name]
-    whole = experiment(rows, EFFECTS, (*slots, Slot(name, parameter, place)))
+    whole = fit_problem(rows, EFFECTS, (*slots, Slot(name, parameter, place)))
     theta, value = estimate.theta, amount * whole.parameters[-1].size
     whole = whole.with_flanks(np.r_[theta[: len(slots)], value])
     with_it = np.r_[theta[: len(slots)], value, theta[len(slots) :]]
     moved = estimate.residual - whole.residual(with_it)[0]
-    told = fit(experiment(replace(rows, measured=rows.measured + moved), EFFECTS, slots))
+    told = fit(fit_problem(replace(rows, measured=rows.measured + moved), EFFECTS, slots))
     scored = score(space_of(told), named_candidates(told, EFFECTS))
     best = max(s.bic for s in scored if s.freedom)
     return {s.candidate.label for s in scored if s.freedom and s.bic > best - 1e-6 * abs(best)}
@@ -74,7 +74,7 @@ def test_friction_on_a_load_enters_the_poses_and_decides_flanks(campaign: Campai
     slots = (Slot("backlash", "gap", "joint2"), Slot("arm_load_friction", "mu", "joint2"))
     assert is_load(slots[1], EFFECTS)
     rows = stage_rows([campaign], layout_of([campaign]), "poses")
-    chain = experiment(rows, EFFECTS, slots).chain
+    chain = fit_problem(rows, EFFECTS, slots).chain
     without, with_it = (
         np.asarray(chain.pressing(np.array([1e-3, mu]), {**rows.signals, "flank": rows.signals["direction"]}))
         for mu in (0.0, 1.5)

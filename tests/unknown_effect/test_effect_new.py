@@ -17,7 +17,7 @@ from clampid.effect import EffectError, Stage
 from clampid.fitting.solve import clamping_offsets
 from clampid.identification.identify import stage_rows
 from clampid.slots import slots_of
-from clampid.stages.experiment import Experiment, experiment
+from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 
 VARIABLES: dict[Stage, tuple[str, ...]] = {
@@ -46,16 +46,16 @@ def few_rows(simulated):
     }
 
 
-def trial_of(text: str, rows) -> tuple[Experiment, int]:
+def trial_of(text: str, rows) -> tuple[FitProblem, int]:
     """The new effect, with the springs without which a clamped drive has no finite torque."""
     effect = effect_module(text).EFFECT
     effects = {**catalogue(), effect.name: effect}
     own = slots_of(effect, rows.layout, rows.stage)
     springs = slots_of(effects["joint_compliance"], rows.layout) if rows.stage == "clamped" else ()
-    return experiment(rows, effects, (*own, *springs)), len(own)
+    return fit_problem(rows, effects, (*own, *springs)), len(own)
 
 
-def start_of(trial: Experiment, own: int) -> np.ndarray:
+def start_of(trial: FitProblem, own: int) -> np.ndarray:
     theta = trial.start()
     theta[own : len(trial.slots)] = trial.sizes()[own : len(trial.slots)]
     if trial.stage == "clamped":
@@ -68,7 +68,7 @@ def test_acts_where_it_says_and_vanishes_at_zero(stage: Stage, at: str, few_rows
     for first, second in zip(VARIABLES[stage], (*VARIABLES[stage][1:], VARIABLES[stage][0]), strict=True):
         trial, own = trial_of(effect_text("mine", (first, second), at, stage=stage, orders=1), few_rows[stage])
         theta = start_of(trial, own)
-        without = experiment(trial.rows, trial.effects, trial.slots[own:])
+        without = fit_problem(trial.rows, trial.effects, trial.slots[own:])
         zero, jacobian = trial.residual(theta)
         bare, _ = without.residual(np.r_[theta[own : len(trial.slots)], theta[len(trial.slots) :]])
         np.testing.assert_allclose(zero, bare, atol=1e-9)

@@ -1,4 +1,4 @@
-"""An experiment: rows and the effects that are active in them, as one function of one parameter vector."""
+"""What is fitted: rows and the effects that are active in them, as one function of one parameter vector."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 from kinematics.masses import own_moment
 
-__all__ = ["HELD", "Experiment", "experiment", "parameter_of"]
+__all__ = ["HELD", "FitProblem", "fit_problem", "parameter_of"]
 
 
 HELD = 1e-9  # sizes: as tightly as numbers allow
@@ -30,7 +30,7 @@ OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses":
 
 
 @dataclass(frozen=True)
-class Experiment:
+class FitProblem:
     """Rows and active slots of one stage.
 
     The parameter vector is ``(P + K,)``: the slots, then K offsets that belong to single runs or sweeps (in ``clamped``
@@ -116,15 +116,15 @@ class Experiment:
         deviations = poses.evaluate(self.rows, self.chain, theta[: len(self.slots)])
         return poses.by_station(self.rows, deviations)[1][:, :, : self.rows.robot.n]
 
-    def with_rows(self, rows: Rows) -> Experiment:
+    def with_rows(self, rows: Rows) -> FitProblem:
         """The same effects on other rows of the same layout."""
         return replace(self, rows=rows)
 
-    def leaning(self, lean: Array | None) -> Experiment:
+    def leaning(self, lean: Array | None) -> FitProblem:
         """The same on a robot that leans: see :attr:`clampid.chain.chain.Chain.lean`."""
         return replace(self, chain=replace(self.chain, lean=lean))
 
-    def with_flanks(self, theta: Array) -> Experiment:
+    def with_flanks(self, theta: Array) -> FitProblem:
         """The same with flanks and loads held where these parameters put them; only poses have any."""
         if self.stage != "poses":
             return self
@@ -132,9 +132,9 @@ class Experiment:
             self, rows=replace(self.rows, signals=poses.frozen_flanks(self.rows, self.chain, theta[: len(self.slots)]))
         )
 
-    def with_slots(self, slots: Sequence[Slot]) -> Experiment:
+    def with_slots(self, slots: Sequence[Slot]) -> FitProblem:
         """The same rows with other slots active."""
-        return experiment(self.rows, self.effects, slots, self.chain.lean)
+        return fit_problem(self.rows, self.effects, slots, self.chain.lean)
 
     def start(self) -> Array:
         """A start, and what is assumed before any row is seen: amplitudes zero, shapes and shares as they say.
@@ -259,10 +259,10 @@ def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescript
     return parameter.geared(1.0 / own if own > 0 else 1.0)
 
 
-def experiment(
+def fit_problem(
     rows: Rows, effects: Mapping[str, Effect], slots: Sequence[Slot], lean: Array | None = None
-) -> Experiment:
-    """An experiment with the given slots active, on a robot that leans: see :attr:`clampid.chain.chain.Chain.lean`.
+) -> FitProblem:
+    """Rows with the given slots active, on a robot that leans: see :attr:`clampid.chain.chain.Chain.lean`.
 
     Raises
     ------
@@ -270,4 +270,4 @@ def experiment(
         An effect does not act in the rows' stage.
     """
     chain = build_chain(rows.stage, slots, effects, rows.layout, poses.constants_of(rows.robot))
-    return Experiment(rows, effects, tuple(slots), replace(chain, lean=lean))
+    return FitProblem(rows, effects, tuple(slots), replace(chain, lean=lean))
