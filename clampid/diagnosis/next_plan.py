@@ -27,9 +27,19 @@ WARMTH = frozenset({"link_temperature", "motor_temperature", "ambient_temperatur
 
 
 def parting_plan(
-    campaign: Campaign, estimate: Estimate, rivals: Sequence[Scored], scale: float, seed: int
+    campaign: Campaign,
+    estimate: Estimate,
+    rivals: Sequence[Scored],
+    scale: float,
+    seed: int,
+    most: int | None = None,
 ) -> NextPlan | None:
     """Measurements that part candidates.
+
+    Parameters
+    ----------
+    most
+        How many at most. Then they are a plan, too, where more would be needed for 9 of 10 campaigns.
 
     Raises
     ------
@@ -37,7 +47,7 @@ def parting_plan(
         The campaign's robot lets no measurement be planned.
     """
     pool = _pool_of(campaign, estimate, seed)
-    return propose_parting(pool, estimate, rivals, scale, _states(estimate, [s.candidate for s in rivals]))
+    return propose_parting(pool, estimate, rivals, scale, _states(estimate, [s.candidate for s in rivals]), most)
 
 
 def showing_plan(

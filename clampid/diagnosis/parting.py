@@ -291,7 +291,7 @@ def _choose(
 
     share = reached()
     while share.min() < 1.0 and len(chosen) < min(most, pool):
-        for _ in range(min(batch, pool - len(chosen))):
+        for _ in range(min(batch, most - len(chosen), pool - len(chosen))):
             gains = signals[int(np.argmin(share))].gains() / price
             gains[chosen] = -np.inf
             chosen.append(int(np.argmax(gains)))
