@@ -1,18 +1,20 @@
-"""How many further poses part two confusable effects: those that diagnose proposes, against random ones.
+"""How many further poses part two confusable effects: those that ``clampid run --adaptive`` takes, against random ones.
 
     python benchmarks/adaptive_parting.py [--seeds 20] [--first 0] [--pair wrist|arm]
 
 Two pairs. `wrist`: the forearm up to the wrist grows with its temperature, or with the time since switch-on. `arm`:
-joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 40 poses
-first, and ten more at a time until either effect explains twice `SAME`: before, there is nothing to part. Then
-`clampid.diagnosis.next_plan.parting_plan`, which diagnose calls for look-alikes, proposes poses. They are measured in
-the order of the plan, after a rest where it asks for a cold robot. From the same state the same robot measures random
-poses of the same pool instead, in batches of five; for the pair `wrist` each batch is measured warm, or after a rest,
-by the toss of a coin.
+joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 20 poses
+first, and five more at a time until the suite itself says that the two explain the same: before, there is nothing to
+part. Robots of which it never says so are left out, and counted.
 
-Parted: the true effect explains more than the other one by `SAME` (odds of e^10) in all rows so far. Counted are the
-further poses until then; a proposal that is used up is followed by another, made from all rows. Of one that is not
-expected to part them, the first five poses are measured. At `MOST` poses it ends, and the count is `MOST`.
+Adaptive: `clampid.loop.separating.Separating.next` gets the campaign so far and nothing else. It does not know the
+pair, and what it spends on other pairs counts. What it proposes is measured in the order of the plan, after a rest
+where it asks for a cold robot; then it is asked again. From the same state the same robot measures random poses of the
+same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
+
+Parted: the fit with the true effect is likelier than the fit with the other one by `SAME` (odds of e^10), in all rows
+so far. Counted are the further poses until then. At `MOST` poses it ends, and where adaptive measures nothing more
+while the pair is not parted: the count is `MOST`.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import copy
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -31,18 +34,18 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from clampid.catalogue import catalogue
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, SAME
-from clampid.diagnosis.next_plan import parting_plan
 from clampid.diagnosis.next_poses import _choices
-from clampid.effect import Effect
-from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score
-from clampid.evidence.space import space_of
+from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
+from clampid.loop.adaptive import rested
+from clampid.loop.confusable import confusable_pairs, evidence_apart
+from clampid.loop.separating import Separating
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
+from clampid.slots import Term
 from experiments.campaign import Campaign
 from experiments.plans import cell_of, limits_of
 from experiments.plans.limits import course_of
@@ -55,8 +58,7 @@ from kinematics.description import load_robot
 Array = npt.NDArray[np.float64]
 ROBOT = "kuka_kr20_r1810"
 MOST = 120
-LONGEST_START = 150  # poses
-SHOWN = 2 * SAME  # explained by either effect, before there is anything to part
+LONGEST_START = 80  # poses
 BATCH = 5
 APPROACH = 0.05  # rad
 HOUR = 3600.0
@@ -88,15 +90,16 @@ class Pair:
 
 
 OTHERS = tuple(f"joint_compliance@joint{j}" for j in (1, 3, 4, 5, 6))
+DRAG = ("backlash", "wrist_coupling_friction@joint4", "wrist_coupling_friction@joint5")
 PAIRS = {
     "wrist": Pair(
         ("thermal_expansion@link4", "warm_up_expansion@link4"),
-        ("geometry", "joint_compliance", "backlash"),
-        40,
+        ("geometry", "joint_compliance", *DRAG),
+        20,
         None,
         120.0,
     ),
-    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, "backlash"), 40, 0.6, 0.0),
+    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, *DRAG), 20, 0.4, 0.0),
 }
 GROWTH = 4e-5  # 1/K, of the forearm up to the wrist
 LINK = 3
@@ -170,35 +173,40 @@ class Robot:
         return declared_campaign(header, MappingProxyType({"poses": table}), self.cell.robot)
 
 
-def _always_searched(effect: Effect) -> Effect:
-    """An effect as diagnosis looks for it where no recorded temperature shows the same better."""
-    return replace(effect, search=replace(effect.search, superseded_by=None))
-
-
 class Judge:
-    """Fits a campaign without either effect of a pair, and scores both."""
+    """Fits a campaign with what is there in any case, and says which effect of a pair is there besides."""
 
     def __init__(self, pair: Pair, campaign: Campaign) -> None:
-        self.campaign = campaign
-        model = identify(campaign, list(pair.model))
-        self.estimate = on_campaign(model, campaign).refit("poses").estimate
-        self.space = space_of(self.estimate)
-        names = [name.split("@") for name in pair.names]
-        effects = {name: _always_searched(catalogue()[name]) for name, _ in names}
-        found = score(self.space, named_candidates(self.estimate, effects))
-        self.scored = []
-        for name, place in names:
-            mine = [s for s in found if s.candidate.name == name and s.candidate.places == (place,)]
-            self.scored.append(max(mine, key=lambda s: s.explained))  # of the time constants, the best
+        self.campaign, self._pair = campaign, pair
+
+    def confused(self) -> bool:
+        """Whether the suite says that the two explain the same, whatever else it says."""
+        model = identify(self.campaign)
+        found = diagnose(model, self.campaign, stages=("poses",)).stages["poses"]
+        if found.fitted is None or found.scores is None:
+            return False
+        searched = {s.candidate.name for s in found.scores.named}
+        pairs = confusable_pairs(found.fitted, searched, {})
+        return any(set(p.terms) == set(self._terms) and abs(p.apart) < SAME for p in pairs)
+
+    @cached_property
+    def apart(self) -> float:
+        """By how much the first one is likelier than the second."""
+        first, second = self._terms
+        return evidence_apart(self._fitted(first.label), first, second, {})
 
     @property
-    def apart(self) -> float:
-        """By how much the first one explains more than the second."""
-        return float(self.scored[0].explained - self.scored[1].explained)
+    def _terms(self) -> tuple[Term, Term]:
+        first, second = (Term(*name.split("@")) for name in self._pair.names)
+        return first, second
+
+    def _fitted(self, *more: str) -> FittedStage:
+        model = identify(self.campaign, [*self._pair.model, *more])
+        return on_campaign(model, self.campaign).refit("poses")
 
 
-def start(name: str, seed: int) -> Robot:
-    """A robot after its first campaign."""
+def start(name: str, seed: int) -> Robot | None:
+    """A robot after its first campaign; None where that never leaves the pair open."""
     pair, rng = PAIRS[name], np.random.default_rng([seed, 1])
     robot = Robot(name, seed % 2, seed)
     middle = (robot.limits.lower + robot.limits.upper) / 2
@@ -213,26 +221,29 @@ def start(name: str, seed: int) -> Robot:
         robot.visit(q, rng.choice([-1.0, 1.0], len(q)))
         if pair.pause:
             robot.swing(pair.pause)
-        if number < pair.start or number % 10:
+        if number < pair.start or number % BATCH:
             continue
-        if max(s.explained for s in Judge(pair, robot.campaign()).scored) >= SHOWN:
-            break
-    return robot
+        judge = Judge(pair, robot.campaign())
+        if abs(judge.apart) < SAME and judge.confused():
+            return robot
+    return None
 
 
-def counted(robot: Robot, name: str, seed: int, batch: Callable[[Judge], Sequence[tuple[Array, Array, float]]]) -> int:
+Visits = Sequence[tuple[Array, Array, float]]
+
+
+def counted(robot: Robot, name: str, seed: int, batch: Callable[[Campaign, int], Visits]) -> int:
     """Further poses until the pair is parted; what is next is asked for with what is known."""
     pair, truth = PAIRS[name], seed % 2
     begin = len(robot.parts)
-    judge = Judge(pair, robot.campaign())
     while len(robot.parts) - begin < MOST:
         before = len(robot.parts)
-        for q, direction, rest in batch(judge)[: MOST - (before - begin)]:
+        left = MOST - (before - begin)
+        for q, direction, rest in batch(robot.campaign(), left)[:left]:
             robot.visit(q, direction, rest)
         if len(robot.parts) == before:
             return MOST
-        judge = Judge(pair, robot.campaign())
-        if _parted(judge, truth):
+        if _parted(Judge(pair, robot.campaign()), truth):
             done = before + 1
             while done < len(robot.parts) and not _parted(Judge(pair, robot.campaign(done)), truth):
                 done += 1
@@ -246,38 +257,34 @@ def _parted(judge: Judge, truth: int) -> bool:
 
 def trial(name: str, seed: int) -> dict[str, Any]:
     """Both counts for one robot."""
+    row: dict[str, Any] = {"pair": name, "seed": seed, "true": PAIRS[name].names[seed % 2]}
     robot = start(name, seed)
+    if robot is None:
+        return row
     first = Judge(PAIRS[name], robot.campaign())
-    q, sides = _choices(robot.campaign(), seed)
-    states: list[str] = []
+    said: list[str] = []
+    chooser = Separating(seed)
 
-    def proposed(judge: Judge) -> list[tuple[Array, Array, float]]:
-        found = parting_plan(judge.campaign, judge.estimate, judge.scored, judge.space.scale, seed)
-        if found is None or not found.chosen:
-            states.append("nothing")
+    def adaptive(campaign: Campaign, left: int) -> Visits:
+        found = chooser.next(campaign, "poses", left)
+        said.append(found.why)
+        if found.proposed is None:
             return []
-        states.append(f"{len(found.chosen)} {found.state}")
-        rest = COOLING if found.state == "cold" else 0.0
-        if found.plan is None:
-            return [(q[k], sides[k], rest if n == 0 else 0.0) for n, k in enumerate(found.chosen[:BATCH])]
-        return [(v.q, v.direction, rest if n == 0 else 0.0) for n, v in enumerate(found.plan.visits)]
+        return [(v.q, v.direction, v.wait) for v in rested(found.proposed).visits]
 
+    q, sides = _choices(robot.campaign(), seed)
     rng = np.random.default_rng([seed, 2])
     order = rng.permutation(len(q)).tolist()
 
-    def random(judge: Judge) -> list[tuple[Array, Array, float]]:
+    def random(campaign: Campaign, left: int) -> Visits:
         mine = [order.pop() for _ in range(BATCH)]
         rest = COOLING if name == "wrist" and rng.random() < 0.5 else 0.0
         return [(q[k], sides[k], rest if n == 0 else 0.0) for n, k in enumerate(mine)]
 
-    row: dict[str, Any] = {"pair": name, "seed": seed, "true": PAIRS[name].names[seed % 2]}
-    row["before"] = first.apart if seed % 2 == 0 else -first.apart
-    row |= {"start": len(robot.parts), "explained": first.scored[seed % 2].explained}
-    if _parted(first, seed % 2):
-        return row | {"proposed": 0, "random": 0, "proposals": "parted already"}
-    row["proposed"] = counted(copy.deepcopy(robot), name, seed, proposed)
+    row |= {"start": len(robot.parts), "before": first.apart if seed % 2 == 0 else -first.apart}
+    row["adaptive"] = counted(copy.deepcopy(robot), name, seed, adaptive)
     row["random"] = counted(copy.deepcopy(robot), name, seed, random)
-    return row | {"proposals": ", ".join(states)}
+    return row | {"said": said}
 
 
 def main() -> None:
@@ -292,11 +299,11 @@ def main() -> None:
         for seed in range(given.first, given.first + given.seeds):
             row = trial(name, seed)
             print({k: round(v, 1) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
-            if row["random"]:
+            if "random" in row:
                 rows.append(row)
         if rows:
-            median = {k: float(np.median([r[k] for r in rows])) for k in ("proposed", "random")}
-            ratio = float(np.median([r["proposed"] / r["random"] for r in rows]))
+            median = {k: float(np.median([r[k] for r in rows])) for k in ("adaptive", "random")}
+            ratio = float(np.median([r["adaptive"] / r["random"] for r in rows]))
             print(f"{name}: {len(rows)} robots; median further poses {median}; median of the ratios {ratio:.2f}")
 
 

@@ -46,12 +46,7 @@ class Weak:
 
 
 def propose_parting(
-    pool_of: PoolOf,
-    estimate: Estimate,
-    rivals: Sequence[Scored],
-    scale: float,
-    states: Sequence[str],
-    most: int | None = None,
+    pool_of: PoolOf, estimate: Estimate, rivals: Sequence[Scored], scale: float, states: Sequence[str]
 ) -> NextPlan | None:
     """Choose measurements that part candidates; None where nothing can be chosen.
 
@@ -64,8 +59,6 @@ def propose_parting(
         Standard deviation of the whitened residual.
     states
         In which the robot may be measured, the more convenient first.
-    most
-        How many at most. Then they are a plan, too, where more of the pool would be needed.
     """
     wanted = [s for s in rivals if s.freedom]
     if len(wanted) < 2:
@@ -82,13 +75,13 @@ def propose_parting(
             pool.nuisance / scale,
             [D / scale for D in pool.columns],
             batch=pool.batch,
-            most=pool.most if most is None else min(pool.most, most),
+            most=pool.most,
             cost=pool.cost,
         )
         found = choose(enough=ENOUGH)
         if not found.chosen and found.before >= ENOUGH:
             found = choose(enough=found.before + ENOUGH)
-        planned = found.after >= ENOUGH or (most is not None and len(found.chosen) > 0 and not found.never)
+        helps = found.after >= ENOUGH
         wished: dict[str, float | int | str] = {
             "parts": "; ".join(c.label for c in candidates),
             "evidence_before": found.before,
@@ -101,8 +94,8 @@ def propose_parting(
             tried=len(pool),
             state=state,
             what=pool.what,
-            words=pool.words(found.chosen) if planned else "",
-            plan=pool.plan(found.chosen, wished) if planned else None,
+            words=pool.words(found.chosen) if helps else "",
+            plan=pool.plan(found.chosen, wished) if helps else None,
             before=found.before,
             after=found.after,
             shared=found.shared,

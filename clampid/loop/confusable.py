@@ -1,4 +1,4 @@
-"""Pairs of effects of which either explains what the rows show: one that a fit has, and one that could stand in its place.
+"""Pairs of effects of which either explains what the rows show: one of a fit, and one that could be there instead.
 
 A fit's effect and an absent one are confusable where the effect is there beyond doubt as long as the other one is
 absent, both follow the same pattern beyond what the rest of the model absorbs, and the fit with the other one instead
@@ -31,7 +31,6 @@ from clampid.models.model import StageModel
 from clampid.role_slots import has_role
 from clampid.roles import FRAMES, INERTIAL
 from clampid.slots import Slot, Term
-from clampid.stages.rows import Integers
 
 __all__ = ["Confusable", "confusable_pairs", "evidence_apart"]
 
@@ -199,9 +198,7 @@ def _linear_without(estimate: Estimate, own: Candidate) -> Estimate:
     )
 
 
-def _in_its_place(
-    space: Space, first: Scored, others: list[Scored], effects: Mapping[str, Effect]
-) -> list[Scored]:
+def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Mapping[str, Effect]) -> list[Scored]:
     """Absent effects that explain what the first does, the likeliest first; of each effect and place one."""
     alike: dict[Term, Scored] = {}
     follows = partial(canonical, first)
