@@ -99,12 +99,12 @@ PAIRS = {
         None,
         120.0,
     ),
-    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, *DRAG), 20, 0.4, 0.0),
+    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, *DRAG), 20, 0.6, 0.0),
 }
 GROWTH = 4e-5  # 1/K, of the forearm up to the wrist
 LINK = 3
 WARM = 10.0, HOUR  # K and s, of a link that grows with time
-SIZE = 4.0  # of the virtual robot's usual size
+SIZE = 1.0  # of the virtual robot's usual size
 
 
 class _OfTime:

@@ -9,8 +9,8 @@ import numpy as np
 
 from clampid.diagnosis.candidate_scores import CandidateScores
 from clampid.diagnosis.next_measurement import ENOUGH, SAME, STATES, NextPlan
-from clampid.diagnosis.parting import Rivals, part_each
-from clampid.diagnosis.pools import seen_of
+from clampid.diagnosis.parting import Rivals, Separation, part_each
+from clampid.diagnosis.pools import Pool, seen_of
 from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
 from clampid.diagnosis.testability import noncentrality
 from clampid.effect import Effect, EffectError, Stage
@@ -19,6 +19,7 @@ from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.experiment import parameter_of
+from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
 
@@ -47,7 +48,8 @@ def separating_plan(
 ) -> tuple[NextPlan, tuple[int, ...]] | None:
     """Measurements that part the two of each of several pairs, and the numbers of the pairs that they are for.
 
-    None where none parts any. Where as many as are allowed do not suffice for one pair, they are proposed all the same.
+    As few as part any pair, and so chosen that they part as many pairs as possible. None where none parts any. Where as
+    many as are allowed do not suffice for one pair, they are proposed all the same.
 
     Parameters
     ----------
@@ -72,8 +74,7 @@ def separating_plan(
             values = [s.value for s in two]
             rivals.append(Rivals(seen.nuisance / scale, [D / scale for D in seen.columns], values, prior))
             pools.append((pool.nuisance / scale, [D / scale for D in pool.columns]))
-        allowed = min(pool.most, most)
-        found = part_each(rivals, pools, enough=ENOUGH, batch=pool.batch, most=allowed, cost=pool.cost)
+        found = _fewest(rivals, pools, pool, min(pool.most, most))
         if not found.chosen:
             continue
         wished: dict[str, float | int | str] = {
@@ -98,9 +99,20 @@ def separating_plan(
     return best
 
 
+def _fewest(
+    rivals: Sequence[Rivals], pools: Sequence[tuple[Array, Sequence[Array]]], pool: Pool, most: int
+) -> Separation:
+    """The smallest number of batches that parts any pair, for as many pairs as it parts; else all that are allowed."""
+    for allowed in (*range(pool.batch, most, pool.batch), most):
+        found = part_each(rivals, pools, enough=ENOUGH, batch=pool.batch, most=allowed, cost=pool.cost)
+        if not found.pairs or found.parted:
+            break
+    return found
+
+
 def _preferred(proposed: NextPlan, pairs: Sequence[int]) -> tuple[bool, int, int, float]:
-    """What is compared of two proposals: whether it helps, for how many pairs, and with how few measurements."""
-    return proposed.helps, len(pairs), -len(proposed.chosen), proposed.after if not proposed.helps else 0.0
+    """What is compared of two proposals: whether it helps, with how few measurements, and for how many pairs."""
+    return proposed.helps, -len(proposed.chosen), len(pairs), proposed.after if not proposed.helps else 0.0
 
 
 def showing_plan(

@@ -98,12 +98,15 @@ class Separation:
     before, after
         ``(pairs,)``: what the two of each of these leave unexplained of each other, in units of variance: now, and with
         the measurements.
+    parted
+        Whether that is enough for each of them.
     """
 
     chosen: tuple[int, ...]
     pairs: tuple[int, ...]
     before: Array
     after: Array
+    parted: bool
 
 
 HELD = 1e-10
@@ -278,10 +281,11 @@ def part_each(
         every = [s for two in signals for s in two]
         chosen = _choose(every, np.repeat(goal, 2).tolist(), batch, most, cost)
         after = np.array([min(s.left() for s in two) for two in signals])
-        if len(wanted) == 1 or np.all(after >= goal):
-            return Separation(tuple(chosen), tuple(wanted), before, after)
+        parted = bool(np.all(after >= goal))
+        if parted or len(wanted) == 1:
+            return Separation(tuple(chosen), tuple(wanted), before, after, parted)
         wanted.pop(int(np.argmin(after / goal)))
-    return Separation((), (), np.zeros(0), np.zeros(0))
+    return Separation((), (), np.zeros(0), np.zeros(0), False)
 
 
 def _both_ways(rivals: Rivals, pool_nuisance: Array, pool_columns: Sequence[Array]) -> list[_Signal]:
