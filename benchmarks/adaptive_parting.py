@@ -3,8 +3,8 @@
     python benchmarks/adaptive_parting.py [--seeds 20] [--first 0] [--pair wrist|arm]
 
 Two pairs. `wrist`: the forearm up to the wrist grows with its temperature, or with the time since switch-on. `arm`:
-joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 20 poses
-first, and five more at a time until the suite itself says that the two explain the same: before, there is nothing to
+joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 30 poses
+first, and ten more at a time until the suite itself says that the two explain the same: before, there is nothing to
 part. Robots of which it never says so are left out, and counted.
 
 Adaptive: `clampid.loop.separating.Separating.next` gets the campaign so far and nothing else. It does not know the
@@ -13,7 +13,7 @@ where it asks for a cold robot; then it is asked again. From the same state the 
 same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
 
 Parted: the fit with the true effect is likelier than the fit with the other one by `SAME` (odds of e^10), in all rows
-so far. Counted are the further poses until then. At `MOST` poses it ends, and where adaptive measures nothing more
+so far, looked at after every fifth pose. Counted are the further poses until then, to one. At `MOST` poses it ends, and where adaptive measures nothing more
 while the pair is not parted: the count is `MOST`.
 """
 
@@ -58,10 +58,11 @@ from kinematics.description import load_robot
 Array = npt.NDArray[np.float64]
 ROBOT = "kuka_kr20_r1810"
 MOST = 120
-LONGEST_START = 80  # poses
+LONGEST_START = 60  # poses
 BATCH = 5
 APPROACH = 0.05  # rad
 HOUR = 3600.0
+MIDDLE = np.array([-1.2, 1.5])  # rad, of the narrow ranges of joints 2 and 3
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Pair:
     start
         Least number of poses.
     narrow
-        rad, half the range of joints 2 and 3 in them; None: all of it.
+        rad, half the range of joints 2 and 3 that the plan lets them have, first and further poses alike; None: all.
     pause
         s between them, in which all joints swing.
     """
@@ -95,11 +96,11 @@ PAIRS = {
     "wrist": Pair(
         ("thermal_expansion@link4", "warm_up_expansion@link4"),
         ("geometry", "joint_compliance", *DRAG),
-        20,
+        30,
         None,
         120.0,
     ),
-    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, *DRAG), 20, 0.6, 0.0),
+    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, *DRAG), 30, 0.6, 0.0),
 }
 GROWTH = 4e-5  # 1/K, of the forearm up to the wrist
 LINK = 3
@@ -134,6 +135,11 @@ class Robot:
     def __init__(self, pair: str, truth: int, seed: int) -> None:
         description = load_robot(ROBOT)
         self.cell, self.limits = cell_of(ROBOT)[0], limits_of(description)[0]
+        narrow = PAIRS[pair].narrow
+        if narrow is not None:
+            lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+            lower[1:3], upper[1:3] = MIDDLE - narrow, MIDDLE + narrow
+            self.limits = replace(self.limits, lower=lower, upper=upper)
         hidden = [Hidden.parse(f"{PAIRS['arm'].names[truth]}:{SIZE}")] if pair == "arm" else []
         made = _ByTime if pair == "wrist" and truth == 1 else Session
         self.session = made(description, hidden, seed=seed)
@@ -170,7 +176,10 @@ class Robot:
         """What it has measured, or the first so many visits."""
         header: Any = self.session.header()
         table = pd.concat(self.parts[:visits], ignore_index=True)
-        return declared_campaign(header, MappingProxyType({"poses": table}), self.cell.robot)
+        ranges = zip(self.cell.robot.joints, self.limits.lower, self.limits.upper, strict=True)
+        joints = tuple(replace(joint, lower=float(a), upper=float(b)) for joint, a, b in ranges)
+        robot = replace(self.cell.robot, joints=joints)
+        return declared_campaign(header, MappingProxyType({"poses": table}), robot)
 
 
 class Judge:
@@ -209,11 +218,7 @@ def start(name: str, seed: int) -> Robot | None:
     """A robot after its first campaign; None where that never leaves the pair open."""
     pair, rng = PAIRS[name], np.random.default_rng([seed, 1])
     robot = Robot(name, seed % 2, seed)
-    middle = (robot.limits.lower + robot.limits.upper) / 2
     lower, upper = robot.limits.lower + 1.5 * APPROACH, robot.limits.upper - 1.5 * APPROACH
-    if pair.narrow is not None:
-        middle[1:3] = -1.2, 1.5
-        lower[1:3], upper[1:3] = middle[1:3] - pair.narrow, middle[1:3] + pair.narrow
     within = replace(robot.limits, lower=lower, upper=upper)
     scene = Scene.floor_only(robot.cell)
     poses = configurations(within, LONGEST_START, scene.clear, seed, why="clear of the floor")
@@ -221,7 +226,7 @@ def start(name: str, seed: int) -> Robot | None:
         robot.visit(q, rng.choice([-1.0, 1.0], len(q)))
         if pair.pause:
             robot.swing(pair.pause)
-        if number < pair.start or number % BATCH:
+        if number < pair.start or number % (2 * BATCH):
             continue
         judge = Judge(pair, robot.campaign())
         if abs(judge.apart) < SAME and judge.confused():
@@ -243,11 +248,12 @@ def counted(robot: Robot, name: str, seed: int, batch: Callable[[Campaign, int],
             robot.visit(q, direction, rest)
         if len(robot.parts) == before:
             return MOST
-        if _parted(Judge(pair, robot.campaign()), truth):
-            done = before + 1
-            while done < len(robot.parts) and not _parted(Judge(pair, robot.campaign(done)), truth):
-                done += 1
-            return done - begin
+        done = before
+        while done < len(robot.parts):
+            last, done = done, min(done + BATCH, len(robot.parts))
+            if _parted(Judge(pair, robot.campaign(done)), truth):
+                inner = range(last + 1, done)
+                return next((k for k in inner if _parted(Judge(pair, robot.campaign(k)), truth)), done) - begin
     return MOST
 
 

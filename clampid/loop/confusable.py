@@ -206,6 +206,8 @@ def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Ma
         term, policy = other.candidate.terms[0], effects[other.candidate.name].search
         if other.state not in ABLE or term in alike or policy.refines == first.candidate.name:
             continue
+        if other.candidate.name in first.candidate.describes or first.candidate.name in other.candidate.describes:
+            continue  # a cause and its outcome stated without a cause: diagnosis names the cause
         if other.explained < first.explained - SAME - other.freedom or other.bic < first.bic - SAME:
             continue
         both = explained_together(space, first, other)
