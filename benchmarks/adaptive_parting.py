@@ -13,8 +13,8 @@ where it asks for a cold robot; then it is asked again. From the same state the 
 same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
 
 Parted: the fit with the true effect is likelier than the fit with the other one by `SAME` (odds of e^10), in all rows
-so far, looked at after every fifth pose. Counted are the further poses until then, to one. At `MOST` poses it ends, and where adaptive measures nothing more
-while the pair is not parted: the count is `MOST`.
+so far, looked at after every fifth pose. Counted are the further poses until then, to one. At `MOST` poses it ends, and
+where adaptive measures nothing more while the pair is not parted: the count is `MOST`.
 """
 
 from __future__ import annotations

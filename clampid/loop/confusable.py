@@ -9,7 +9,7 @@ standard model that takes up what another one does leaves nothing to be found.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -32,7 +32,7 @@ from clampid.role_slots import has_role
 from clampid.roles import FRAMES, INERTIAL
 from clampid.slots import Slot, Term
 
-__all__ = ["Confusable", "confusable_pairs", "evidence_apart"]
+__all__ = ["Confusable", "confusable_pairs", "evidence_apart", "fitted_with"]
 
 OPEN = 0.9  # of the standard deviation that its own declaration states: of less, other rows know the parameter already
 
@@ -109,7 +109,7 @@ def evidence_apart(fitted: FittedStage, first: Term, second: Term, before: Mappi
     for term in (first, second):
         terms = [*rest, term]
         same = {*terms} == {*_by_place(fitted)}
-        fits.append(fitted if same else _fitted_with(fitted, terms, before))
+        fits.append(fitted if same else _fitted_to(fitted, terms, before))
     impossible = [_beyond(fit.estimate, term) for fit, term in zip(fits, (first, second), strict=True)]
     if impossible[0] != impossible[1]:
         return -np.inf if impossible[0] else np.inf
@@ -117,7 +117,12 @@ def evidence_apart(fitted: FittedStage, first: Term, second: Term, before: Mappi
     return float(odds[1] - odds[0])
 
 
-def _fitted_with(fitted: FittedStage, terms: list[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
+def fitted_with(fitted: FittedStage, more: Sequence[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
+    """The same rows fitted with further effects."""
+    return _fitted_to(fitted, list(dict.fromkeys([*_by_place(fitted), *more])), before)
+
+
+def _fitted_to(fitted: FittedStage, terms: Sequence[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
     model = fitted.model
     others = model.carried_prior or before
     effects, start = fitted.estimate.experiment.effects, model.values()
