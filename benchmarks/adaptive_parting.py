@@ -308,9 +308,10 @@ def main() -> None:
             if "random" in row:
                 rows.append(row)
         if rows:
-            median = {k: float(np.median([r[k] for r in rows])) for k in ("adaptive", "random")}
-            ratio = float(np.median([r["adaptive"] / r["random"] for r in rows]))
-            print(f"{name}: {len(rows)} robots; median further poses {median}; median of the ratios {ratio:.2f}")
+            total = {k: sum(r[k] for r in rows) for k in ("adaptive", "random")}
+            median = float(np.median([r["adaptive"] / r["random"] for r in rows]))
+            share = total["adaptive"] / total["random"]
+            print(f"{name}: {len(rows)} robots; further poses {total}, {share:.2f}; median of the ratios {median:.2f}")
 
 
 if __name__ == "__main__":

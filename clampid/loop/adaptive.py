@@ -44,7 +44,7 @@ class Adaptive:
         self, plan: Plan, before: Campaign | None, budget: int, say: Callable[[str], None], seed: int = 0
     ) -> None:
         self._length, self._before, self._budget, self._say = _length(plan), before, budget, say
-        self._separating = Separating(seed)
+        self._separating = Separating(seed, budget)
 
     def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan | None, str]:
         """The plan that goes on, or None where nothing more is to be measured, and why."""
@@ -54,8 +54,9 @@ class Adaptive:
             found = self._separating.next(campaign, STAGE[plan.kind], left)
             grown = None if found.proposed is None else extended(plan, rested(found.proposed), left)
         except (FitError, EffectError, CampaignError, ModelError) as error:
-            used_up = "the budget is used up, and " if left <= 0 else ""
-            return self._told(None, f"nothing more is measured: {used_up}diagnose cannot judge what is there: {error}.")
+            judged = f"diagnose cannot judge what was measured: {error}"
+            why = f"the budget of {self._budget} is used up" if left <= 0 else judged
+            return self._told(None, f"nothing more is measured: {why}.")
         except PlanError as error:
             return self._told(None, f"nothing more is measured: what separates them cannot be run here: {error}.")
         return self._told(grown, found.why)

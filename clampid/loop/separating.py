@@ -49,10 +49,12 @@ class Separating:
     ----------
     seed
         Of diagnose.
+    budget
+        How much may be measured in all, for the words.
     """
 
-    def __init__(self, seed: int = 0) -> None:
-        self._seed = seed
+    def __init__(self, seed: int = 0, budget: int = 0) -> None:
+        self._seed, self._budget = seed, budget
         self._open: list[tuple[Term, Term]] = []
         self._told: set[tuple[Term, Term]] = set()
         self._expected: Counter[tuple[Term, Term]] = Counter()
@@ -67,6 +69,9 @@ class Separating:
         PlanError
             The campaign's robot lets no measurement be planned.
         """
+        used_up = f"nothing more is measured: the budget of {self._budget} is used up."
+        if left <= 0 and not self._open:
+            return Next(None, used_up)
         model = fit_of(campaign)
         found = diagnose(model, campaign, seed=self._seed, stages=(stage,)).stages[stage]
         others = {s: m for s, m in model.stages.items() if s != stage}
@@ -76,7 +81,7 @@ class Separating:
             pairs = confusable_pairs(fitted, {s.candidate.name for s in found.scores.named}, others)
         decided = [] if fitted is None else self._became(fitted, pairs, others)
         if left <= 0:
-            return Next(None, _joined(decided, "nothing more is measured: the budget is used up."))
+            return Next(None, _joined(decided, used_up))
         if found.verdict == "ambiguous" and found.next_plan is not None and found.next_plan.plan is not None:
             words = f"{min(len(found.next_plan.chosen), left)} more, because {_alike(found)} explain the same."
             return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
