@@ -44,7 +44,11 @@ def parting_plan(
 
 
 def separating_plan(
-    campaign: Campaign, pairs: Sequence[tuple[Estimate, Sequence[Scored], float]], seed: int, most: int
+    campaign: Campaign,
+    pairs: Sequence[tuple[Estimate, Sequence[Scored], float]],
+    seed: int,
+    most: int,
+    states: Sequence[str] = STATES,
 ) -> tuple[NextPlan, tuple[int, ...]] | None:
     """Measurements that part the two of each of several pairs, and the numbers of the pairs that they are for.
 
@@ -57,6 +61,8 @@ def separating_plan(
         Of each: the fit without either, the two candidates, and the standard deviation of the whitened residual.
     most
         How many at most.
+    states
+        In which the robot can be measured.
 
     Raises
     ------
@@ -65,7 +71,7 @@ def separating_plan(
     """
     wanted = {state for fit, two, _ in pairs for state in _states(fit, [s.candidate for s in two])}
     best: tuple[NextPlan, tuple[int, ...]] | None = None
-    for state in (s for s in STATES if s in wanted):
+    for state in (s for s in states if s in wanted):
         rivals, pools = [], []
         for fit, two, scale in pairs:
             candidates = [s.candidate for s in two]

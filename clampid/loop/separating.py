@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clampid.diagnosis.diagnose import diagnose
-from clampid.diagnosis.next_measurement import ENOUGH, SAME, NextPlan
+from clampid.diagnosis.next_measurement import ENOUGH, SAME, STATES, NextPlan
 from clampid.diagnosis.next_plan import separating_plan
 from clampid.diagnosis.result import StageDiagnosis
 from clampid.effect import Stage
@@ -22,6 +22,8 @@ from experiments.campaign import Campaign
 
 __all__ = ["Next", "Separating"]
 
+RESTED: Mapping[Stage, Sequence[str]] = {"poses": STATES, "free_air": ("warm",), "clamped": ("warm",)}
+"""In which states a stage is measured: the runner rests before a visit only."""
 TRIALS = 2
 """Proposals for a pair, each of which does in 9 of 10 campaigns: after so many in vain, the model is wrong there."""
 
@@ -87,7 +89,7 @@ class Separating:
             return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
         pairs = [p for p in pairs if p.apart > -SAME and self._expected[p.terms] < TRIALS]
         wanted = [(p.without, (p.first, p.second), p.scale) for p in pairs]
-        chosen = separating_plan(campaign, wanted, self._seed, left) if pairs else None
+        chosen = separating_plan(campaign, wanted, self._seed, left, RESTED[stage]) if pairs else None
         if chosen is None:
             return Next(None, _joined(decided, _nothing(found, pairs)))
         best, mine = chosen[0], [pairs[k] for k in chosen[1]]
