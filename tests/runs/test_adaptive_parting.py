@@ -25,8 +25,8 @@ def test_adaptive_poses_separate_a_pair_with_half_of_what_random_ones_need() -> 
 def test_a_run_over_sockets_measures_more_and_says_what_became_of_the_pair(tmp_path: Path) -> None:
     found = adaptive(tmp_path, CASES["arm"], 20)
     first, *later = found["adaptive"]["decided"]
-    assert found["plain"]["rows"] == {"poses": 72}
-    assert 72 < found["adaptive"]["rows"]["poses"] <= 72 + 3 * 20
+    planned = found["plain"]["rows"]["poses"]
+    assert planned < found["adaptive"]["rows"]["poses"] <= planned + 3 * 20
     assert "more, because" in first
     assert "evidence" in first
     assert "nothing more is measured" in later[-1].lower()
