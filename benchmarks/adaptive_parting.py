@@ -1,18 +1,20 @@
-"""How many further poses part two confusable effects: those that diagnose proposes, against random ones.
+"""How many further poses part two confusable effects: those that ``clampid run --adaptive`` takes, against random ones.
 
     python benchmarks/adaptive_parting.py [--seeds 20] [--first 0] [--pair wrist|arm]
 
 Two pairs. `wrist`: the forearm up to the wrist grows with its temperature, or with the time since switch-on. `arm`:
-joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 40 poses
-first, and ten more at a time until either effect explains twice `SAME`: before, there is nothing to part. Then
-`clampid.diagnosis.next_plan.parting_plan`, which diagnose calls for look-alikes, proposes poses. They are measured in
-the order of the plan, after a rest where it asks for a cold robot. From the same state the same robot measures random
-poses of the same pool instead, in batches of five; for the pair `wrist` each batch is measured warm, or after a rest,
-by the toss of a coin.
+joint 2 yields, or link 2 bends. Which of the two is true alternates with the seed. A virtual robot measures 30 poses
+first, and ten more at a time until the suite itself says that the two explain the same: before, there is nothing to
+part. Robots of which it never says so are left out, and counted.
 
-Parted: the true effect explains more than the other one by `SAME` (odds of e^10) in all rows so far. Counted are the
-further poses until then; a proposal that is used up is followed by another, made from all rows. Of one that is not
-expected to part them, the first five poses are measured. At `MOST` poses it ends, and the count is `MOST`.
+Adaptive: `clampid.loop.separating.Separating.next` gets the campaign so far and nothing else. It does not know the
+pair, and what it spends on other pairs counts. What it proposes is measured in the order of the plan, after a rest
+where it asks for a cold robot; then it is asked again. From the same state the same robot measures random poses of the
+same limits instead; for the pair `wrist` each batch of five is measured warm, or after a rest, by the toss of a coin.
+
+Parted: the fit with the true effect is likelier than the fit with the other one by `SAME` (odds of e^10), in all rows
+so far, looked at after every fifth pose. Counted are the further poses until then, to one. At `MOST` poses it ends, and
+where adaptive measures nothing more while the pair is not parted: the count is `MOST`.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import copy
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -31,18 +34,18 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from clampid.catalogue import catalogue
+from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, SAME
-from clampid.diagnosis.next_plan import parting_plan
 from clampid.diagnosis.next_poses import _choices
-from clampid.effect import Effect
-from clampid.evidence.candidates import named_candidates
-from clampid.evidence.score import score
-from clampid.evidence.space import space_of
+from clampid.identification.fitted_stage import FittedStage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
+from clampid.loop.adaptive import rested
+from clampid.loop.confusable import confusable_pairs, evidence_apart
+from clampid.loop.separating import Separating
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
+from clampid.slots import Term
 from experiments.campaign import Campaign
 from experiments.plans import cell_of, limits_of
 from experiments.plans.limits import course_of
@@ -55,11 +58,11 @@ from kinematics.description import load_robot
 Array = npt.NDArray[np.float64]
 ROBOT = "kuka_kr20_r1810"
 MOST = 120
-LONGEST_START = 150  # poses
-SHOWN = 2 * SAME  # explained by either effect, before there is anything to part
+LONGEST_START = 60  # poses
 BATCH = 5
 APPROACH = 0.05  # rad
 HOUR = 3600.0
+MIDDLE = np.array([-1.2, 1.5])  # rad, of the narrow ranges of joints 2 and 3
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Pair:
     start
         Least number of poses.
     narrow
-        rad, half the range of joints 2 and 3 in them; None: all of it.
+        rad, half the range of joints 2 and 3 that the plan lets them have, first and further poses alike; None: all.
     pause
         s between them, in which all joints swing.
     """
@@ -88,20 +91,21 @@ class Pair:
 
 
 OTHERS = tuple(f"joint_compliance@joint{j}" for j in (1, 3, 4, 5, 6))
+DRAG = ("backlash", "wrist_coupling_friction@joint4", "wrist_coupling_friction@joint5")
 PAIRS = {
     "wrist": Pair(
         ("thermal_expansion@link4", "warm_up_expansion@link4"),
-        ("geometry", "joint_compliance", "backlash"),
-        40,
+        ("geometry", "joint_compliance", *DRAG),
+        30,
         None,
         120.0,
     ),
-    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, "backlash"), 40, 0.6, 0.0),
+    "arm": Pair(("joint_compliance@joint2", "link_bending@link2"), ("geometry", *OTHERS, *DRAG), 30, 0.6, 0.0),
 }
 GROWTH = 4e-5  # 1/K, of the forearm up to the wrist
 LINK = 3
 WARM = 10.0, HOUR  # K and s, of a link that grows with time
-SIZE = 4.0  # of the virtual robot's usual size
+SIZE = 1.0  # of the virtual robot's usual size
 
 
 class _OfTime:
@@ -131,6 +135,11 @@ class Robot:
     def __init__(self, pair: str, truth: int, seed: int) -> None:
         description = load_robot(ROBOT)
         self.cell, self.limits = cell_of(ROBOT)[0], limits_of(description)[0]
+        narrow = PAIRS[pair].narrow
+        if narrow is not None:
+            lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+            lower[1:3], upper[1:3] = MIDDLE - narrow, MIDDLE + narrow
+            self.limits = replace(self.limits, lower=lower, upper=upper)
         hidden = [Hidden.parse(f"{PAIRS['arm'].names[truth]}:{SIZE}")] if pair == "arm" else []
         made = _ByTime if pair == "wrist" and truth == 1 else Session
         self.session = made(description, hidden, seed=seed)
@@ -167,45 +176,49 @@ class Robot:
         """What it has measured, or the first so many visits."""
         header: Any = self.session.header()
         table = pd.concat(self.parts[:visits], ignore_index=True)
-        return declared_campaign(header, MappingProxyType({"poses": table}), self.cell.robot)
-
-
-def _always_searched(effect: Effect) -> Effect:
-    """An effect as diagnosis looks for it where no recorded temperature shows the same better."""
-    return replace(effect, search=replace(effect.search, superseded_by=None))
+        ranges = zip(self.cell.robot.joints, self.limits.lower, self.limits.upper, strict=True)
+        joints = tuple(replace(joint, lower=float(a), upper=float(b)) for joint, a, b in ranges)
+        robot = replace(self.cell.robot, joints=joints)
+        return declared_campaign(header, MappingProxyType({"poses": table}), robot)
 
 
 class Judge:
-    """Fits a campaign without either effect of a pair, and scores both."""
+    """Fits a campaign with what is there in any case, and says which effect of a pair is there besides."""
 
     def __init__(self, pair: Pair, campaign: Campaign) -> None:
-        self.campaign = campaign
-        model = identify(campaign, list(pair.model))
-        self.estimate = on_campaign(model, campaign).refit("poses").estimate
-        self.space = space_of(self.estimate)
-        names = [name.split("@") for name in pair.names]
-        effects = {name: _always_searched(catalogue()[name]) for name, _ in names}
-        found = score(self.space, named_candidates(self.estimate, effects))
-        self.scored = []
-        for name, place in names:
-            mine = [s for s in found if s.candidate.name == name and s.candidate.places == (place,)]
-            self.scored.append(max(mine, key=lambda s: s.explained))  # of the time constants, the best
+        self.campaign, self._pair = campaign, pair
+
+    def confused(self) -> bool:
+        """Whether the suite says that the two explain the same, whatever else it says."""
+        model = identify(self.campaign)
+        found = diagnose(model, self.campaign, stages=("poses",)).stages["poses"]
+        if found.fitted is None or found.scores is None:
+            return False
+        searched = {s.candidate.name for s in found.scores.named}
+        pairs = confusable_pairs(found.fitted, searched, {})
+        return any(set(p.terms) == set(self._terms) and abs(p.apart) < SAME for p in pairs)
+
+    @cached_property
+    def apart(self) -> float:
+        """By how much the first one is likelier than the second."""
+        first, second = self._terms
+        return evidence_apart(self._fitted(first.label), first, second, {})
 
     @property
-    def apart(self) -> float:
-        """By how much the first one explains more than the second."""
-        return float(self.scored[0].explained - self.scored[1].explained)
+    def _terms(self) -> tuple[Term, Term]:
+        first, second = (Term(*name.split("@")) for name in self._pair.names)
+        return first, second
+
+    def _fitted(self, *more: str) -> FittedStage:
+        model = identify(self.campaign, [*self._pair.model, *more])
+        return on_campaign(model, self.campaign).refit("poses")
 
 
-def start(name: str, seed: int) -> Robot:
-    """A robot after its first campaign."""
+def start(name: str, seed: int) -> Robot | None:
+    """A robot after its first campaign; None where that never leaves the pair open."""
     pair, rng = PAIRS[name], np.random.default_rng([seed, 1])
     robot = Robot(name, seed % 2, seed)
-    middle = (robot.limits.lower + robot.limits.upper) / 2
     lower, upper = robot.limits.lower + 1.5 * APPROACH, robot.limits.upper - 1.5 * APPROACH
-    if pair.narrow is not None:
-        middle[1:3] = -1.2, 1.5
-        lower[1:3], upper[1:3] = middle[1:3] - pair.narrow, middle[1:3] + pair.narrow
     within = replace(robot.limits, lower=lower, upper=upper)
     scene = Scene.floor_only(robot.cell)
     poses = configurations(within, LONGEST_START, scene.clear, seed, why="clear of the floor")
@@ -213,30 +226,34 @@ def start(name: str, seed: int) -> Robot:
         robot.visit(q, rng.choice([-1.0, 1.0], len(q)))
         if pair.pause:
             robot.swing(pair.pause)
-        if number < pair.start or number % 10:
+        if number < pair.start or number % (2 * BATCH):
             continue
-        if max(s.explained for s in Judge(pair, robot.campaign()).scored) >= SHOWN:
-            break
-    return robot
+        judge = Judge(pair, robot.campaign())
+        if abs(judge.apart) < SAME and judge.confused():
+            return robot
+    return None
 
 
-def counted(robot: Robot, name: str, seed: int, batch: Callable[[Judge], Sequence[tuple[Array, Array, float]]]) -> int:
+Visits = Sequence[tuple[Array, Array, float]]
+
+
+def counted(robot: Robot, name: str, seed: int, batch: Callable[[Campaign, int], Visits]) -> int:
     """Further poses until the pair is parted; what is next is asked for with what is known."""
     pair, truth = PAIRS[name], seed % 2
     begin = len(robot.parts)
-    judge = Judge(pair, robot.campaign())
     while len(robot.parts) - begin < MOST:
         before = len(robot.parts)
-        for q, direction, rest in batch(judge)[: MOST - (before - begin)]:
+        left = MOST - (before - begin)
+        for q, direction, rest in batch(robot.campaign(), left)[:left]:
             robot.visit(q, direction, rest)
         if len(robot.parts) == before:
             return MOST
-        judge = Judge(pair, robot.campaign())
-        if _parted(judge, truth):
-            done = before + 1
-            while done < len(robot.parts) and not _parted(Judge(pair, robot.campaign(done)), truth):
-                done += 1
-            return done - begin
+        done = before
+        while done < len(robot.parts):
+            last, done = done, min(done + BATCH, len(robot.parts))
+            if _parted(Judge(pair, robot.campaign(done)), truth):
+                inner = range(last + 1, done)
+                return next((k for k in inner if _parted(Judge(pair, robot.campaign(k)), truth)), done) - begin
     return MOST
 
 
@@ -246,38 +263,34 @@ def _parted(judge: Judge, truth: int) -> bool:
 
 def trial(name: str, seed: int) -> dict[str, Any]:
     """Both counts for one robot."""
+    row: dict[str, Any] = {"pair": name, "seed": seed, "true": PAIRS[name].names[seed % 2]}
     robot = start(name, seed)
+    if robot is None:
+        return row
     first = Judge(PAIRS[name], robot.campaign())
-    q, sides = _choices(robot.campaign(), seed)
-    states: list[str] = []
+    said: list[str] = []
+    chooser = Separating(seed)
 
-    def proposed(judge: Judge) -> list[tuple[Array, Array, float]]:
-        found = parting_plan(judge.campaign, judge.estimate, judge.scored, judge.space.scale, seed)
-        if found is None or not found.chosen:
-            states.append("nothing")
+    def adaptive(campaign: Campaign, left: int) -> Visits:
+        found = chooser.next(campaign, "poses", left)
+        said.append(found.why)
+        if found.proposed is None:
             return []
-        states.append(f"{len(found.chosen)} {found.state}")
-        rest = COOLING if found.state == "cold" else 0.0
-        if found.plan is None:
-            return [(q[k], sides[k], rest if n == 0 else 0.0) for n, k in enumerate(found.chosen[:BATCH])]
-        return [(v.q, v.direction, rest if n == 0 else 0.0) for n, v in enumerate(found.plan.visits)]
+        return [(v.q, v.direction, v.wait) for v in rested(found.proposed).visits]
 
+    q, sides = _choices(robot.campaign(), seed)
     rng = np.random.default_rng([seed, 2])
     order = rng.permutation(len(q)).tolist()
 
-    def random(judge: Judge) -> list[tuple[Array, Array, float]]:
+    def random(campaign: Campaign, left: int) -> Visits:
         mine = [order.pop() for _ in range(BATCH)]
         rest = COOLING if name == "wrist" and rng.random() < 0.5 else 0.0
         return [(q[k], sides[k], rest if n == 0 else 0.0) for n, k in enumerate(mine)]
 
-    row: dict[str, Any] = {"pair": name, "seed": seed, "true": PAIRS[name].names[seed % 2]}
-    row["before"] = first.apart if seed % 2 == 0 else -first.apart
-    row |= {"start": len(robot.parts), "explained": first.scored[seed % 2].explained}
-    if _parted(first, seed % 2):
-        return row | {"proposed": 0, "random": 0, "proposals": "parted already"}
-    row["proposed"] = counted(copy.deepcopy(robot), name, seed, proposed)
+    row |= {"start": len(robot.parts), "before": first.apart if seed % 2 == 0 else -first.apart}
+    row["adaptive"] = counted(copy.deepcopy(robot), name, seed, adaptive)
     row["random"] = counted(copy.deepcopy(robot), name, seed, random)
-    return row | {"proposals": ", ".join(states)}
+    return row | {"said": said}
 
 
 def main() -> None:
@@ -292,12 +305,13 @@ def main() -> None:
         for seed in range(given.first, given.first + given.seeds):
             row = trial(name, seed)
             print({k: round(v, 1) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
-            if row["random"]:
+            if "random" in row:
                 rows.append(row)
         if rows:
-            median = {k: float(np.median([r[k] for r in rows])) for k in ("proposed", "random")}
-            ratio = float(np.median([r["proposed"] / r["random"] for r in rows]))
-            print(f"{name}: {len(rows)} robots; median further poses {median}; median of the ratios {ratio:.2f}")
+            total = {k: sum(r[k] for r in rows) for k in ("adaptive", "random")}
+            median = float(np.median([r["adaptive"] / r["random"] for r in rows]))
+            share = total["adaptive"] / total["random"]
+            print(f"{name}: {len(rows)} robots; further poses {total}, {share:.2f}; median of the ratios {median:.2f}")
 
 
 if __name__ == "__main__":

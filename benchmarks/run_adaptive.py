@@ -1,10 +1,9 @@
 """An adaptive run over sockets, as a user calls it: what it decided, why, and what diagnose says before and after.
 
-    python benchmarks/run_adaptive.py FOLDER [--case cable|balancer|bending] [--budget 20]
+    python benchmarks/run_adaptive.py FOLDER [--case arm|cable|balancer|bending] [--budget 20]
 
 The virtual robot hides one effect that looks like another one in a short plan. The plan is run with and without
-``--adaptive``. The commands are printed as they run. For bending, the standard model explains nearly all with soft
-joints: no two effects are confusable then, and what the run has to say is why it measures nothing more.
+``--adaptive``. The commands are printed as they run.
 """
 
 from __future__ import annotations
@@ -31,7 +30,9 @@ class Case:
 
 LOG = ("--time", "120", "--range-share", "0.25")
 POSES = ("--poses", "24", "--replicates", "2", "--range-share", "0.35", "--verification", "0", "--measure-time", "1")
+FEW = ("--poses", "24", "--replicates", "1", "--verification", "0", "--measure-time", "1")
 CASES = {
+    "arm": Case("link_bending@link2:1", 2, "poses", FEW, "poses"),
     "cable": Case("dress_pack@joint4:2", 3, "free-air", LOG, "free_air"),
     "balancer": Case("gravity_compensator@joint2:1.5", 3, "free-air", LOG, "free_air"),
     "bending": Case("link_bending@link2:3", 1, "poses", POSES, "poses"),

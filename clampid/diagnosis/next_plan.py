@@ -8,7 +8,9 @@ from functools import partial
 import numpy as np
 
 from clampid.diagnosis.candidate_scores import CandidateScores
-from clampid.diagnosis.next_measurement import STATES, NextPlan
+from clampid.diagnosis.next_measurement import ENOUGH, SAME, STATES, NextPlan
+from clampid.diagnosis.parting import Rivals, Separation, part_each
+from clampid.diagnosis.pools import Pool, seen_of
 from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
 from clampid.diagnosis.testability import noncentrality
 from clampid.effect import Effect, EffectError, Stage
@@ -17,10 +19,11 @@ from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.fit_problem import parameter_of
+from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
 
-__all__ = ["parting_plan", "showing_plan", "weak_ones"]
+__all__ = ["parting_plan", "separating_plan", "showing_plan", "weak_ones"]
 
 BETTER = 0.5  # of the present limit: what is to be reached where a parameter of its usual size would be found already
 WARMTH = frozenset({"link_temperature", "motor_temperature", "ambient_temperature", "elapsed"})
@@ -38,6 +41,84 @@ def parting_plan(
     """
     pool = _pool_of(campaign, estimate, seed)
     return propose_parting(pool, estimate, rivals, scale, _states(estimate, [s.candidate for s in rivals]))
+
+
+def separating_plan(
+    campaign: Campaign,
+    pairs: Sequence[tuple[Estimate, Sequence[Scored], float]],
+    seed: int,
+    most: int,
+    states: Sequence[str] = STATES,
+) -> tuple[NextPlan, tuple[int, ...]] | None:
+    """Measurements that part the two of each of several pairs, and the numbers of the pairs that they are for.
+
+    As few as part any pair, and so chosen that they part as many pairs as possible. None where none parts any. Where as
+    many as are allowed do not suffice for one pair, they are proposed all the same.
+
+    Parameters
+    ----------
+    pairs
+        Of each: the fit without either, the two candidates, and the standard deviation of the whitened residual.
+    most
+        How many at most.
+    states
+        In which the robot can be measured.
+
+    Raises
+    ------
+    PlanError
+        The campaign's robot lets no measurement be planned.
+    """
+    wanted = {state for fit, two, _ in pairs for state in _states(fit, [s.candidate for s in two])}
+    best: tuple[NextPlan, tuple[int, ...]] | None = None
+    for state in (s for s in states if s in wanted):
+        rivals, pools = [], []
+        for fit, two, scale in pairs:
+            candidates = [s.candidate for s in two]
+            pool, seen = _pool_of(campaign, fit, seed)(candidates, state), seen_of(fit, candidates)
+            prior = np.zeros((seen.nuisance.shape[1],) * 2)  # it is among the rows
+            values = [s.value for s in two]
+            rivals.append(Rivals(seen.nuisance / scale, [D / scale for D in seen.columns], values, prior))
+            pools.append((pool.nuisance / scale, [D / scale for D in pool.columns]))
+        found = _fewest(rivals, pools, pool, min(pool.most, most))
+        if not found.chosen:
+            continue
+        wished: dict[str, float | int | str] = {
+            "parts": "; ".join(" and ".join(s.candidate.label for s in pairs[k][1]) for k in found.pairs),
+            "evidence_before": float(found.before.min()),
+            "evidence_after": float(found.after.min()),
+            "evidence_needed": SAME,
+        }
+        new = NextPlan(
+            aim="parting",
+            chosen=found.chosen,
+            tried=len(pool),
+            state=state,
+            what=pool.what,
+            words=pool.words(found.chosen),
+            plan=pool.plan(found.chosen, wished),
+            before=float(found.before.min()),
+            after=float(found.after.min()),
+        )
+        if best is None or _preferred(new, found.pairs) > _preferred(*best):
+            best = new, found.pairs
+    return best
+
+
+def _fewest(
+    rivals: Sequence[Rivals], pools: Sequence[tuple[Array, Sequence[Array]]], pool: Pool, most: int
+) -> Separation:
+    """The smallest number of batches that parts any pair, for as many pairs as it parts; else all that are allowed."""
+    for allowed in (*range(pool.batch, most, pool.batch), most):
+        found = part_each(rivals, pools, enough=ENOUGH, batch=pool.batch, most=allowed, cost=pool.cost)
+        if not found.pairs or found.parted:
+            break
+    return found
+
+
+def _preferred(proposed: NextPlan, pairs: Sequence[int]) -> tuple[bool, int, int, float]:
+    """What is compared of two proposals: whether it helps, with how few measurements, and for how many pairs."""
+    return proposed.helps, -len(proposed.chosen), len(pairs), proposed.after if not proposed.helps else 0.0
 
 
 def showing_plan(

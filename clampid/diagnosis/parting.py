@@ -19,7 +19,7 @@ from scipy import linalg
 
 from clampid.stages.rows import Array
 
-__all__ = ["Parting", "Rivals", "Showing", "part", "show"]
+__all__ = ["Parting", "Rivals", "Separation", "Showing", "part", "part_each", "show"]
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,30 @@ class Showing:
     before: Array
     after: Array
     most: Array
+
+
+@dataclass(frozen=True)
+class Separation:
+    """Measurements chosen from a pool for several pairs at once.
+
+    Attributes
+    ----------
+    chosen
+        Numbers in the pool, in the order of their choice.
+    pairs
+        Numbers of the pairs that they were chosen for.
+    before, after
+        ``(pairs,)``: what the two of each of these leave unexplained of each other, in units of variance: now, and with
+        the measurements.
+    parted
+        Whether that is enough for each of them.
+    """
+
+    chosen: tuple[int, ...]
+    pairs: tuple[int, ...]
+    before: Array
+    after: Array
+    parted: bool
 
 
 HELD = 1e-10
@@ -221,6 +245,61 @@ def part(
     return Parting(tuple(chosen), before, after, (start, end), tuple(never))
 
 
+def part_each(
+    pairs: Sequence[Rivals],
+    pools: Sequence[tuple[Array, Sequence[Array]]],
+    *,
+    enough: float,
+    batch: int,
+    most: int,
+    cost: Array | None = None,
+) -> Separation:
+    """Choose measurements that part the two of each of several pairs, each pair beside a fit of its own.
+
+    They are chosen as by `part`. Of pairs that the measurements allowed do not part together, the one that is farthest
+    from it is left out, again and again; of those that not even the whole pool parts, all are. The last one is kept,
+    if the whole pool parts it.
+
+    Parameters
+    ----------
+    pairs
+        Of two candidates each.
+    pools
+        Of each pair, the same columns in measurements to choose from: ``(K, r, P)``, and ``(K, r, k)`` of each
+        candidate. A number in the pool is the same measurement for all pairs.
+    enough, batch, most, cost
+        As for `part`. Of a pair that leaves enough now already, ``enough`` more is aimed at.
+    """
+    wanted = []
+    for number, (rivals, pool) in enumerate(zip(pairs, pools, strict=True)):
+        if min(signal.with_all(signal.normal.with_all()) for signal in _both_ways(rivals, *pool)) >= enough:
+            wanted.append(number)
+    while wanted:
+        signals = [_both_ways(pairs[k], *pools[k]) for k in wanted]
+        before = np.array([min(s.left() for s in two) for two in signals])
+        goal = np.where(before < enough, enough, before + enough)
+        every = [s for two in signals for s in two]
+        chosen = _choose(every, np.repeat(goal, 2).tolist(), batch, most, cost)
+        after = np.array([min(s.left() for s in two) for two in signals])
+        parted = bool(np.all(after >= goal))
+        if parted or len(wanted) == 1:
+            return Separation(tuple(chosen), tuple(wanted), before, after, parted)
+        wanted.pop(int(np.argmin(after / goal)))
+    return Separation((), (), np.zeros(0), np.zeros(0), False)
+
+
+def _both_ways(rivals: Rivals, pool_nuisance: Array, pool_columns: Sequence[Array]) -> list[_Signal]:
+    """Either of two candidates as a signal beside a fit that has the other one instead."""
+    out = []
+    for a, b in ((0, 1), (1, 0)):
+        other = rivals.columns[b]
+        prior = linalg.block_diag(rivals.precision, np.zeros((other.shape[1],) * 2))
+        X, pool_X = np.c_[rivals.nuisance, other], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
+        normal = _Normal(X, prior, pool_X)
+        out.append(_Signal(normal, X, rivals.columns[a] @ rivals.values[a], pool_columns[a] @ rivals.values[a]))
+    return out
+
+
 def _closest(signals: Mapping[tuple[int, int], _Signal], alone: Sequence[_Signal]) -> tuple[float, float]:
     """What the closest pair leaves unexplained of each other, and the share that it has in common."""
     left = {k: signal.left() for k, signal in signals.items()}
@@ -291,7 +370,7 @@ def _choose(
 
     share = reached()
     while share.min() < 1.0 and len(chosen) < min(most, pool):
-        for _ in range(min(batch, pool - len(chosen))):
+        for _ in range(min(batch, most - len(chosen), pool - len(chosen))):
             gains = signals[int(np.argmin(share))].gains() / price
             gains[chosen] = -np.inf
             chosen.append(int(np.argmax(gains)))

@@ -1,4 +1,4 @@
-"""Further measurements that diagnose itself proposes, while two effects explain the same, up to a budget."""
+"""Further measurements that separate effects, while two of them explain the same, up to a budget."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.next_measurement import COOLING, NextPlan
 from clampid.effect import EffectError, Stage
 from clampid.fitting.solve import FitError
-from clampid.loop.live_fit import campaign_so_far, fit_of
+from clampid.loop.live_fit import campaign_so_far
+from clampid.loop.separating import Separating
 from clampid.models.model import ModelError
 from experiments.campaign import Campaign
 from experiments.errors import CampaignError
@@ -43,43 +43,28 @@ class Adaptive:
     def __init__(
         self, plan: Plan, before: Campaign | None, budget: int, say: Callable[[str], None], seed: int = 0
     ) -> None:
-        self._length, self._before, self._budget, self._say, self._seed = _length(plan), before, budget, say, seed
+        self._length, self._before, self._budget, self._say = _length(plan), before, budget, say
+        self._separating = Separating(seed, budget)
 
     def more(self, plan: Plan, entries: Sequence[Mapping[str, Any]]) -> tuple[Plan | None, str]:
         """The plan that goes on, or None where nothing more is to be measured, and why."""
         left = self._budget - (_length(plan) - self._length)
-        if left <= 0:
-            return self._enough(f"the budget of {self._budget} is used up")
-        stage = STAGE[plan.kind]
         try:
-            campaign = campaign_so_far(plan, entries, self._before)
-            found = diagnose(fit_of(campaign), _within(campaign, plan), seed=self._seed, stages=(stage,)).stages[stage]
+            campaign = _within(campaign_so_far(plan, entries, self._before), plan)
+            found = self._separating.next(campaign, STAGE[plan.kind], left)
+            grown = None if found.proposed is None else extended(plan, rested(found.proposed), left)
         except (FitError, EffectError, CampaignError, ModelError) as error:
-            return self._enough(f"diagnose cannot judge what was measured: {error}")
-        if found.verdict != "ambiguous":
-            return self._enough(f"no two effects explain the same (verdict: {found.verdict})")
-        names = " and ".join(
-            dict.fromkeys(str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"])
-        )
-        proposed = found.next_plan
-        if proposed is None or proposed.plan is None:
-            return self._enough(
-                f"{names} explain the same, and {'nothing is proposed' if proposed is None else proposed.nothing}"
-            )
-        try:
-            grown = extended(plan, rested(proposed), left)
+            judged = f"diagnose cannot judge what was measured: {error}"
+            why = f"the budget of {self._budget} is used up" if left <= 0 else judged
+            return self._told(None, f"nothing more is measured: {why}.")
         except PlanError as error:
-            return self._enough(f"{names} explain the same, but what separates them cannot be run here: {error}")
-        count = _length(grown) - _length(plan)
-        sentence = f"{proposed.sentence[:1].upper()}{proposed.sentence[1:]}"
-        words = f"Adaptive: {count} more, because {names} explain the same. {sentence}."
-        self._say(words)
-        return grown, words
+            return self._told(None, f"nothing more is measured: what separates them cannot be run here: {error}.")
+        return self._told(grown, found.why)
 
-    def _enough(self, why: str) -> tuple[None, str]:
-        words = f"Adaptive: nothing more is measured: {why}."
-        self._say(words)
-        return None, words
+    def _told(self, plan: Plan | None, words: str) -> tuple[Plan | None, str]:
+        said = f"Adaptive: {words}"
+        self._say(said)
+        return plan, said
 
 
 def rested(proposed: NextPlan) -> Plan:

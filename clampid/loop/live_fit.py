@@ -14,10 +14,13 @@ from clampid.display import counted, scale_for, with_std
 from clampid.effect import EffectError
 from clampid.fitting.solve import FitError
 from clampid.identification.identify import identify
+from clampid.identification.model_on_campaign import on_campaign
+from clampid.loop.known_here import known_before, known_here
 from clampid.loop.until import Until
 from clampid.models.model import Model, StageModel
 from clampid.role_slots import has_role
 from clampid.roles import FRAMES
+from clampid.stages.rows import Bools
 from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.checks.check import check_campaign
 from experiments.errors import CampaignError
@@ -113,7 +116,7 @@ class LiveFit:
             self._rows, self._refused = rows, str(error)
             return None
         self._rows, self._took, self._last = rows, time.monotonic() - start, time.monotonic()
-        for line in self._lines(self.model, block, rows):
+        for line in self._lines(self.model, campaign, block, rows):
             self._say(line)
         return self._enough(self.model)
 
@@ -128,16 +131,22 @@ class LiveFit:
             return f"Stopped early, as asked: {told}."
         return None
 
-    def _lines(self, model: Model, block: Block, rows: int) -> list[str]:
+    def _lines(self, model: Model, campaign: Campaign, block: Block, rows: int) -> list[str]:
         name = {"free_air": "free_air", "wrist": "free_air", "clamped": "clamped"}.get(block.table, "poses")
         stage = next((model.stages[s] for s in model.stages if s == name), None)
         if stage is None:
             return []
-        known = sum(stage.identified)
+        opened = on_campaign(model, campaign)
+        before = {s: m for s, m in model.stages.items() if s != stage.stage}
+        own = opened.rows(stage.stage)
+        known = known_here(stage, before, own, opened.effects)
+        earlier = known_before(stage, before, own, opened.effects) & ~known
         head = (
-            f"After {block.name}: {counted(rows, 'row')}; {known} of {len(stage.slots)} parameters of {name} are known."
+            f"After {block.name}: {counted(rows, 'row')}; {known.sum()} of {len(stage.slots)} parameters of {name} are "
+            "known from them"
         )
-        lines = [head, *self._parameters(stage)]
+        head += f", {earlier.sum()} from earlier tables or the description." if earlier.any() else "."
+        lines = [head, *self._parameters(stage, known)]
         last = next((entry for entry in reversed(model.ledger) if entry.stage == name), None)
         if last is not None and last.noise_floor > 0 and last.rms > ODD * last.noise_floor:
             lines.append(
@@ -145,19 +154,19 @@ class LiveFit:
             )
         if stage.outliers:
             lines.append(f"  odd: {len(stage.outliers)} rows do not fit the others")
-        unknown = [slot.label for slot, yes in zip(stage.slots, stage.identified, strict=True) if not yes]
+        unknown = [slot.label for slot, yes in zip(stage.slots, known | earlier, strict=True) if not yes]
         if unknown:
             more = f" and {len(unknown) - 4} more" if len(unknown) > 4 else ""
             lines.append(f"  still unknown, to be measured next: {', '.join(unknown[:4])}{more}")
         return lines
 
-    def _parameters(self, stage: StageModel) -> list[str]:
+    def _parameters(self, stage: StageModel, known: Bools) -> list[str]:
         """A line for each parameter but those of the geometry, which have one together; how far errors fell."""
         units = {(e.name, p.name): p.unit for e in catalogue().values() for p in e.parameters}
         std = np.sqrt(np.diag(stage.covariance))
         lines, shrunk = [], []
         for k, slot in enumerate(stage.slots):
-            if not stage.identified[k]:
+            if not known[k]:
                 continue
             before = self._std.get(slot.label)
             self._std[slot.label] = float(std[k])

@@ -84,7 +84,7 @@ def test_what_is_proposed_keeps_to_the_ranges_of_the_plan(
     free_air: Plan, cell: Cell, limits: Limits, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Diagnose takes its limits from the campaign's robot: that one reaches no farther than the plan lets it."""
-    import clampid.loop.adaptive as adaptive
+    import clampid.loop.separating as separating
 
     narrow = replace(free_air, limits=limits_of(cell.robot, share=0.5)[0])
     table = read_campaign(run_virtually(free_air, tmp_path / "C", seed=3)).tables["free_air"]
@@ -94,7 +94,7 @@ def test_what_is_proposed_keeps_to_the_ranges_of_the_plan(
         seen.append(limits_for_proposals(campaign)[1])
         raise CampaignError("enough for a test")
 
-    monkeypatch.setattr(adaptive, "diagnose", stopped)
+    monkeypatch.setattr(separating, "diagnose", stopped)
     log = {"what": "log", "table": "free_air", "columns": {name: values.tolist() for name, values in table.items()}}
     for plan, wanted in ((free_air, limits), (narrow, narrow.limits)):
         assert Adaptive(plan, None, 20, lambda text: None).more(plan, [log])[0] is None

@@ -1,0 +1,230 @@
+"""Pairs of effects of which either explains what the rows show: one of a fit, and one that could be there instead.
+
+A fit's effect and an absent one are confusable where the effect is there beyond doubt as long as the other one is
+absent, both follow the same pattern beyond what the rest of the model absorbs, and the fit with the other one instead
+is about as likely. Beyond doubt and about as likely are decided by the same odds, e^10
+(:data:`clampid.diagnosis.next_measurement.SAME`). Diagnosis itself only asks what a fit lacks: an effect of the
+standard model that takes up what another one does leaves nothing to be found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from clampid.diagnosis.candidate_scores import ABLE, CONFUSABLE
+from clampid.diagnosis.next_measurement import SAME
+from clampid.diagnosis.pruning import behind
+from clampid.effect import Effect, Stage
+from clampid.evidence.candidates import Candidate, named_candidates
+from clampid.evidence.columns import columns_from
+from clampid.evidence.score import Scored, canonical, explained_together, score
+from clampid.evidence.space import Space, space_of
+from clampid.fitting.descent import newton_step
+from clampid.fitting.noise import Whitened
+from clampid.fitting.solve import Estimate, limits_of
+from clampid.identification.fitted_stage import FittedStage, fit_stage
+from clampid.models.model import StageModel
+from clampid.role_slots import has_role
+from clampid.roles import FRAMES, INERTIAL
+from clampid.slots import Slot, Term
+
+__all__ = ["Confusable", "confusable_pairs", "evidence_apart", "fitted_with"]
+
+OPEN = 0.9  # of the standard deviation that its own declaration states: of less, other rows know the parameter already
+
+
+@dataclass(frozen=True)
+class Confusable:
+    """Two effects that explain the same.
+
+    Attributes
+    ----------
+    first, second
+        What the fit has, and what could be there instead, each as scored on the fit without either.
+    without
+        That fit.
+    scale
+        Standard deviation of the whitened residual of the fit with the first.
+    apart
+        By how much the first is likelier than the second, twice the logarithm of the odds; negative: less likely.
+    """
+
+    first: Scored
+    second: Scored
+    without: Estimate
+    scale: float
+    apart: float
+
+    @property
+    def terms(self) -> tuple[Term, Term]:
+        """Of both."""
+        return self.first.candidate.terms[0], self.second.candidate.terms[0]
+
+
+def confusable_pairs(
+    fitted: FittedStage, searched: Collection[str], before: Mapping[Stage, StageModel]
+) -> list[Confusable]:
+    """Pairs of effects that the rows of a fit do not separate, and those of which the absent one is the likelier.
+
+    What explains most comes first.
+
+    Parameters
+    ----------
+    searched
+        Names of the effects that are looked for in these rows. An effect that a recorded temperature supersedes is
+        looked for as well: whether it is the temperature or the time is what rows may not tell.
+    before
+        The stages fitted before, whose values this one takes over.
+    """
+    estimate = fitted.estimate
+    scale = space_of(estimate).scale
+    absent = named_candidates(estimate, _looked_for(estimate.experiment.effects, searched))
+    absent = [c for c in absent if c.prior is None and len(c.terms) == 1]
+    found = []
+    for own in _own_candidates(estimate):
+        without = _linear_without(estimate, own)
+        space = replace(space_of(without), scale=scale)
+        first = score(space, [own])[0]
+        if first.state not in ABLE or first.bic < SAME:
+            continue
+        for second in _in_its_place(space, first, score(space, absent), estimate.experiment.effects):
+            apart = evidence_apart(fitted, first.candidate.terms[0], second.candidate.terms[0], before)
+            if apart < SAME:
+                found.append(Confusable(first, second, without, scale, apart))
+    return sorted(found, key=lambda pair: -pair.first.explained)
+
+
+def evidence_apart(fitted: FittedStage, first: Term, second: Term, before: Mapping[Stage, StageModel]) -> float:
+    """By how much a fit with the first of two effects is likelier than one with the second: twice the log of the odds.
+
+    Everything else of the model is fitted in both. Infinite, with the sign of the other one, where an effect comes out
+    beyond what its amplitudes can be.
+    """
+    rest = [t for t in _by_place(fitted) if t not in (first, second)]
+    fits = []
+    for term in (first, second):
+        terms = [*rest, term]
+        same = {*terms} == {*_by_place(fitted)}
+        fits.append(fitted if same else _fitted_to(fitted, terms, before))
+    impossible = [_beyond(fit.estimate, term) for fit, term in zip(fits, (first, second), strict=True)]
+    if impossible[0] != impossible[1]:
+        return -np.inf if impossible[0] else np.inf
+    odds = behind([(fits[0].estimate, [first]), (fits[1].estimate, [second])], fitted.estimate.noise)
+    return float(odds[1] - odds[0])
+
+
+def fitted_with(fitted: FittedStage, more: Sequence[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
+    """The same rows fitted with further effects."""
+    return _fitted_to(fitted, list(dict.fromkeys([*_by_place(fitted), *more])), before)
+
+
+def _fitted_to(fitted: FittedStage, terms: Sequence[Term], before: Mapping[Stage, StageModel]) -> FittedStage:
+    model = fitted.model
+    others = model.carried_prior or before
+    effects, start = fitted.estimate.experiment.effects, model.values()
+    return fit_stage(fitted.rows, effects, terms, others, start, model.held_out, last=fitted.estimate)
+
+
+def _by_place(fitted: FittedStage) -> list[Term]:
+    """The terms of a fit, place by place but for geometry, which has places that depend on each other."""
+    effects, out = fitted.estimate.experiment.effects, []
+    for term in fitted.model.terms:
+        effect = effects[term.effect]
+        places = [s.place for s in fitted.model.slots if s.effect == term.effect]
+        whole = effect.per == "robot" or "link_frame" in effect.roles or not places
+        out += [term] if term.place is not None or whole else [Term(term.effect, p) for p in dict.fromkeys(places)]
+    return list(dict.fromkeys(out))
+
+
+def _looked_for(effects: Mapping[str, Effect], searched: Collection[str]) -> dict[str, Effect]:
+    return {
+        name: replace(e, search=replace(e.search, superseded_by=None))
+        for name, e in effects.items()
+        if name in searched or e.search.superseded_by is not None
+    }
+
+
+def _own_candidates(estimate: Estimate) -> Iterator[Candidate]:
+    """What a fit has, effect by effect and place by place, as candidates of a fit without it.
+
+    Left out: geometry and masses, which every arm has; and what other rows know already.
+    """
+    experiment, effects = estimate.experiment, estimate.experiment.effects
+    shapes, fixed, declared = experiment.shapes(), experiment.fixed(), experiment.prior_std()
+    known = 1.0 / np.sqrt(np.maximum(np.diag(estimate.prior_precision), 1e-300)) < OPEN * declared
+    groups: dict[tuple[str, str], list[int]] = {}
+    for k, slot in enumerate(estimate.slots):
+        if not has_role(slot, *FRAMES, *INERTIAL, effects=effects) and effects[slot.effect].event is None:
+            groups.setdefault((slot.effect, slot.place), []).append(k)
+    for (name, place), mine in groups.items():
+        index = [k for k in mine if not shapes[k] and not fixed[k]]
+        if not index or known[index].any():
+            continue
+        yield Candidate(
+            name=name,
+            family=effects[name].family,
+            terms=(Term(name, place),),
+            slots=tuple(estimate.slots[k] for k in index),
+            shapes={estimate.slots[k]: float(estimate.theta[k]) for k in mine if shapes[k]},
+            columns=columns_from(estimate.whitened, index),
+            depends_on=(),
+            places=(place,),
+            reasonable=experiment.sizes()[index],
+            units=tuple(experiment.parameters[k].unit for k in index),
+            describes=effects[name].search.symptom_of,
+        )
+
+
+def _linear_without(estimate: Estimate, own: Candidate) -> Estimate:
+    """The fit without one of its effects, everything else fitted again, linear about the fit with it."""
+    white, slots = estimate.whitened, estimate.slots
+    gone: set[Slot] = {s for s in slots if (s.effect, s.place) == (own.name, own.places[0])}
+    count = len(slots)
+    keep = np.array([k for k in range(len(estimate.theta)) if k >= count or slots[k] not in gone], dtype=int)
+    amplitude = np.array([slots.index(s) for s in own.slots], dtype=int)
+    left = white.residual + white.jacobian[:, amplitude] @ estimate.theta[amplitude]
+    columns, precision = white.jacobian[:, keep], estimate.prior_precision[np.ix_(keep, keep)]
+    moment = columns.T @ left + precision @ (estimate.prior_mean[keep] - estimate.theta[keep])
+    experiment = estimate.experiment.with_slots([s for s in slots if s not in gone])
+    free = ~limits_of(estimate.experiment).resting(estimate.theta)[keep]
+    step = newton_step(columns.T @ columns + precision, moment, experiment.sizes(), 0.0, free)
+    return replace(
+        estimate,
+        experiment=experiment,
+        theta=estimate.theta[keep] + step,
+        covariance=estimate.covariance[np.ix_(keep, keep)],
+        whitened=Whitened(left - columns @ step, columns, white.entry, white.channel),
+        prior_precision=precision,
+        prior_mean=estimate.prior_mean[keep],
+    )
+
+
+def _in_its_place(space: Space, first: Scored, others: list[Scored], effects: Mapping[str, Effect]) -> list[Scored]:
+    """Absent effects that explain what the first does, the likeliest first; of each effect and place one."""
+    alike: dict[Term, Scored] = {}
+    follows = partial(canonical, first)
+    for other in sorted(others, key=lambda s: -s.bic):
+        term, policy = other.candidate.terms[0], effects[other.candidate.name].search
+        if other.state not in ABLE or term in alike or policy.refines == first.candidate.name:
+            continue
+        if other.candidate.name in first.candidate.describes or first.candidate.name in other.candidate.describes:
+            continue  # a cause and its outcome stated without a cause: diagnosis names the cause
+        if other.explained < first.explained - SAME - other.freedom or other.bic < first.bic - SAME:
+            continue
+        both = explained_together(space, first, other)
+        if follows(other) > CONFUSABLE and both - other.explained < SAME:
+            alike[term] = other
+    return list(alike.values())
+
+
+def _beyond(estimate: Estimate, term: Term) -> bool:
+    """Whether an amplitude of a term lies beyond what it can be by more than its error."""
+    lower, upper = estimate.experiment.bounds()
+    shapes = estimate.experiment.shapes()
+    index = [k for k, s in enumerate(estimate.slots) if Term(s.effect, s.place) == term and not shapes[k]]
+    theta, std = estimate.theta[index], estimate.std[index]
+    return bool(np.any((theta + 2.0 * std < lower[index]) | (theta - 2.0 * std > upper[index])))

@@ -1,0 +1,61 @@
+"""Which parameters the rows of a stage tell themselves, and which were known, or assumed, before them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from clampid.effect import Effect, Stage
+from clampid.identification.carried import carried_over
+from clampid.models.model import StageModel
+from clampid.role_slots import has_role
+from clampid.stages.fit_problem import parameter_of
+from clampid.stages.rows import Array, Bools, Rows
+
+__all__ = ["known_before", "known_here"]
+
+AS_MUCH = 0.5
+"""Of the variance before: rows that leave no more than this tell as much as was known without them, or more."""
+
+
+def known_here(
+    stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
+) -> Bools:
+    """Which parameters ``(P,)`` are identified, and that by these rows: they tell at least as much as was known before.
+
+    Parameters
+    ----------
+    before
+        Stages fitted before, of which this one takes values over.
+    rows
+        The stage's own.
+    """
+    std = np.sqrt(np.diag(stage.covariance))
+    assumed = np.minimum(_assumed(stage, rows, effects), _carried(stage, before, rows, effects))
+    return np.asarray(np.array(stage.identified, dtype=bool) & (std**2 <= AS_MUCH * assumed**2))
+
+
+def known_before(
+    stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]
+) -> Bools:
+    """Which parameters ``(P,)`` earlier tables or the description tell, better than what is assumed of any robot."""
+    return np.asarray(_carried(stage, before, rows, effects) < _assumed(stage, rows, effects))
+
+
+def _assumed(stage: StageModel, rows: Rows, effects: Mapping[str, Effect]) -> Array:
+    """Standard deviations ``(P,)`` of what the effects' declarations assume."""
+    return np.array([parameter_of(slot, effects, rows.robot).prior_std for slot in stage.slots])
+
+
+def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, effects: Mapping[str, Effect]) -> Array:
+    """Standard deviations ``(P,)`` of what the description or an earlier stage says; infinite where neither does."""
+    known: dict[object, float] = {}
+    for prior in carried_over(rows, before, effects)[0]:
+        known |= dict(zip(prior.slots, np.sqrt(np.diag(prior.covariance)).tolist(), strict=True))
+    clamped = before.get("clamped")
+    if clamped is not None and rows.stage == "poses":
+        std = np.sqrt(np.diag(clamped.covariance))
+        drives = [k for k, slot in enumerate(clamped.slots) if has_role(slot, "compliance", "clearance")]
+        known |= {clamped.slots[k]: float(std[k]) for k in drives}
+    return np.array([known.get(slot, np.inf) for slot in stage.slots])

@@ -1,0 +1,193 @@
+"""What to measure next, so that effects that explain the same are told apart: the decision, and its reason in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clampid.diagnosis.diagnose import diagnose
+from clampid.diagnosis.next_measurement import ENOUGH, SAME, STATES, NextPlan
+from clampid.diagnosis.next_plan import separating_plan
+from clampid.diagnosis.result import StageDiagnosis
+from clampid.effect import Stage
+from clampid.identification.fitted_stage import FittedStage
+from clampid.loop.confusable import Confusable, confusable_pairs, evidence_apart, fitted_with
+from clampid.loop.live_fit import fit_of
+from clampid.models.model import StageModel
+from clampid.slots import Term
+from experiments.campaign import Campaign
+
+__all__ = ["Next", "Separating"]
+
+RESTED: Mapping[Stage, Sequence[str]] = {"poses": STATES, "free_air": ("warm",), "clamped": ("warm",)}
+"""In which states a stage is measured: the runner rests before a visit only."""
+TRIALS = 2
+"""Proposals for a pair, each of which does in 9 of 10 campaigns: after so many in vain, the model is wrong there."""
+
+
+@dataclass(frozen=True)
+class Next:
+    """What is measured next, and why.
+
+    Attributes
+    ----------
+    proposed
+        None: nothing more.
+    why
+        Sentences for a person.
+    """
+
+    proposed: NextPlan | None
+    why: str
+
+
+class Separating:
+    """Chooses measurements, and says what became of the pairs that earlier ones were for.
+
+    Parameters
+    ----------
+    seed
+        Of diagnose.
+    budget
+        How much may be measured in all, for the words.
+    """
+
+    def __init__(self, seed: int = 0, budget: int = 0) -> None:
+        self._seed, self._budget = seed, budget
+        self._open: list[tuple[Term, Term]] = []
+        self._told: set[tuple[Term, Term]] = set()
+        self._expected: Counter[tuple[Term, Term]] = Counter()
+
+    def next(self, campaign: Campaign, stage: Stage, left: int) -> Next:
+        """What to measure next, at most so much, given all that was measured.
+
+        Raises
+        ------
+        FitError, EffectError, CampaignError, ModelError
+            The rows cannot be judged.
+        PlanError
+            The campaign's robot lets no measurement be planned.
+        """
+        used_up = f"nothing more is measured: the budget of {self._budget} is used up."
+        if left <= 0 and not self._open:
+            return Next(None, used_up)
+        model = fit_of(campaign)
+        found = diagnose(model, campaign, seed=self._seed, stages=(stage,)).stages[stage]
+        others = {s: m for s, m in model.stages.items() if s != stage}
+        fitted = None if found.fitted is None else _with_one_of_each(found.fitted, found, others)
+        pairs: list[Confusable] = []
+        if fitted is not None and found.scores is not None:
+            pairs = confusable_pairs(fitted, {s.candidate.name for s in found.scores.named}, others)
+        decided = [] if fitted is None else self._became(fitted, pairs, others)
+        if left <= 0:
+            return Next(None, _joined(decided, used_up))
+        if found.verdict == "ambiguous" and found.next_plan is not None and found.next_plan.plan is not None:
+            words = f"{min(len(found.next_plan.chosen), left)} more, because {_alike(found)} explain the same."
+            return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
+        pairs = [p for p in pairs if p.apart > -SAME and self._expected[p.terms] < TRIALS]
+        chosen = self._most_doubt(campaign, pairs, RESTED[stage], left)
+        if chosen is None:
+            return Next(None, _joined(decided, _nothing(found, pairs)))
+        best, mine = chosen
+        self._open = list(dict.fromkeys([*(p.terms for p in mine), *self._open]))
+        if best.helps:
+            self._expected.update(p.terms for p in mine)
+        return Next(best, _joined(decided, f"{len(best.chosen)} more, because {_apart(mine)}. {_expected(best)}"))
+
+    def _most_doubt(
+        self, campaign: Campaign, pairs: Sequence[Confusable], states: Sequence[str], left: int
+    ) -> tuple[NextPlan, list[Confusable]] | None:
+        """Measurements for the pair with most doubt by measurement, and that pair; None where none helps.
+
+        Doubt is the chance that the less likely effect is the true one. Source: Smith, Various optimizers for
+        single-stage production, Naval Research Logistics Quarterly 3, 1956: what weighs most by the time that it takes
+        comes first.
+        """
+        best: tuple[NextPlan, list[Confusable]] | None = None
+        rank = (False, 0.0)
+        for pair in pairs:
+            wanted = [(pair.without, (pair.first, pair.second), pair.scale)]
+            found = separating_plan(campaign, wanted, self._seed, left, states)
+            if found is not None:
+                doubt = 1.0 / (1.0 + np.exp(abs(pair.apart) / 2.0))
+                new = (found[0].helps, float(doubt / len(found[0].chosen)))
+                if new > rank:
+                    best, rank = (found[0], [pair]), new
+        return best
+
+    def _became(
+        self, fitted: FittedStage, pairs: Sequence[Confusable], others: Mapping[Stage, StageModel]
+    ) -> list[str]:
+        """Sentences on pairs that were open and are no longer, and on those whose absent effect is the likelier."""
+        still = {p.terms for p in pairs if p.apart > -SAME}
+        apart = {p.terms: p.apart for p in pairs if p.apart <= -SAME}
+        gone = [two for two in self._open if two not in still and two not in apart]
+        apart |= {two: evidence_apart(fitted, *two, others) for two in gone}
+        new = {two: value for two, value in apart.items() if two not in self._told}
+        self._told = {*apart} | (self._told - still)
+        self._open = [two for two in self._open if two in still]
+        return [_verdict(*two, value) for two, value in new.items()]
+
+
+def _sentence(proposed: NextPlan) -> str:
+    return f"{proposed.sentence[:1].upper()}{proposed.sentence[1:]}"
+
+
+def _with_one_of_each(fitted: FittedStage, found: StageDiagnosis, others: Mapping[Stage, StageModel]) -> FittedStage:
+    """The fit with the first of each group that diagnosis cannot decide: without any, all of them are noise."""
+    first: dict[int, list[Term]] = {}
+    for c in found.candidates:
+        if c["alternative"]:
+            first.setdefault(int(c["group"]), [Term(str(c["name"]), place) for place in c["where"]])
+    more = [term for terms in first.values() for term in terms]
+    return fitted_with(fitted, more, others) if more else fitted
+
+
+def _joined(decided: Sequence[str], words: str) -> str:
+    return " ".join([*decided, f"{words[:1].upper()}{words[1:]}" if decided else words])
+
+
+def _apart(pairs: Sequence[Confusable]) -> str:
+    """What several pairs are open for."""
+    said = [f"{p.terms[0].label} and {p.terms[1].label} explain the same (evidence {abs(p.apart):.1f})" for p in pairs]
+    return f"{', '.join(said)}; evidence {SAME:.0f} decides"
+
+
+def _verdict(first: Term, second: Term, apart: float) -> str:
+    """What became of a pair; ``apart``: by how much the first is likelier."""
+    kept, gone = (first, second) if apart > 0 else (second, first)
+    if abs(apart) < SAME:
+        return (
+            f"{first.label} and {second.label} no longer explain the same: evidence {abs(apart):.1f} for {kept.label}."
+        )
+    if not np.isfinite(apart):
+        return f"{kept.label} it is: {gone.label} would need a value that it cannot have."
+    return f"{kept.label} it is, and not {gone.label}: evidence {abs(apart):.0f}, and {SAME:.0f} decides."
+
+
+def _alike(found: StageDiagnosis) -> str:
+    """The names of what diagnosis cannot tell apart; empty where it can."""
+    names = (str(c.get("name", c["effect"])) for c in found.candidates if c["alternative"])
+    return " and ".join(dict.fromkeys(names))
+
+
+def _expected(proposed: NextPlan) -> str:
+    """What a proposal is, and what it brings."""
+    now, then, enough = (f"{np.sqrt(square):.2g} σ" for square in (proposed.before, proposed.after, ENOUGH))
+    known = f"{enough} is enough in 9 of 10 campaigns" if proposed.helps else f"{enough} would be enough, in 9 of 10"
+    return f"The closest pair differs by {now}. {proposed.count} ({proposed.words}) raise this to {then}; {known}."
+
+
+def _nothing(found: StageDiagnosis, pairs: Sequence[Confusable]) -> str:
+    """Why nothing more is measured."""
+    if alike := _alike(found):
+        proposed = found.next_plan
+        none = "nothing is proposed" if proposed is None else proposed.nothing
+        return f"nothing more is measured: {alike} explain the same, and {none}."
+    if not pairs:
+        return f"nothing more is measured: no two effects explain the same (verdict: {found.verdict})."
+    names = "; ".join(" and ".join(term.label for term in pair.terms) for pair in pairs)
+    return f"nothing more is measured: no further measurement that this robot can take separates {names}."
