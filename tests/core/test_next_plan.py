@@ -26,6 +26,7 @@ from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import fit_stage
 from clampid.identification.identify import identify
 from clampid.identification.model_on_campaign import on_campaign
+from clampid.loop.add import add
 from clampid.planning.clamping import planned_sweep, postures_for
 from clampid.planning.press import Press, press_limits, stiffness_of
 from clampid.planning.scene import Scene
@@ -112,10 +113,15 @@ def _narrow_log(folder: Path, hidden: Sequence[str], seed: int) -> Campaign:
     return read_campaign(run_virtually(plan, folder, hidden, seed=seed))
 
 
-REMAINDER = "not explained: beside the true effect the balancer takes up 73 (limit 20) of the chi-square of this plan"
+def _left_beside(campaigns: list[Campaign], there: str, asked: str) -> float:
+    """What a candidate explains of the logs' residual once another is in the fit."""
+    estimate = on_campaign(add(identify(campaigns), campaigns, [there])[0], campaigns).refit("free_air").estimate
+    effects = {name: catalogue()[name] for name in (asked.partition("@")[0],)}
+    scored = score(space_of(estimate), named_candidates(estimate, effects))
+    return next(s for s in scored if s.candidate.label == asked).explained
 
 
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.xfail(reason=REMAINDER, strict=True)), 1, 2])
+@pytest.mark.parametrize("seed", range(3))
 def test_runs_part_a_dress_pack_from_a_balancer(tmp_path: Path, seed: int):
     hidden, labels = ("dress_pack@joint4",), ("dress_pack@joint4", "gravity_compensator@joint4")
     campaign = _narrow_log(tmp_path / "narrow", hidden, seed=3)
@@ -127,9 +133,10 @@ def test_runs_part_a_dress_pack_from_a_balancer(tmp_path: Path, seed: int):
     assert found.before < SAME < ENOUGH <= found.after
     assert found.shared[1] < found.shared[0]
     more = _carried_out(found, tmp_path, hidden, seed=3)
-    _, both, (true, other) = _seen([campaign, more], "free_air", *labels)
-    beyond = explained_together(both, true, other)
-    assert beyond - other.explained > SAME > beyond - true.explained
+    # In the fit of both logs, not in scores beside a fit without either: what is missing there shapes the noise.
+    both = [campaign, more]
+    assert _left_beside(both, "gravity_compensator@joint4", "dress_pack@joint4") > SAME
+    assert _left_beside(both, "dress_pack@joint4", "gravity_compensator@joint4") < SAME
 
 
 def test_poses_show_a_gear_that_few_poses_do_not(simulated: Callable[..., Campaign], tmp_path: Path):
