@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 
 from clampid.diagnosis.probes import probes
 from clampid.evidence.candidates import Candidate
-from clampid.evidence.columns import Sums
+from clampid.evidence.columns import Joined, Sums
 from clampid.evidence.score import Scored, explained_by
 from clampid.evidence.space import Space
 from clampid.fitting.noise import Noise
@@ -66,7 +66,9 @@ def first_without_parts(space: Space, scored: Sequence[Scored], fold: Integers, 
     part = np.r_[part_of[np.searchsorted(names, fold)], np.full(len(space.residual) - len(fold), -1)]
     by_part = Sums.of(part + 1, space.residual)
     absorbed = by_part.over(0, len(part)) @ space.basis
-    amplitudes = [(s.candidate.columns.summed(by_part) - absorbed @ s.absorbed) @ s.weights for s in able]
+    joined = Joined([s.candidate.columns for s in able])
+    sums = joined.own(joined.summed(by_part))
+    amplitudes = [(own.T - absorbed @ s.absorbed) @ s.weights for s, own in zip(able, sums, strict=True)]
     first = []
     for k in range(min(len(names), FOLDS)):
         rest = [

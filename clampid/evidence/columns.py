@@ -89,13 +89,6 @@ class Columns:
                 out += block.T @ theirs[start]
         return out
 
-    def summed(self, sums: Sums) -> Array:
-        """``(groups, k)``: weighted sums of the columns over groups of entries."""
-        out = np.zeros((sums.groups, self.width))
-        for start, block in self.pieces:
-            out += sums.over(start, start + len(block)) @ block
-        return out
-
     def dense(self, entries: int) -> Array:
         """``(entries, k)``."""
         out = np.zeros((entries, self.width))
@@ -180,10 +173,6 @@ class Products:
         """``(k, k')``: D' D'."""
         return self.times(other.dense(len(self.levers.entry)))
 
-    def summed(self, sums: Sums) -> Array:
-        """``(groups, k)``: weighted sums of the columns over groups of entries."""
-        return np.hstack([self.levers.summed(i, sums) @ F for i, F, _ in self.placed])
-
     def dense(self, entries: int) -> Array:
         """``(entries, k)``."""
         out, entry = np.zeros((entries, self.width)), self.levers.entry
@@ -219,7 +208,7 @@ class Joined:
 
     def own(self, whole: Array) -> list[Array]:
         """Each candidate's lines of ``(K, …)``."""
-        return np.split(whole, np.cumsum([m.width for m in self.members])[:-1])
+        return np.split(whole, np.cumsum([m.width for m in self.members], dtype=int))[:-1]
 
     def batches(self, whole: Array, width: int) -> list[tuple[Joined, Array]]:
         """The candidates in turn, some at a time of about ``width`` columns, with their lines of ``(K, …)``."""
@@ -236,15 +225,13 @@ class Joined:
     ) -> Array:
         """``(K, width)``: what is made of each piece's columns, or each place's functions times a product by row."""
         blocks: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
-        places: dict[tuple[int, int], list[tuple[slice, Array]]] = {}
-        levers: dict[int, Levers] = {}
+        places: dict[tuple[Levers, int], list[tuple[slice, Array]]] = {}
         first = 0
         for member in self.members:
             if isinstance(member, Products):
-                levers[id(member.levers)] = member.levers
                 for place, F, mine in member.placed:
                     lines = slice(first + mine.start, first + mine.stop)
-                    places.setdefault((id(member.levers), place), []).append((lines, F))
+                    places.setdefault((member.levers, place), []).append((lines, F))
             else:
                 for start, block in member.pieces:
                     lines = slice(first, first + member.width)
@@ -254,8 +241,8 @@ class Joined:
         for (start, _), parts in blocks.items():
             for at, block in _side_by_side(parts):
                 out[at] += of_block(start, block)
-        for (which, place), parts in places.items():
-            product = of_place(levers[which], place)
+        for (levers, place), parts in places.items():
+            product = of_place(levers, place)
             for at, F in _side_by_side(parts):
                 out[at] += F.T @ product
         return out

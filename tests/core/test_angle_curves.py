@@ -15,7 +15,7 @@ from clampid.comparison.compare import compare
 from clampid.diagnosis.candidate_scores import RATE
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
-from clampid.evidence.columns import Columns, Levers, Products, Sums
+from clampid.evidence.columns import Columns, Joined, Levers, Products, Sums
 from clampid.evidence.score import flip_maxima, score
 from clampid.evidence.space import space_of
 from clampid.identification.identify import identify
@@ -142,11 +142,18 @@ def test_products_are_the_columns_that_they_stand_for():
     np.testing.assert_allclose(columns.gram(), D.T @ D)
     np.testing.assert_allclose(columns.times(other), D.T @ other)
     np.testing.assert_allclose(columns.times(other[:, 0]), D.T @ other[:, 0])
-    np.testing.assert_allclose(columns.summed(Sums(by_unit)), by_unit @ D)
+    np.testing.assert_allclose(Joined([columns]).summed(Sums(by_unit)).T, by_unit @ D)
     dense = Columns(((0, other[:60]),), 4)
     np.testing.assert_allclose(columns.cross(dense), D[:60].T @ other[:60])
     np.testing.assert_allclose(dense.cross(columns), other[:60].T @ D[:60])
     np.testing.assert_allclose(columns.cross(columns), D.T @ D)
+    one = Products(levers, (1,), (columns.functions[0],))
+    joined = Joined([dense, columns, one])
+    all_of_them = np.hstack([dense.dense(64), D, one.dense(64)])
+    np.testing.assert_allclose(joined.times(other), all_of_them.T @ other)
+    np.testing.assert_allclose(joined.summed(Sums(by_unit)).T, by_unit @ all_of_them)
+    assert [len(lines) for lines in joined.own(joined.times(other))] == [4, 17, 5]
+    assert Joined([]).own(np.zeros((0, 4))) == []
 
 
 @pytest.mark.timeout(3600)
