@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from clampid.diagnosis.candidate_scores import CandidateScores
-from clampid.diagnosis.next_measurement import ENOUGH, SAME, STATES, NextPlan
+from clampid.diagnosis.next_measurement import ENOUGH, STATES, NextPlan
 from clampid.diagnosis.parting import Rivals, Separation, part_each
 from clampid.diagnosis.pools import Pool, seen_of
-from clampid.diagnosis.propose import PoolOf, Weak, propose_parting, propose_testing
+from clampid.diagnosis.propose import PoolOf, Weak, parting_aim, propose_parting, propose_testing
 from clampid.diagnosis.testability import noncentrality
 from clampid.effect import Effect, EffectError, Stage
 from clampid.evidence.candidates import Candidate
@@ -83,12 +83,8 @@ def separating_plan(
         found = _fewest(rivals, pools, pool, min(pool.most, most))
         if not found.chosen:
             continue
-        wished: dict[str, float | int | str] = {
-            "parts": "; ".join(" and ".join(s.candidate.label for s in pairs[k][1]) for k in found.pairs),
-            "evidence_before": float(found.before.min()),
-            "evidence_after": float(found.after.min()),
-            "evidence_needed": SAME,
-        }
+        parts = "; ".join(" and ".join(s.candidate.label for s in pairs[k][1]) for k in found.pairs)
+        before, after = float(found.before.min()), float(found.after.min())
         new = NextPlan(
             aim="parting",
             chosen=found.chosen,
@@ -96,9 +92,9 @@ def separating_plan(
             state=state,
             what=pool.what,
             words=pool.words(found.chosen),
-            plan=pool.plan(found.chosen, wished),
-            before=float(found.before.min()),
-            after=float(found.after.min()),
+            plan=pool.plan(found.chosen, parting_aim(parts, before, after)),
+            before=before,
+            after=after,
         )
         if best is None or _preferred(new, found.pairs) > _preferred(*best):
             best = new, found.pairs

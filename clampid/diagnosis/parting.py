@@ -212,17 +212,8 @@ def part(
         ``(K,)``: what each measurement costs, such as seconds; the gain counts for what it costs.
     """
     nuisance, columns, values, precision = rivals.nuisance, rivals.columns, rivals.values, rivals.precision
-    signals: dict[tuple[int, int], _Signal] = {}
-    whole: dict[_Normal, _Normal] = {}
-    for b, column in enumerate(columns):
-        width = column.shape[1]
-        prior = linalg.block_diag(precision, np.zeros((width, width)))
-        X, pool_X = np.c_[nuisance, column], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
-        normal = _Normal(X, prior, pool_X)
-        whole[normal] = normal.with_all()
-        for a in range(len(columns)):
-            if a != b:
-                signals[a, b] = _Signal(normal, X, columns[a] @ values[a], pool_columns[a] @ values[a])
+    signals = _each_beside_another(rivals, pool_nuisance, pool_columns)
+    whole = {normal: normal.with_all() for normal in dict.fromkeys(s.normal for s in signals.values())}
     without = _Normal(nuisance, precision, pool_nuisance)
     whole[without] = without.with_all()
     alone = [
@@ -272,15 +263,16 @@ def part_each(
     """
     wanted = []
     for number, (rivals, pool) in enumerate(zip(pairs, pools, strict=True)):
-        if min(signal.with_all(signal.normal.with_all()) for signal in _both_ways(rivals, *pool)) >= enough:
+        signals = _each_beside_another(rivals, *pool).values()
+        if min(signal.with_all(signal.normal.with_all()) for signal in signals) >= enough:
             wanted.append(number)
     while wanted:
-        signals = [_both_ways(pairs[k], *pools[k]) for k in wanted]
-        before = np.array([min(s.left() for s in two) for two in signals])
+        each = [list(_each_beside_another(pairs[k], *pools[k]).values()) for k in wanted]
+        before = np.array([min(s.left() for s in two) for two in each])
         goal = np.where(before < enough, enough, before + enough)
-        every = [s for two in signals for s in two]
+        every = [s for two in each for s in two]
         chosen = _choose(every, np.repeat(goal, 2).tolist(), batch, most, cost)
-        after = np.array([min(s.left() for s in two) for two in signals])
+        after = np.array([min(s.left() for s in two) for two in each])
         parted = bool(np.all(after >= goal))
         if parted or len(wanted) == 1:
             return Separation(tuple(chosen), tuple(wanted), before, after, parted)
@@ -288,16 +280,20 @@ def part_each(
     return Separation((), (), np.zeros(0), np.zeros(0), False)
 
 
-def _both_ways(rivals: Rivals, pool_nuisance: Array, pool_columns: Sequence[Array]) -> list[_Signal]:
-    """Either of two candidates as a signal beside a fit that has the other one instead."""
-    out = []
-    for a, b in ((0, 1), (1, 0)):
-        other = rivals.columns[b]
-        prior = linalg.block_diag(rivals.precision, np.zeros((other.shape[1],) * 2))
-        X, pool_X = np.c_[rivals.nuisance, other], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
+def _each_beside_another(
+    rivals: Rivals, pool_nuisance: Array, pool_columns: Sequence[Array]
+) -> dict[tuple[int, int], _Signal]:
+    """(a, b) → candidate a as a signal beside a fit that has b instead; those beside one b share what is fitted."""
+    signals: dict[tuple[int, int], _Signal] = {}
+    for b, column in enumerate(rivals.columns):
+        width = column.shape[1]
+        prior = linalg.block_diag(rivals.precision, np.zeros((width, width)))
+        X, pool_X = np.c_[rivals.nuisance, column], np.concatenate([pool_nuisance, pool_columns[b]], axis=2)
         normal = _Normal(X, prior, pool_X)
-        out.append(_Signal(normal, X, rivals.columns[a] @ rivals.values[a], pool_columns[a] @ rivals.values[a]))
-    return out
+        for a, (mine, value) in enumerate(zip(rivals.columns, rivals.values, strict=True)):
+            if a != b:
+                signals[a, b] = _Signal(normal, X, mine @ value, pool_columns[a] @ value)
+    return signals
 
 
 def _closest(signals: Mapping[tuple[int, int], _Signal], alone: Sequence[_Signal]) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from clampid.evidence.candidates import Candidate
 from clampid.evidence.score import Scored
 from clampid.fitting.solve import Estimate
 
-__all__ = ["PoolOf", "Weak", "propose_parting", "propose_testing"]
+__all__ = ["PoolOf", "Weak", "parting_aim", "propose_parting", "propose_testing"]
 
 PoolOf = Callable[[Sequence[Candidate], str], Pool]
 """The pool of a stage, given the candidates and whether the robot is ``warm`` or ``cold``."""
@@ -82,12 +82,7 @@ def propose_parting(
         if not found.chosen and found.before >= ENOUGH:
             found = choose(enough=found.before + ENOUGH)
         helps = found.after >= ENOUGH
-        wished: dict[str, float | int | str] = {
-            "parts": "; ".join(c.label for c in candidates),
-            "evidence_before": found.before,
-            "evidence_after": found.after,
-            "evidence_needed": SAME,
-        }
+        wished = parting_aim("; ".join(c.label for c in candidates), found.before, found.after)
         new = NextPlan(
             aim="parting",
             chosen=found.chosen,
@@ -104,6 +99,11 @@ def propose_parting(
         if best is None or _better(new, best):
             best = new
     return best
+
+
+def parting_aim(parts: str, before: float, after: float) -> dict[str, float | int | str]:
+    """What a plan that parts candidates says of its aim: which, and the evidence without and with it."""
+    return {"parts": parts, "evidence_before": before, "evidence_after": after, "evidence_needed": SAME}
 
 
 def _better(new: NextPlan, best: NextPlan) -> bool:
