@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
 from clampid.diagnosis.effect_new import effect_new
 from clampid.diagnosis.omission import exported_shift, shift_in_words
+from clampid.diagnosis.words import omission_of
 from clampid.exports.dh_export import dh_table
 from clampid.fitting.descent import NEGLIGIBLE
 from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.loop.undo import undo
 from clampid.models.model import Model, ModelError, load_model, save_model
+from clampid.slots import Slot
 from experiments.campaign import Campaign
 
 POSES = ("poses", "verification")
@@ -101,3 +106,17 @@ def test_the_sentence_has_units_and_errors():
     said = "Without it the exported DH table was biased: d of row 3 by 45.3 ± 3.1 µm, rx of base by -2.20 ± 0.27 µrad."
     assert shift_in_words(shifts) == said
     assert shift_in_words([]) == ""
+
+
+def test_what_one_of_both_fits_does_not_determine_has_no_shift(arm: Campaign):
+    slots = [Slot("geometry", name, "base") for name in ("base_x", "base_y", "base_z")]
+    problem = SimpleNamespace(effects=catalogue(), rows=SimpleNamespace(robot=arm.robot))
+
+    def fit(theta: list[float], identified: list[bool]) -> Any:
+        std = np.full(3, 1e-6)
+        return SimpleNamespace(
+            slots=slots, theta=np.array(theta), std=std, identified=np.array(identified), experiment=problem
+        )
+
+    before, after = fit([0.0, 0.0, 0.0], [True, False, True]), fit([1e-4, 5e-2, 5e-2], [True, True, False])
+    assert [entry["name"] for entry in omission_of(before, after)] == [slots[0].label]
