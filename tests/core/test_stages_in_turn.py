@@ -83,11 +83,12 @@ def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable
         identify(campaign, {"free_air": ["gravity", "coulomb_friction", "viscous_friction"]}), campaign
     )
     fitted = opened.refit("free_air", opened.rows("free_air"))
-    scores = scores_of(fitted.estimate, dict(opened.effects), flips=19, seed=0).remembered
+    scores = scores_of(fitted.estimate, dict(opened.effects), flips=19, seed=0)
     at = {s.candidate.name: s for s in scores.named if s.candidate.places == ("joint2",)}
     offset, friction, cable = (at[name] for name in ("torque_offset", "asymmetric_friction", "dress_pack"))
-    assert Undecided([offset, friction], scores).alike(opened.effects, ["poses"])
-    assert not Undecided([offset, friction, cable], scores).alike(opened.effects, ["poses"])
+    kept = scores.remembered
+    assert Undecided([offset, friction], kept).alike(opened.effects, ["poses"])
+    assert not Undecided([offset, friction, cable], kept).alike(opened.effects, ["poses"])
 
 
 def test_the_model_of_a_log_alone_takes_the_name_that_moves_no_flange(simulated: Callable[..., Campaign]):
