@@ -225,7 +225,7 @@ def main() -> None:
     layout, effects, terms = layout_of([data]), catalogue(), [Term(name) for name in STANDARD["free_air"]]
 
     def stage_of(campaign: Campaign) -> LogStage:
-        return LogStage(log_parts([campaign]), layout, effects, terms, False)
+        return LogStage(log_parts([campaign]), layout, effects, terms)
 
     def ours() -> tuple[np.ndarray, int]:
         stage.facts = stage.design.facts = facts_of(stage.parts)

@@ -76,7 +76,7 @@ def read(folder: Path) -> Log:
 
 def _design(campaign: Campaign) -> tuple[Rows, Array]:
     effects, layout = catalogue(), layout_of([campaign])
-    rows = stage_rows([campaign], layout, "free_air", accelerating=True, resting=True)
+    rows = stage_rows([campaign], layout, "free_air", active=[effects["inertia"], effects["presliding_friction"]])
     terms = [Term(name) for name in ("gravity", "inertia", "link_inertia")]
     slots = slots_of_terms(terms, effects, layout, rows.stage)
     _, jacobian = fit_problem(rows, effects, slots).residual(np.zeros(len(slots)))

@@ -14,7 +14,8 @@ from typing import Any, Literal
 
 from clampid.roles import ROLES, Role
 from clampid.search_policy import Search
-from clampid.signals import PRESLIDING_LENGTHS, RELAXATION_TIMES, SIGNALS, STAGES, Signal, Stage, signal
+from clampid.signals import PRESLIDING_LENGTHS, RELAXATION_TIMES, SIGNALS, Signal, Stage, signal
+from clampid.standard_sets import STANDARD
 
 __all__ = [
     "AT_A_SLIDE",
@@ -39,6 +40,9 @@ Deviation = Callable[[Any, Any], Any]
 
 CAST_ARM = 730.0  # Nm: own weight about the shoulder of an arm for 20 kg, for which structural sizes are stated
 LEAST_MOMENT = 1.0  # Nm: lighter than a toy's arm
+STAGES: tuple[Stage, ...] = tuple(STANDARD)
+"""The names of all stages, in the order in which they are fitted."""
+
 WEAK = 10.0  # sizes: a prior that says next to nothing
 
 UNITS: frozenset[str] = frozenset(

@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
-__all__ = ["PRESLIDING_LENGTHS", "RELAXATION_TIMES", "SIGNALS", "STAGES", "Signal", "Stage", "signal"]
+__all__ = ["PRESLIDING_LENGTHS", "RELAXATION_TIMES", "SIGNALS", "Signal", "Stage", "signal"]
 
-Stage = Literal["free_air", "clamped", "poses"]
-STAGES: tuple[Stage, ...] = ("free_air", "clamped", "poses")
+Stage = str
+"""The name of a stage: see :mod:`clampid.stages.stage_kind`."""
 
 PRESLIDING_LENGTHS: tuple[float, ...] = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 """Presliding lengths at the motor, rad, at which the states of dry friction are at hand (signal ``dry_state``)."""

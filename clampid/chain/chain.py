@@ -18,24 +18,18 @@ import numpy.typing as npt
 
 from clampid.chain.compiled import Rowwise
 from clampid.chain.row_symbols import RowSymbols, offer_friction_state, offer_torque, parameter_columns
+from clampid.chain.stage_chain import StageChain
 from clampid.chain.steady import Steady, parted
-from clampid.effect import Effect, EffectError, Stage
+from clampid.effect import Effect, EffectError
 from clampid.slots import Layout, Slot
 
-__all__ = ["FOLLOWING", "OUTPUTS", "Chain", "Deviations", "build_chain", "recorded"]
+__all__ = ["FOLLOWING", "Chain", "Deviations", "build_chain", "recorded"]
 
 
 Array = npt.NDArray[np.float64]
 
-OUTPUTS: Mapping[Stage, tuple[str, ...]] = {
-    "free_air": ("joint_torque", "motor_torque"),
-    "clamped": ("joint_angle", "fixture", "motor_torque", "joint_torque"),
-    "poses": ("joint_angle", "base_twist", "link_twist", "target_shift", "measurement"),
-}
-"""The stations whose deviations a stage's measurement sees."""
-
 FOLLOWING = ("flank", "sag_torque")
-"""Signals of a row of poses that follow the parameters."""
+"""Signals of a row at rest that follow the parameters."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +45,7 @@ class Deviations:
     station, parameter
         ``(nonzeros,)``: which entry of S, in their order, and which parameter each column of ``partials`` belongs to.
     by_torque
-        ``(N, S, n)``: d values / d joint torque, in the stage ``clamped``; else None.
+        ``(N, S, n)``: d values / d joint torque, where that is unknown of an equilibrium; else None.
     """
 
     values: Array
@@ -84,7 +78,7 @@ class Chain:
         is no load; see :mod:`clampid.fitting.open_flanks`. None: the robot is level.
     """
 
-    stage: Stage
+    stage: StageChain
     slots: tuple[Slot, ...]
     offsets: Mapping[str, slice]
     signals: tuple[tuple[str, int], ...]
@@ -153,7 +147,7 @@ class Chain:
         """Deviations at parameters ``theta`` ``(P,)`` for rows of signals; ``torque`` ``(N, n)`` in ``clamped``."""
         out = self.function(theta, *self._columns(signals, torque))
         by_torque = None
-        if self.stage == "clamped":
+        if self.stage.solved:
             by_torque = out[2].reshape(len(out[0]), -1, out[0].shape[1]).transpose(0, 2, 1)
         values, partials = out[:2]
         if self.steady is not None:
@@ -188,16 +182,18 @@ class Chain:
         columns = []
         count = next(len(v) for v in signals.values())
         for name, width in self.signals:
-            values = torque if name == "torque" and self.stage == "clamped" else recorded(signals, name)
+            values = torque if name == "torque" and self.stage.solved else recorded(signals, name)
             if values is None:
-                raise ValueError("the chain of the stage clamped needs the joint torques it is to be evaluated at")
+                raise ValueError(
+                    f"the chain of the stage {self.stage.name} needs the joint torques it is to be evaluated at"
+                )
             columns.append(np.reshape(values, (count, width)))
         return columns or [np.zeros((count, 0))]
 
     @property
     def reads_flanks(self) -> bool:
         """Whether the pose stage's flanks matter to any effect."""
-        return self.stage == "poses" and any(name == "flank" for name, _ in self.signals)
+        return self.stage.resting and any(name == "flank" for name, _ in self.signals)
 
 
 def recorded(signals: Mapping[str, Array], name: str) -> Array:
@@ -214,7 +210,7 @@ def recorded(signals: Mapping[str, Array], name: str) -> Array:
 
 
 def build_chain(
-    stage: Stage,
+    stage: StageChain,
     slots: Sequence[Slot],
     effects: Mapping[str, Effect],
     layout: Layout,
@@ -234,8 +230,10 @@ def build_chain(
     """
     active = [effects[name] for name in dict.fromkeys(slot.effect for slot in slots)]
     for effect in active:
-        if stage not in effect.stages:
-            raise EffectError(f"effect {effect.name} does not act in {stage}; it does in: {', '.join(effect.stages)}")
+        if not stage.has(effect):
+            raise EffectError(
+                f"effect {effect.name} does not act in {stage.name}; it does in: {', '.join(effect.stages)}"
+            )
     theta = ca.SX.sym("theta", len(slots))
     index = {slot: k for k, slot in enumerate(slots)}
     parameters = {effect.name: parameter_columns(effect, layout, index, theta) for effect in active}
@@ -243,29 +241,31 @@ def build_chain(
     offer_friction_state(row, stage, active)
     offer_torque(row, stage, active)
     values, offsets, start = [], {}, 0
-    for station in OUTPUTS[stage]:
+    for station in stage.outputs:
         value = ca.vec(row.total(station, active).T)
         values.append(value)
         offsets[station] = slice(start, start + value.shape[0])
         start += value.shape[0]
     stacked = ca.densify(ca.vertcat(*values))
     # Of poses no derivative is asked for by what a fit holds: it would keep the sines of angle curves from being apart.
-    free = np.array([k for k, slot in enumerate(slots) if stage != "poses" or not _held(slot, effects)], dtype=np.int64)
+    free = np.array(
+        [k for k, slot in enumerate(slots) if not stage.resting or not _held(slot, effects)], dtype=np.int64
+    )
     jacobian = ca.jacobian(stacked, theta[free.tolist()] if len(free) < len(slots) else theta)
     station_of, parameter_of = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
     by_station = np.argsort(station_of, kind="stable")
     station_of, parameter_of = station_of[by_station], free[parameter_of[by_station]]
     partials = jacobian.nz[by_station.tolist()] if jacobian.nnz() else ca.SX(0, 1)
     affine, steady = not ca.depends_on(partials, theta), None
-    if stage == "poses":
+    if stage.resting:
         apart = parted(theta, free, row.flats, FOLLOWING, stacked, partials, station_of, parameter_of)
         if apart is not None:
             stacked, partials, steady = apart
     outputs = [stacked, partials]
-    if stage == "clamped":
+    if stage.solved:
         outputs.append(ca.densify(ca.jacobian(stacked, row.flats["torque"])))
     pressing = None
-    if stage == "poses" and "flank" in row.flats:
+    if stage.resting and "flank" in row.flats:
         # A joint without load rests on the side it came from; any load beyond that decides the flank.
         pressing = ca.densify(row.offered["torque"] + row.recorded("rest_direction"))
     yields = None

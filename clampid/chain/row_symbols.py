@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, Stage, signal
+from clampid.chain.stage_chain import StageChain
+from clampid.effect import SIGNALS, STATIONS, Effect, EffectError, signal
 from clampid.roles import WEIGHTS, Role
 from clampid.slots import Layout, Slot
 
@@ -102,16 +103,16 @@ class RowSymbols:
         return value
 
 
-def offer_friction_state(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:
+def offer_friction_state(row: RowSymbols, stage: StageChain, active: Sequence[Effect]) -> None:
     """Let the motors' dry friction follow the state that effects give it, instead of the sign of the last motion."""
     acting = [e for e in active if "friction_state" in e.acts]
-    if stage == "free_air" and acting:
+    if stage.moving and acting:
         row.offered["motor_motion"] = row.recorded("motor_motion") + row.total("friction_state", acting)
 
 
-def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> None:
+def offer_torque(row: RowSymbols, stage: StageChain, active: Sequence[Effect]) -> None:
     """Offer joint torques, the flank they press on, and the wrench on a clamp, to the effects that read them."""
-    if stage == "clamped":
+    if stage.solved:
         torque = row.recorded("torque")
         # Inside the gap the torque is nearly zero and the flank undecided: a smooth sign whose width is far below
         # the noise keeps the equilibrium solvable by Newton's method.
@@ -120,14 +121,14 @@ def offer_torque(row: RowSymbols, stage: Stage, active: Sequence[Effect]) -> Non
             row.offered["wrench"] = row.recorded("wrench_map") @ torque
     elif any({"torque", "flank"} & set(effect.needs) for effect in active):
         load = [e for e in active if "joint_torque" in e.acts and "torque" not in e.needs]
-        if stage == "free_air":  # friction acts on the load, not on itself
+        if stage.moving:  # friction acts on the load, not on itself
             load = [e for e in load if not any(known.sided for known in map(signal, e.needs) if known)]
         weight = row.recorded("gravity_torque")
-        if stage == "poses":  # of the arm where it stands, not where it was commanded
+        if stage.resting:  # of the arm where it stands, not where it was commanded
             weight = weight + row.recorded("sag_torque")
         row.offered["torque"] = weight + row.total("joint_torque", load)
         on_load = [e for e in active if "joint_torque" in e.acts and "torque" in e.needs]
-        if stage == "poses" and on_load:  # friction on a load holds against it, and winds up springs as any other does
+        if stage.resting and on_load:  # friction on a load holds against it, and winds up springs as any other does
             row.offered["torque"] = row.offered["torque"] + row.total("joint_torque", on_load)
 
 

@@ -16,7 +16,7 @@ from clampid.effect import Stage
 from clampid.fitting.accuracy import Floor, cross_validated, noise_floor, predicted, size_of
 from clampid.fitting.fit import fit, without_outlying
 from clampid.identification.fitted_stage import fit_stage
-from clampid.identification.identify import TABLES_OF, held_out_folds
+from clampid.identification.identify import held_out_folds
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.agreement import Agreement, agreement_of, shared_drives
 from clampid.models.curves import angle_errors, shared_curve
@@ -28,6 +28,7 @@ from clampid.shown import Shown
 from clampid.slots import Prior, Slot, unit_of
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.stage_kind import kind_of
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -130,9 +131,9 @@ def compare(
     opened = on_campaign(model, campaign, user_effects)
     tables: dict[str, dict[str, Any]] = {}
     for stage in in_parts(opened.stages, str):
-        if not any(t in campaign.tables for t in TABLES_OF[stage]):
+        if not any(t in campaign.tables for t in kind_of(stage).tables):
             continue
-        if stage == "poses" and (refit or opened.session is None):
+        if kind_of(stage).points and (refit or opened.session is None):
             if not refit and opened.session is None:
                 raise ModelError(
                     f"the model was not fitted on {campaign.name}, so that nothing says where its instrument and "
@@ -186,7 +187,7 @@ def _as_fitted(
     floor = noise_floor(rows, residual)
     held_out = opened.held_out(stage)
     fitted = ~rows.in_folds(held_out) if opened.session is not None else np.zeros(len(rows), dtype=bool)
-    verification = opened.verification() if stage == "poses" else None
+    verification = opened.verification() if kind_of(stage).points else None
 
     @cache
     def kept_out() -> tuple[Rows, Array, Bools]:
@@ -198,7 +199,7 @@ def _as_fitted(
         return test, left, np.ones(len(test), dtype=bool)
 
     out = {}
-    for table in TABLES_OF[stage]:
+    for table in kind_of(stage).tables:
         if table not in opened.campaign.tables:
             continue
         own = rows.table == table
@@ -210,10 +211,10 @@ def _as_fitted(
         else:
             test, test_residual, tested = kept_out()
             chosen = tested & (test.table == table)
-        if stage == "poses":
+        if kind_of(stage).points:
             floor = noise_floor(rows.take(own), residual[own])
         out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
-        if stage == "poses":
+        if kind_of(stage).points:
             out[table] |= _beyond(opened, test, chosen)
         if table == "poses":
             out[table] |= _placed(opened, rows, residual, test, test_residual, chosen, sample)
@@ -244,7 +245,7 @@ def _table(
     chosen: Bools,
     floor: Floor,
 ) -> dict[str, Any]:
-    poses, counts = rows.stage == "poses", rows.used.any(axis=1)
+    poses, counts = rows.kind.points, rows.used.any(axis=1)
     entry: dict[str, Any] = {
         "unit": "m" if poses else "sigma",
         "rows": int((shown & counts).sum()),

@@ -10,10 +10,10 @@ import numpy as np
 from clampid.comparison.attained import as_sent
 from clampid.effect import Effect, Stage
 from clampid.fitting.accuracy import noise_floor, predicted, rms_of
-from clampid.identification.identify import TABLES_OF
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.model import Model
 from clampid.stages.rows import Bools, Rows
+from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign
 
 __all__ = ["nominal_errors", "nominal_points"]
@@ -44,8 +44,8 @@ def nominal_errors(
     for campaign in several:
         opened = on_campaign(model, campaign, user_effects)
         for stage in opened.stages:
-            if stage != "clamped" and opened.has(TABLES_OF[stage]) and not campaign.long:
-                error = _points(opened) if stage == "poses" else _torques(opened)
+            if not kind_of(stage).solved and opened.has(kind_of(stage).tables) and not campaign.long:
+                error = _points(opened) if kind_of(stage).points else _torques(opened)
                 if error is not None and np.isfinite(error[0]):
                     squares.setdefault(stage, []).append(error)
     return {

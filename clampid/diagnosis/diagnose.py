@@ -23,12 +23,13 @@ from clampid.evidence.score import Scored
 from clampid.fitting.accuracy import counted, noise_floor
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.identify import TABLES_OF, session_of
+from clampid.identification.identify import session_of
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Slot, Term
+from clampid.stages.stage_kind import acts_with, kind_of
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
@@ -120,13 +121,13 @@ def diagnose(
     several = len(opened.campaigns) > 1  # each has a controller's setting of its own
     alone = [on_campaign(model, c, user_effects) for c in opened.campaigns] if several else [opened]
     compensation = next((c for c in map(compensation_of, alone) if c is not None), None)
-    posed = "poses" in opened.stages and (stages is None or "poses" in stages)
+    posed = any(kind_of(s).points and (stages is None or s in stages) for s in opened.stages)
     right = None if several or compensation is None or not posed else put_right(opened, compensation)
     found: dict[Stage, StageDiagnosis] = {}
-    for stage in in_parts(opened.stages, str, lambda stage: 3.0 if stage == "poses" else 1.0):
+    for stage in in_parts(opened.stages, str, lambda stage: 3.0 if kind_of(stage).points else 1.0):
         wanted = stages is None or stage in stages
-        if wanted and opened.has(TABLES_OF[stage]):
-            if stage == "poses" and right is not None:  # else what a compensation did would go by other names
+        if wanted and opened.has(kind_of(stage).tables):
+            if kind_of(stage).points and right is not None:  # else what a compensation did would go by other names
                 mending = replace(mending, campaigns=right.campaigns, base=right.base)
             found[stage] = part = _one(mending, stage, seed, flips, plan_for)
             taken = part.open or (part.fitted if part.added else None)
@@ -156,11 +157,11 @@ def _one(
         found = done.get(key)
         if found is None:
             found = fit_stage(rows, opened.effects, terms, others, known, held, last=last.estimate)
-            if stage == "poses":
+            if kind_of(stage).points:
                 done[key] = found
         return found
 
-    verification = opened.verification(fitted.base_reference) if stage == "poses" else None
+    verification = opened.verification(fitted.base_reference) if kind_of(stage).points else None
     if opened.stages[stage].carried_prior is None:  # else the model knows more than these rows
         refuse_unjudged(fitted, verification is not None)
 
@@ -183,17 +184,17 @@ def _one(
         seed=seed,
         flips=flips,
         called_for=_called_for(opened, stage),
-        elsewhere=frozenset(s for s in opened.stages if s != stage and opened.has(TABLES_OF[s])),
+        elsewhere=frozenset(s for s in opened.stages if s != stage and opened.has(kind_of(s).tables)),
     )
     found = diagnose_stage(fitted, bench, asked)
     found.warnings += refused
-    if stage == "poses" and found.next_plan is not None:
+    if kind_of(stage).points and found.next_plan is not None:
         from clampid.diagnosis.next_poses import poses_of
 
         found.next_poses = poses_of(opened.campaign, found.next_plan, seed)
     if plan_for is not None and len(opened.campaigns) == 1 and found.verdict != "ambiguous":
         _test_too(opened, found, effects, plan_for, seed)
-    if stage == "poses" and found.added and found.fitted is not None:
+    if kind_of(stage).points and found.added and found.fitted is not None:
         ends = [_alone(opened, end) for end in (fitted, found.fitted)]
         found.exported_shift = exported_shift(ends[0], ends[1], opened.campaign.robot)
         found.summary = f"{found.summary} {shift_in_words(found.exported_shift)}".rstrip()
@@ -226,7 +227,7 @@ def _alone(opened: ModelOnCampaign, poses: FittedStage) -> Model:
 
 def _called_for(opened: ModelOnCampaign, stage: Stage) -> frozenset[Term]:
     """What the torque log has shown to act at the joints, where this is the stage of poses."""
-    if stage != "poses" or "free_air" not in opened.stages:
+    if not kind_of(stage).points or "free_air" not in opened.stages:
         return frozenset()
     known = opened.stages["free_air"].terms
     return frozenset(t for t in known if set(opened.effects[t.effect].acts) == {"joint_torque"})
@@ -239,13 +240,13 @@ def _effects_for(opened: ModelOnCampaign, stage: Stage) -> dict[str, Effect]:
     that these did not call for: a spring on a joint bends the arm just as an eccentric gear does. A tool that
     differs between tables does not show in these logs.
     """
-    measured = {s for s in opened.stages if opened.has(TABLES_OF[s])}
+    measured = {s for s in opened.stages if opened.has(kind_of(s).tables)}
     effects = {name: e for name, e in opened.effects.items() if e.search.differs_from in (None, *measured)}
-    if stage != "poses" or not opened.has(TABLES_OF["free_air"]):
+    if not kind_of(stage).points or not opened.has(kind_of("free_air").tables):
         return effects
     known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}
     return {
         name: e
         for name, e in effects.items()
-        if set(e.acts) != {"joint_torque"} or "free_air" not in e.stages or name in known
+        if set(e.acts) != {"joint_torque"} or not acts_with(e, "moving") or name in known
     }

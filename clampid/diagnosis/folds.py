@@ -68,7 +68,7 @@ class Folds:
 
 def folds_of(rows: Rows, candidates: Sequence[Candidate], effects: Mapping[str, Effect]) -> Folds | None:
     """Parts of runs, where whole runs would test an extrapolation of one of the candidates; else None."""
-    if rows.stage != "free_air":  # sweeps have constants of their own, and poses are not ordered by anything
+    if not rows.kind.moving:  # sweeps have constants of their own, and poses are not ordered by anything
         return None
     because: dict[str, None] = {}
     for candidate in candidates:
@@ -128,6 +128,6 @@ def parts_of_runs(rows: Rows) -> tuple[Integers, Bools]:
 
 def stability_folds(rows: Rows) -> Integers:
     """Folds ``(N,)`` of which a fifth may be left out: parts of runs, where there are fewer runs than that."""
-    if rows.stage == "free_air" and len(np.unique(rows.fold)) < PARTS:
+    if rows.kind.moving and len(np.unique(rows.fold)) < PARTS:
         return parts_of_runs(rows)[0]
     return rows.fold

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 from clampid.display import error_text, floor_text, places_text, with_error
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome"]
 
@@ -192,7 +193,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
             out.append(f"{name} is no alternative: the data do not determine its values (held-out error {error}).")
     plan = part.get("next_plan") or {}
     if plan.get("for") == "parting" and part["verdict"] == "ambiguous":
-        kind = {"free_air": "runs", "clamped": "sweeps"}.get(stage, "poses")
+        kind = kind_of(stage).words.folds
         if plan.get("helps"):
             now, then = f"{plan['sigma_before']:.2g} σ", f"{plan['sigma_after']:.2g} σ"
             out.append(f"The closest two differ by {now}; {plan['count']} proposed {kind} raise this to {then}.")
@@ -207,7 +208,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         )
     if sides := part.get("one_sided"):
         joints = places_text([f"joint{s['joint']}" for s in sides])
-        what = "approached" if stage == "poses" else "moved"
+        what = kind_of(stage).words.moved
         recorded = any(s["side"] != 0 for s in sides)
         why = f"{what} from one side only" if recorded else "no directions were recorded"
         out.append(f"Direction-dependent effects were not tested at {joints}: {why}.")

@@ -72,7 +72,7 @@ class HeldOut:
         """
         both = (self.rows.used & other.rows.used).any(axis=1)  # single wrong rows are each fit's own finding
         p = held_out_p(both * self.squares, both * other.squares, blocks_of_visits(self.rows, self.block), seed)
-        if self.rows.stage == "poses":
+        if self.rows.kind.points:
             return p
         white = held_out_p(self.white_squares(noise), other.white_squares(noise), self.rows.unit, seed)
         return min(2.0 * min(p, white), 1.0)

@@ -20,6 +20,7 @@ from clampid.fitting.solve import Estimate
 from clampid.slots import Slot
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
 
@@ -129,20 +130,20 @@ def _states(estimate: Estimate, candidates: Sequence[Candidate]) -> tuple[str, .
     """``warm`` alone where neither fit nor candidates know of any warmth."""
     names = {slot.effect for slot in estimate.slots} | {c.name for c in candidates}
     needs = {signal for name in names for signal in estimate.experiment.effects[name].needs}
-    return STATES if needs & WARMTH or estimate.experiment.stage == "poses" else STATES[:1]
+    return STATES if needs & WARMTH or estimate.experiment.kind.points else STATES[:1]
 
 
 def _pool_of(campaign: Campaign, estimate: Estimate, seed: int) -> PoolOf:
     # Each brings collision checking along, which few need.
     stage: Stage = estimate.experiment.stage
-    if stage == "poses":
+    if kind_of(stage).points:
         if "poses" not in campaign.tables:
             raise PlanError("poses are planned for an instrument that measures points, and these rows are distances")
 
         from clampid.diagnosis.next_poses import poses_to_choose
 
         return partial(poses_to_choose, campaign, estimate, seed=seed)
-    if stage == "free_air":
+    if kind_of(stage).moving:
         from clampid.diagnosis.next_runs import runs_to_choose
 
         return partial(runs_to_choose, campaign, estimate, seed=seed)

@@ -17,11 +17,12 @@ from clampid.diagnosis.pools import Pool, cell_of, columns_seen_by, joined
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.fitting.solve import Estimate
-from clampid.identification.identify import has_inertia
+from clampid.identification.identify import effects_in
 from clampid.planning.logs import TorqueNoise, planned_log, planned_rows
 from clampid.planning.sampling import configurations
 from clampid.planning.scene import Scene
 from clampid.slots import Term
+from clampid.stages.counting import explains_acceleration
 from clampid.stages.rows import Array, Rows
 from clampid.stages.torques import torque_rows
 from experiments.campaign import Campaign
@@ -197,7 +198,7 @@ def _imagined_rows(
     rows = torque_rows(
         [replace(campaign, tables=MappingProxyType({"free_air": table}))],
         own.layout,
-        accelerating=has_inertia(terms, effects),
+        accelerating=explains_acceleration(effects_in(terms, effects)),
         resting="dry_state" in own.signals,
     )
     since = float(own.signals["elapsed"].max()) if state == "warm" else 0.0

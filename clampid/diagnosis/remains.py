@@ -92,7 +92,7 @@ def remains_of(
     fall = _fall(scores.probe, estimate, verification, seed)
     if fall.p > HELD_OUT_RATE:
         return None
-    where, poses = scores.probe.candidate.places, estimate.experiment.stage == "poses"
+    where, poses = scores.probe.candidate.places, estimate.experiment.kind.points
 
     def size_of(share: float) -> float:
         return float(np.sqrt(max(share, 0.0) * _per_motor(held.rows, where))) * held.rms
@@ -112,7 +112,7 @@ def _per_motor(rows: Rows, where: tuple[str, ...]) -> float:
     What one motor shows matters beside that motor's noise, however many others there are.
     """
     motors = {f"motor{k + 1}": int(count) for k, count in enumerate(rows.used.sum(axis=0))}
-    if rows.stage == "poses" or not set(where) <= set(motors):
+    if rows.kind.points or not set(where) <= set(motors):
         return 1.0
     return sum(motors.values()) / max(sum(motors[place] for place in where), 1)
 
@@ -143,7 +143,7 @@ def above_the_floor(held: HeldOut, rate: float) -> bool:
     total, number = np.bincount(unit, squares), np.bincount(unit, counts)
     mean = float(total.sum() / max(number.sum(), 1.0))
     variance = float(np.sum((total - mean * number) ** 2)) / max(float(number.sum()), 1.0) ** 2
-    if held.rows.stage != "poses":
+    if not held.rows.kind.points:
         return bool(mean - 1.0 > stats.norm.isf(rate) * np.sqrt(2.0 * variance))
     floor = held.floor
     level = floor.norm**2 if floor.source == "replicates" else floor.most**2
@@ -153,6 +153,6 @@ def above_the_floor(held: HeldOut, rate: float) -> bool:
 
 def _counted(held: HeldOut) -> tuple[np.ndarray, int]:
     """How many errors each row has ``(N,)``, and of how many coordinates a pose's is."""
-    if held.rows.stage == "poses":
+    if held.rows.kind.points:
         return held.rows.used.any(axis=1).astype(float), 3
     return held.rows.used.sum(axis=1).astype(float), 1

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -58,15 +58,15 @@ class OneSided:
 
 def one_sided(rows: Rows) -> list[OneSided]:
     """The joints of used rows that came, or moved, from one side only; of those that moved at all."""
-    name: Literal["direction", "joint_motion"] = "direction" if rows.stage == "poses" else "joint_motion"
-    if rows.stage == "clamped" or name not in rows.signals:  # every sweep goes both ways
+    name = rows.kind.side
+    if name is None or name not in rows.signals:
         return []
     used = rows.used.any(axis=1)
     sign, unit = np.sign(rows.signals[name][used]), rows.unit[used]
     found = []
     for j in range(sign.shape[1]):
         counts = [len(np.unique(unit[sign[:, j] == side])) for side in (1.0, -1.0)]
-        if min(counts) >= FEW or (rows.stage == "free_air" and max(counts) == 0):
+        if min(counts) >= FEW or (rows.kind.moving and max(counts) == 0):
             continue
         side = 0 if max(counts) == 0 else 1 if counts[0] >= counts[1] else -1
         found.append(OneSided(j + 1, side, min(counts)))
@@ -80,13 +80,13 @@ def one_sided_words(found: Sequence[OneSided], rows: Rows, effects: Mapping[str,
     """
     if not found:
         return ""
-    names = sorted(n for n, e in effects.items() if rows.stage in e.stages and SIDES & set(e.needs))
-    what = "approached" if rows.stage == "poses" else "moved"
+    names = sorted(n for n, e in effects.items() if rows.kind.has(e) and SIDES & set(e.needs))
+    what = rows.kind.words.moved
     many, was = ("s", "were") if len(found) > 1 else ("", "was")
     said = {1: "+", -1: "-", 0: "not recorded"}
     if {f.side for f in found} == {0}:
         joints, why = ", ".join(str(f.joint) for f in found), "whose directions were not recorded"
-        mend = "record the direction of approach" if rows.stage == "poses" else "record the direction of motion"
+        mend = f"record {rows.kind.words.record}"
     else:
         joints = ", ".join(f"{f.joint} ({said[f.side]})" for f in found)
         why, mend = f"which {was} {what} from one side only", "measure from the other side, too"

@@ -77,7 +77,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
         if finer is not None and finer is not bench.folds:
             return finer
         refused = [t.refusal(effects, held.rms) for t in others]
-        if isinstance(tried, Undecided) and rows.stage != "poses" and tried.alike(effects, bench.elsewhere):
+        if isinstance(tried, Undecided) and not rows.kind.points and tried.alike(effects, bench.elsewhere):
             taken.append(bench.taken(tried, fitted, held, len(steps)))
             fitted, held = taken[-1].fitted, taken[-1].held
         else:

@@ -12,6 +12,7 @@ from itertools import combinations
 
 from clampid.effect import STAGES, Effect, Stage
 from clampid.search_policy import Separator
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["separating_measurement", "something_else"]
 
@@ -22,19 +23,6 @@ _SENSORS: Mapping[str, str] = {
     "link_twist": "a target on the link itself",
 }
 """Station → what sees a deviation there, and no other's."""
-
-_ELSEWHERE: Mapping[Stage, str] = {
-    "free_air": "a log of torques in free air",
-    "clamped": "sweeps against a clamped flange",
-    "poses": "measured poses",
-}
-
-
-_MORE: dict[Stage, str] = {
-    "poses": "more poses, spread over the joints' full ranges, with other loads and temperatures than these",
-    "free_air": "a longer log over the joints' full ranges, with other loads, speeds and temperatures than this one",
-    "clamped": "more sweeps, in other postures, with other amplitudes and temperatures than these",
-}
 
 
 def _separators(effects: Mapping[str, Effect]) -> dict[frozenset[str], Separator]:
@@ -49,7 +37,7 @@ def separating_measurement(families: Iterable[str], effects: Mapping[str, Effect
     found = [known[p].measurement for p in pairs if p in known]
     if found:
         return "; ".join(dict.fromkeys(found))
-    return _MORE[stage]
+    return kind_of(stage).words.more
 
 
 def something_else(pair: Sequence[str], effects: Mapping[str, Effect], stage: Stage) -> str:
@@ -63,8 +51,10 @@ def something_else(pair: Sequence[str], effects: Mapping[str, Effect], stage: St
         if (station in a.acts) != (station in b.acts):
             said.append(f"{sensor}, which sees {(a if station in a.acts else b).name} alone")
     for other in STAGES:
-        if other != stage and (other in a.stages) != (other in b.stages):
-            said.append(f"{_ELSEWHERE[other]}, in which {(a if other in a.stages else b).name} alone acts")
+        if other != stage and (kind_of(other).has(a)) != (kind_of(other).has(b)):
+            said.append(
+                f"{kind_of(other).words.measurement}, in which {(a if kind_of(other).has(a) else b).name} alone acts"
+            )
     if not said:
         return f"{a.name} and {b.name} act at the same place in the same experiments, and either may be added"
     return f"{a.name} from {b.name}: {', or '.join(said)}"

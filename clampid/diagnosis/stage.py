@@ -40,6 +40,7 @@ from clampid.fitting.fit import agreeing_rows
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.stages.rows import Rows
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["diagnose_stage"]
 
@@ -59,7 +60,7 @@ def diagnose_stage(fitted: FittedStage, bench: Bench, propose: Propose | None = 
         Looks for measurements that separate candidates, given the fit, the candidates and the residual's scale.
     """
     judged_by, outcome = _searched(fitted, bench)
-    drift = drift_of(outcome.fitted.estimate) if fitted.estimate.experiment.stage == "poses" else None
+    drift = drift_of(outcome.fitted.estimate) if fitted.estimate.experiment.kind.points else None
     if drift is not None and drift.block > 1:  # once more, now that it is known how long what is left goes on
         del outcome  # as large as its rows
         judged_by, outcome = _searched(fitted, replace(bench, block=drift.block))
@@ -94,9 +95,9 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     """The verdict on what was searched, with its evidence."""
     stage, effects, floor = fitted.estimate.experiment.stage, bench.effects, bench.floor
     verification, seed = bench.verification, bench.seed
-    result = StageDiagnosis(stage, "m" if stage == "poses" else "sigma")
+    result = StageDiagnosis(stage, kind_of(stage).error_unit)
     result.folds, first, fitted = bench.folds, fitted.estimate, outcome.fitted
-    result.noise_floor = floor.norm if stage == "poses" else 1.0
+    result.noise_floor = floor.norm if kind_of(stage).points else 1.0
     held, scores, probe = outcome.held, outcome.scores, outcome.first_scores.probe
     result.before, result.after = outcome.before.rms, held.rms
     result.depends_on = list(probe.candidate.depends_on) if outcome.first_scores.fires and probe is not None else []
@@ -112,7 +113,7 @@ def _verdict(fitted: FittedStage, bench: Bench, outcome: Searched, propose: Prop
     tested = None if verification is None else held.rows
     result.outliers = _rejected(fitted.estimate, verification, held)
     few = estimates_share(fitted.estimate, verification is not None)
-    excess = result.after > FAR_OFF * few * (floor.most if stage == "poses" else 1.0)
+    excess = result.after > FAR_OFF * few * (floor.most if kind_of(stage).points else 1.0)
     left = remains_of(scores, fitted.estimate, held, tested, seed)
     if result.verdict != "ambiguous" and (excess or (left is not None and left.matters)):
         _unknown(result, scores, fitted.estimate, seed)
@@ -202,7 +203,7 @@ def _undecided(
     if proposed is not None:
         never = [tuple(label.partition("@")[0] for label in pair[:2]) for pair in proposed.never]
         result.ask_for(proposed, [something_else(pair, effects, result.stage) for pair in never])
-    if result.stage != "poses":
+    if not kind_of(result.stage).points:
         left = outcome.undecided
         result.open = bench.with_undecided(left, fitted, fitted)[0] if left else fitted
 

@@ -14,6 +14,7 @@ from clampid.evidence.score import Scored, canonical, explained_together
 from clampid.fitting.solve import Estimate
 from clampid.identification.fitted_stage import FittedStage
 from clampid.slots import Term
+from clampid.stages.stage_kind import acts_with, stages_with
 
 __all__ = ["Taken", "Tried", "Undecided"]
 
@@ -74,11 +75,11 @@ class Undecided:
             both = explained_together(self.scores.space, first, s)
             if canonical(first, s) <= ALIASED or both - min(first.explained, s.explained) > ONE:
                 return False
-        return not any(set(elsewhere) & set(effects[s.candidate.name].stages) for s in self.members)
+        return not any(set(elsewhere) & set(stages_with(effects[s.candidate.name])) for s in self.members)
 
     def taken(self, effects: Mapping[str, Effect]) -> Undecided:
         """The same, first one that acts in no pose, if there is any: a model of torques is to move no flange."""
-        order = sorted(self.members, key=lambda s: "poses" in effects[s.candidate.name].stages)
+        order = sorted(self.members, key=lambda s: acts_with(effects[s.candidate.name], "points"))
         return replace(self, members=order)
 
 

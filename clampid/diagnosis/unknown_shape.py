@@ -247,8 +247,8 @@ def _observed(v: Variable, rows: Rows) -> Array:
 def _load(v: Variable, rows: Rows) -> Array:
     """The load of a joint in poses, of a motor elsewhere: what the description says, or what a clamped motor had."""
     index = v.index or 0
-    if rows.stage == "poses":
+    if rows.kind.points:
         return np.asarray(rows.signals["gravity_torque"][:, index])
-    if rows.stage == "free_air":
+    if rows.kind.moving:
         return np.asarray((rows.signals["gravity_torque"] @ np.asarray(rows.robot.transmission).T)[:, index])
     return np.asarray(rows.measured[:, index])

@@ -49,9 +49,9 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
         What stands out of the residual and may say it all, the clearest first.
     """
     rows, white = estimate.experiment.rows, estimate.whitened
-    if rows.stage == "clamped" or not len(white.residual):
+    if rows.kind.solved or not len(white.residual):
         return None
-    wanted = POSE_CHANNELS[0] if rows.stage == "poses" else range(rows.measured.shape[1])
+    wanted = POSE_CHANNELS[0] if rows.kind.points else range(rows.measured.shape[1])
     channels = {int(white.channel[start]): slice(start, stop) for start, stop in channel_starts(white)}
     mine = {c: channels[c] for c in wanted if c in channels}
     courses = [course_of(rows, white.entry[own]) for own in mine.values()]

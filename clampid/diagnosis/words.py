@@ -28,7 +28,7 @@ def outliers_of(estimate: Estimate) -> list[dict[str, Any]]:
 
 def listed_outliers(rows: Rows, residual: Array, bad: Bools) -> list[dict[str, Any]]:
     """Rows marked ``(N,)``, and the size of their residual ``(N, m)``: m of a point, Nm over all motors."""
-    size = lengths(residual) if rows.stage == "poses" else np.linalg.norm(residual[:, : rows.robot.n], axis=1)
+    size = lengths(residual) if rows.kind.points else np.linalg.norm(residual[:, : rows.robot.n], axis=1)
     return [{"table": str(rows.table[i]), "row": int(rows.row[i]), "size": float(size[i])} for i in np.flatnonzero(bad)]
 
 

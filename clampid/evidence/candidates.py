@@ -111,7 +111,7 @@ def terms_not_active(estimate: Estimate, effects: Mapping[str, Effect]) -> list[
     layout = estimate.experiment.rows.layout
     out = []
     for effect in effects.values():
-        if estimate.experiment.stage not in effect.stages or effect.aligns is not None:
+        if not estimate.experiment.kind.has(effect) or effect.aligns is not None:
             continue
         if effect.event is not None or effect.scanned is not None:
             continue

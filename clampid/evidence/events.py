@@ -31,6 +31,7 @@ from clampid.fitting.solve import Estimate
 from clampid.slots import Slot, Term
 from clampid.stages.clamped_rows import BLOCK_ROWS
 from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["absent_events", "event_scores", "time_of"]
 
@@ -85,7 +86,7 @@ class Scan:
 def absent_events(estimate: Estimate, effects: Mapping[str, Effect]) -> list[Effect]:
     """The events that could act in an estimate's stage and that it leaves out."""
     active, stage = {slot.effect for slot in estimate.slots}, estimate.experiment.stage
-    found = [e for e in effects.values() if e.event is not None and stage in e.stages and e.name not in active]
+    found = [e for e in effects.values() if e.event is not None and kind_of(stage).has(e) and e.name not in active]
     return [e for e in found if e.search.refines is None or e.search.refines in active]
 
 

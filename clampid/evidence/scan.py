@@ -36,6 +36,7 @@ from clampid.slots import Slot, Term
 from clampid.stages import poses
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Integers
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["FEWEST_VISITS", "place_of", "scan"]
 
@@ -110,8 +111,8 @@ def _all_places(
 ) -> list[_Tried]:
     """Every place of every joint at which a scanned effect is not active."""
     rows, stage = estimate.experiment.rows, estimate.experiment.stage
-    wanted = [e for e in effects.values() if e.scanned is not None and stage in e.stages]
-    if stage != "poses" or not wanted:
+    wanted = [e for e in effects.values() if e.scanned is not None and kind_of(stage).has(e)]
+    if not kind_of(stage).points or not wanted:
         return []
     theta, offsets = estimate.theta[: len(estimate.slots)], estimate.experiment.chain.offsets
     _, sensitivity = poses.by_station(rows, poses.evaluate(rows, estimate.experiment.chain, theta))

@@ -87,11 +87,11 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     the model: what a regression on rigid-body dynamics and friction leaves of torques that it has not seen. It counts
     where it is smaller by more than two standard errors; then the model lacks something that these rows know.
     """
-    if rows.stage == "poses":
+    if rows.kind.points:
         return _pose_floor(rows)
     run, time = rows.constants["run"], rows.constants["time"]
     lag = QUIET_ROWS
-    if rows.stage == "free_air" and len(time) > 1:
+    if rows.kind.moving and len(time) > 1:
         lag = max(1, round(QUIET_S / max(float(np.median(np.diff(time))), 1e-9)))
     out = np.array([_spread(run, residual[:, c], rows.used[:, c], lag) for c in range(residual.shape[1])])
     regression = rows.constants.get("regression", np.full(len(out), np.inf))
@@ -157,7 +157,7 @@ def size_of(rows: Rows, residual: Array, floor: Floor) -> tuple[Array, Bools]:
 
     In metres a point's is a norm, and a distance's its one number.
     """
-    if rows.stage == "poses":
+    if rows.kind.points:
         return lengths(residual), np.asarray(rows.used.any(axis=1))
     return residual / floor.sigma, rows.used
 
@@ -177,7 +177,7 @@ def predicted(experiment: FitProblem, theta: Array, noise: Noise | None = None) 
         return experiment.error(theta)
     count = len(experiment.slots)
     full = np.r_[theta, np.zeros(experiment.offsets)]
-    if experiment.stage == "clamped":
+    if experiment.kind.solved:
         full[count:] = clamping_offsets(experiment, full)
     free = experiment.own() & ~experiment.fixed()
     precision = np.diag(np.where(free, 1.0 / experiment.prior_std() ** 2, 1e12 / experiment.sizes() ** 2))
@@ -237,7 +237,7 @@ def _normal(J: Array, r: Array) -> tuple[Array, Array]:
 def counted(estimate: Estimate, verification: Rows | None) -> tuple[Rows, Array]:
     """Fitted rows and residual that errors are of: beside a verification table, which is of points, no distances."""
     rows, residual = estimate.experiment.rows, estimate.residual
-    if verification is None or rows.stage != "poses":
+    if verification is None or not rows.kind.points:
         return rows, residual
     return rows.points, residual[~rows.ranged]
 
@@ -278,7 +278,7 @@ def stage_errors(
     if floor is None or len(left) < len(estimate.residual):
         floor = noise_floor(fitted, left)
     test, residual = unseen(estimate, rows, held, verification, seed)
-    level = floor.norm if rows.stage == "poses" else 1.0
+    level = floor.norm if rows.kind.points else 1.0
     return StageErrors(
         rms=rms_of(fitted, left, floor),
         heldout_rms=rms_of(test, residual, floor),

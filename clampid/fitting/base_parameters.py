@@ -59,7 +59,7 @@ def base_parameters(estimate: Estimate) -> tuple[BaseParameter, ...]:
         From the base outwards; empty where the fit has no inertial parameters, or is of another stage.
     """
     experiment, count = estimate.experiment, len(estimate.slots)
-    if experiment.stage != "free_air" or not experiment.numbers_of(*INERTIAL):
+    if not experiment.kind.moving or not experiment.numbers_of(*INERTIAL):
         return ()
     columns, offsets = _columns(estimate)
     return grouped(

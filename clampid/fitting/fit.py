@@ -80,12 +80,12 @@ def fit(
     rejected = np.zeros(len(experiment.rows), dtype=bool)
     model = noise or weights or initial_noise(experiment.rows)
     theta = _kept_first(experiment, theta, model, precision, mean)
-    early = experiment.stage != "poses" or noise is not None  # else another search follows, with the noise learned
+    early = not experiment.kind.points or noise is not None  # else another search follows, with the noise learned
     shared = Shared()
     estimate = _past_clearances(solve(experiment, theta, model, precision, mean, errors=early, shared=shared))
     whole, agreed = experiment.rows, np.zeros(len(rejected), dtype=bool)
     for _ in range(OUTLIER_PASSES if reject else 0):
-        if experiment.stage == "poses":  # a wrong row may have pulled others off that are right
+        if experiment.kind.points:  # a wrong row may have pulled others off that are right
             bad = outlying(whole, estimate.residual) & ~agreed
         else:
             bad = rejected | outlying(experiment.rows, estimate.residual)
@@ -98,14 +98,14 @@ def fit(
         experiment = experiment.with_rows(whole.without(rejected))
         estimate = solve(experiment, estimate.theta, model, precision, mean, errors=early, shared=shared)
     if noise is None:
-        rounds = 1 if experiment.stage == "poses" and weights is None else 2
+        rounds = 1 if experiment.kind.points and weights is None else 2
         for number in range(rounds):
             model = learn_noise(experiment.rows, estimate.residual, _absorbed(estimate))
-            if experiment.stage == "free_air" and estimate.noise.settled(model):
+            if experiment.kind.moving and estimate.noise.settled(model):
                 break
             errors = early or number == rounds - 1
             estimate = solve(experiment, estimate.theta, model, precision, mean, errors=errors, shared=shared)
-    if experiment.stage == "poses":
+    if experiment.kind.points:
         estimate = _along_bars(estimate, priors)
         estimate = with_repeatability(without_unknown_friction(estimate))
     return replace(estimate, outliers=rejected)
@@ -140,7 +140,7 @@ def agreeing_rows(estimate: Estimate) -> list[Agreement]:
     """Rows of poses that are as far off as outliers are, but agree, so that they are none; of other stages none."""
     rows = estimate.experiment.rows
     bad = estimate.outliers | outlying(rows, estimate.residual)
-    if rows.stage != "poses" or bad.mean() > AGREEING_SHARE:
+    if not rows.kind.points or bad.mean() > AGREEING_SHARE:
         return []
     return agreement(rows, bad, lengths(estimate.residual))
 
@@ -148,7 +148,7 @@ def agreeing_rows(estimate: Estimate) -> list[Agreement]:
 def _agreeing(rows: Rows, bad: Bools, residual: Array) -> Bools:
     """Which of the rows that would be rejected agree with each other, so that a model may say what moves them."""
     out = np.zeros(len(rows), dtype=bool)
-    if rows.stage == "poses":
+    if rows.kind.points:
         for found in agreement(rows, bad, lengths(residual)):
             out |= found.rows
     return out
@@ -210,7 +210,7 @@ def _absorbed(estimate: Estimate) -> Array | None:
 
     There every row has few neighbours and the noise one scale, so that what is absorbed is a count of parameters.
     """
-    if estimate.experiment.stage != "clamped":
+    if not estimate.experiment.kind.solved:
         return None
     _, jacobian = estimate.experiment.residual(estimate.theta)
     size = estimate.experiment.sizes()
@@ -226,20 +226,18 @@ def outlying(rows: Rows, residual: Array) -> Bools:
     outliers, more than anyone would use, that is so by chance in one of 60,000 blocks.
     """
     out = np.zeros(len(rows), dtype=bool)
-    groups = POSE_CHANNELS if rows.stage == "poses" else [(c,) for c in range(residual.shape[1])]
-    for group in groups:
-        inside = [c for c in group if c < residual.shape[1]]
+    for inside in map(list, rows.kind.channels(residual.shape[1])):
         used = rows.used[:, inside].all(axis=1) if inside else np.zeros(len(rows), dtype=bool)
         if used.sum() < 20:
             continue
         white = rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside]
-        if rows.stage == "poses" and group == POSE_CHANNELS[0]:
+        if rows.kind.points and inside == list(POSE_CHANNELS[0]):
             white = white / relative_axes(rows, residual)
         scale = NORMAL * np.median(np.abs(white[used]))
         size = np.linalg.norm(white, axis=1) / max(scale, 1e-12)
         limit = np.sqrt(stats.chi2.isf(OUTLIER_RATE / used.sum(), len(inside)))
         out |= used & (size > max(limit, 4.0))
-    if rows.stage == "clamped":
+    if rows.kind.solved:
         out &= np.bincount(rows.unit, out)[rows.unit] <= BLOCK_ROWS // 2
     return out
 

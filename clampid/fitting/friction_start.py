@@ -41,7 +41,7 @@ def with_friction_start(
     """
     known = {*start, *(slot for prior in priors for slot in prior.slots)}
     open_ = [k for k in experiment.numbers_of("arm_friction") if experiment.slots[k] not in known]
-    reads = experiment.stage == "poses" and experiment.chain.reads_flanks
+    reads = experiment.kind.points and experiment.chain.reads_flanks
     if not open_ or not reads or not experiment.rows.used.any():
         return start
     precision, mean = prior_of(experiment, priors)

@@ -27,7 +27,7 @@ __all__ = ["AmplitudePoint", "has_many_amplitudes"]
 
 def has_many_amplitudes(experiment: FitProblem, noise: Noise) -> bool:
     """Whether normal equations of this experiment are found faster by stations."""
-    if experiment.stage != "poses" or noise.autocorrelations or noise.wander:
+    if not experiment.kind.points or noise.autocorrelations or noise.wander:
         return False
     return bool(np.bincount(experiment.chain.station, minlength=1).max() >= poses.MANY)
 

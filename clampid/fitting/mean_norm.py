@@ -51,7 +51,7 @@ def mean_norm(estimate: Estimate) -> Estimate:
     FitError
         It is no fit of poses, or SLSQP does not converge.
     """
-    if estimate.experiment.stage != "poses":
+    if not estimate.experiment.kind.points:
         raise FitError(
             f"the mean norm is of measured points: expected the stage poses, found {estimate.experiment.stage}"
         )

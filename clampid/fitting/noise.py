@@ -16,7 +16,7 @@ import numpy.typing as npt
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.wander import course_of
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
-from clampid.stages.rows import POSE_CHANNELS, Array, Integers, Rows
+from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
 
@@ -195,14 +195,12 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
         variance components; one step of it.
     """
     sigma = rows.sigma.copy()
-    groups = POSE_CHANNELS if rows.stage == "poses" else [(c,) for c in range(residual.shape[1])]
-    for group in groups:
-        inside = [c for c in group if c < residual.shape[1]]
+    for inside in map(list, rows.kind.channels(residual.shape[1])):
         used = rows.used[:, inside]
         if inside and used.any():
             white = (rows.in_noise_axes(residual)[:, inside] / rows.sigma[:, inside])[used]
             sigma[:, inside] = rows.sigma[:, inside] * max(float(np.sqrt(np.mean(white**2))), 1e-12)
-    if rows.stage == "poses":
+    if rows.kind.points:
         sigma[:, :3] *= relative_axes(rows, residual)
         return Noise(sigma)
     autocorrelations, counts, together = [], [], int(rows.constants.get("together", 1))

@@ -81,7 +81,7 @@ class OpenTurn:
 
 def open_turns(rows: Rows) -> tuple[OpenTurn, ...]:
     """The turns that rows of poses leave open, session by session; none where orientations were measured."""
-    if rows.stage != "poses":
+    if not rows.kind.points:
         return ()
     found = []
     error = float(np.hypot(POINT_ERROR_M, POINT_ERROR_RAD * rows.robot.stretched))

@@ -42,7 +42,7 @@ def with_open_flanks(estimate: Estimate) -> Estimate:
     Unchanged where no lean turns any flank, or where the fit leaves more than noise: flanks would explain that too.
     """
     rows, level = estimate.experiment.rows, estimate.experiment.leaning(None)
-    pressing = poses.pressing(rows, level.chain, estimate.theta) if rows.stage == "poses" else None
+    pressing = poses.pressing(rows, level.chain, estimate.theta) if rows.kind.points else None
     gaps = {} if pressing is None else _unloaded(estimate, pressing)
     if not gaps or pressing is None:
         return estimate

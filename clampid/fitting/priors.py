@@ -29,7 +29,7 @@ def description_priors(rows: Rows) -> tuple[Prior, ...]:
     robot = rows.robot
     if not robot.has_masses:
         slots = tuple(slot for i in range(robot.n) for slot in weight_slots(f"link{i + 1}"))
-        return (Prior(slots, np.zeros(len(slots)), usual_covariance(robot)),) if rows.stage == "poses" else ()
+        return (Prior(slots, np.zeros(len(slots)), usual_covariance(robot)),) if rows.kind.points else ()
     priors = []
     for i, link in enumerate(robot.links):
         place = f"link{i + 1}"

@@ -142,7 +142,7 @@ def _open(experiment: FitProblem, priors: Sequence[Prior]) -> list[int]:
 
     A joint's load must be one that they can be compared with: one that is always the same turns all flanks or none.
     """
-    if experiment.stage != "poses" or not experiment.chain.reads_flanks or not experiment.rows.used.any():
+    if not experiment.kind.points or not experiment.chain.reads_flanks or not experiment.rows.used.any():
         return []
     known = {slot for prior in priors for slot in prior.slots}
     signals = experiment.rows.signals

@@ -186,7 +186,7 @@ def _points(
 
     Of a log, of which the derivative is large, the linear parameters' is taken from the first point, too.
     """
-    if experiment.stage != "free_air" or not (experiment.affine or not experiment.chain.bends.all()):
+    if not experiment.kind.moving or not (experiment.affine or not experiment.chain.bends.all()):
         return lambda theta: stage_point(experiment, noise, theta)
     part = shared.linear_part(experiment, start)
     if not experiment.affine:
@@ -354,9 +354,9 @@ def start_of(experiment: FitProblem, start: Mapping[Slot, float] | None, priors:
     for k, slot in enumerate(experiment.slots):
         if slot in known:
             theta[k] = known[slot]
-        elif experiment.stage == "clamped" and experiment.parameters[k].role == "compliance":
+        elif experiment.kind.solved and experiment.parameters[k].role == "compliance":
             theta[k] = stiffness[int(slot.place.removeprefix("joint")) - 1]
-    if experiment.stage == "clamped":
+    if experiment.kind.solved:
         theta[len(experiment.slots) :] = clamping_offsets(experiment, theta)
     return theta
 

@@ -69,7 +69,7 @@ def course_of(rows: Rows, entry: Integers) -> Course:
     time, count = rows.constants["time"][entry], len(entry)
     if count == 0:
         return Course(np.zeros(0, dtype=np.int64), np.zeros(0))
-    if rows.stage == "poses":
+    if rows.kind.points:
         visit = np.zeros(count, dtype=np.int64)
         for s in np.unique(rows.session[entry]):
             own = rows.session[entry] == s

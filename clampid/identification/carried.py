@@ -28,6 +28,7 @@ from clampid.models.model import StageModel
 from clampid.role_slots import has_role
 from clampid.slots import Prior, Slot
 from clampid.stages.rows import Rows
+from clampid.stages.stage_kind import acts_with, known_of
 
 __all__ = ["Drives", "carried_drives", "carried_over", "is_load", "is_start", "prior_from"]
 
@@ -35,7 +36,7 @@ __all__ = ["Drives", "carried_drives", "carried_over", "is_load", "is_start", "p
 def is_load(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
     """Whether the pose stage takes a slot over from the torque stage with its covariance: loads and flanks."""
     effect = (catalogue() if effects is None else effects).get(slot.effect)
-    return effect is not None and "joint_torque" in effect.acts and {"free_air", "poses"} <= set(effect.stages)
+    return effect is not None and "joint_torque" in effect.acts and acts_with(effect, "moving", "points")
 
 
 def is_start(slot: Slot, effects: Mapping[str, Effect] | None = None) -> bool:
@@ -68,11 +69,11 @@ def carried_over(
     start here; whether they are more, `carried_drives` says when the poses have been fitted once.
     """
     start: dict[Slot, float] = {}
-    if rows.stage != "poses":
+    if not rows.kind.points:
         return description_priors(rows), start
     for stage in stages.values():
         start |= {slot: v for slot, v in stage.values().items() if is_start(slot, effects)}
-    torque = stages.get("free_air")
+    torque = known_of(stages, "moving")
     if torque is None:
         return description_priors(rows), start
     loads = tuple(s for s in torque.slots if is_load(s, effects))
@@ -95,7 +96,7 @@ def carried_drives(clamped: StageModel | None, poses: Estimate) -> Drives:
         return Drives(None, ())
     count = len(poses.slots)
     alone = StageModel(
-        stage="poses",
+        stage=poses.experiment.stage,
         terms=(),
         slots=poses.slots,
         theta=poses.theta[:count],

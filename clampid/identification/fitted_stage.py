@@ -35,6 +35,7 @@ from clampid.slots import Prior, Slot, Term, slots_of_terms
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.pose_rows import Anchors, anchors_of
 from clampid.stages.rows import Array, Rows
+from clampid.stages.stage_kind import known_of
 
 __all__ = ["Cost", "FittedStage", "active_slots", "fit_stage", "freedom_of"]
 
@@ -68,7 +69,7 @@ class FittedStage:
     @property
     def anchors(self) -> Anchors:
         """Where the anchors of distances stand before their fitted shifts."""
-        return anchors_of(self.rows) if self.model.stage == "poses" else {}
+        return anchors_of(self.rows) if self.model.kind.points else {}
 
     @property
     def floor(self) -> Floor:
@@ -96,7 +97,7 @@ class FittedStage:
 
         For the model that is kept. Diagnosis judges fits by their whitened residuals, and needs the others.
         """
-        if self.model.stage != "free_air":
+        if not self.model.kind.moving:
             return self
         estimate, weights = with_best_weights(self.estimate, seed)
         model = _model_of(estimate, self.rows, self.model.terms, self.model.held_out, self.model.carried_prior)
@@ -144,7 +145,7 @@ def fit_stage(
         rows = from_likeliest_turn(trial, carried_over(rows, before, effects)[0])
     fitted_rows = rows.outside(held)
 
-    weights = last.noise if last is not None and rows.stage == "poses" else None
+    weights = last.noise if last is not None and rows.kind.points else None
 
     def begin(chosen: Sequence[Term], values: Mapping[Slot, float]) -> Estimate:
         first = fit_problem(fitted_rows, effects, active_slots(rows, effects, chosen))
@@ -161,32 +162,32 @@ def fit_stage(
         estimate = fit(trial, (carried_prior,), start, weights=weights)
     else:
         priors, carried = carried_over(rows, before, effects)
-        if "free_air" in before:
+        if known_of(before, "moving") is not None:
             friction = with_rest_friction(trial, priors, {**carried, **start})
         else:
             friction = RestFriction(with_friction_start(trial, priors, {**carried, **start}), None)
         estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
         _refuse_no_freedom(estimate)
         alone = with_open_friction(estimate, friction.held)
-        drives = carried_drives(before.get("clamped") if rows.stage == "poses" else None, alone)
+        drives = carried_drives(known_of(before, "solved") if rows.kind.points else None, alone)
         contradicted = drives.contradicted
         if drives.prior is not None:
             priors = (*priors, drives.prior)
             friction = RestFriction(estimate.values(), None)
-            if "free_air" in before:
+            if known_of(before, "moving") is not None:
                 friction = with_rest_friction(trial, priors, estimate.values(), anew=True)
             estimate = fit(trial, (*priors, *friction.priors), friction.start, weights=weights)
     estimate = with_kept_friction(estimate)
-    if rows.stage == "poses" and carried_prior is None:  # a joint fit has one value and error of what stages share
+    if rows.kind.points and carried_prior is None:  # a joint fit has one value and error of what stages share
         estimate = with_open_friction(with_open_flanks(estimate), friction.held)
-        estimate = with_unknown_masses(estimate) if "free_air" not in before else estimate
+        estimate = with_unknown_masses(estimate) if known_of(before, "moving") is None else estimate
     universal = None
     if cost == "mean-norm":
         squares, estimate = estimate, mean_norm(estimate)
         universal = compared(estimate, squares)
     estimate = with_open_base(estimate)
     reference = {}
-    if rows.stage == "poses":
+    if rows.kind.points:
         for s in np.unique(rows.session):
             reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
     return FittedStage(
@@ -211,7 +212,7 @@ def _model_of(
     count, fitted = len(estimate.slots), estimate.experiment.rows
     bad = np.flatnonzero(estimate.outliers)
     turns, sessions = open_turns(fitted), rows.layout.sessions
-    unknown = unknown_frictions(estimate) if rows.stage == "poses" else []
+    unknown = unknown_frictions(estimate) if rows.kind.points else []
     return StageModel(
         stage=rows.stage,
         terms=tuple(terms),
@@ -223,10 +224,10 @@ def _model_of(
         outliers=tuple((int(fitted.session[i]), str(fitted.table[i]), int(fitted.row[i])) for i in bad),
         null_directions=(*(turn.words(sessions[turn.session]) for turn in turns), *null_directions(estimate)),
         base=base_parameters(estimate),
-        by_springs=rows_by_springs(estimate) if rows.stage == "free_air" else None,
+        by_springs=rows_by_springs(estimate) if rows.kind.moving else None,
         carried_prior=carried_prior,
         lean=estimate.experiment.chain.lean,
-        ranges=ranges_of(fitted, estimate.outliers) if rows.stage == "poses" else None,
+        ranges=ranges_of(fitted, estimate.outliers) if rows.kind.points else None,
         observability=observability(_information(estimate), len(estimate.whitened.residual)),
     )
 

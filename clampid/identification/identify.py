@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,25 +18,22 @@ from clampid.identification.joint import JointPart, fit_jointly, shared_slots
 from clampid.identification.joint_vs_stagewise import joint_fit_disagreements
 from clampid.models.model import Model, Round, Session, StageModel
 from clampid.progress import in_parts
-from clampid.roles import INERTIAS
 from clampid.slots import Layout, Term, parse_term
-from clampid.stages.clamped_rows import clamped_rows
+from clampid.stages.counting import explains_rest
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts
-from clampid.stages.pose_rows import Anchors, pose_rows
+from clampid.stages.pose_rows import Anchors
 from clampid.stages.rows import Array, Rows
+from clampid.stages.stage_kind import kind_of, kinds, stages_with
 from clampid.stages.steady_share import steady_share
-from clampid.stages.torques import torque_rows
 from clampid.standard_sets import DYNAMICS, POSES_ALONE, POSES_DIRECTED, STANDARD
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign, CampaignError
 
 __all__ = [
-    "TABLES_OF",
     "FittedStage",
+    "effects_in",
     "fit_stage",
-    "has_friction_state",
-    "has_inertia",
     "identify",
     "session_of",
     "stage_rows",
@@ -45,17 +42,12 @@ __all__ = [
     "verification_rows",
 ]
 
-TABLES_OF: Mapping[Stage, tuple[str, ...]] = {
-    "free_air": ("free_air", "wrist"),
-    "clamped": ("clamped",),
-    "poses": ("poses", "distances"),
-}
 LEAST_MOVING_SHARE = 1.0 / 3.0  # of a log's rows in motion: of so many, standard errors are 1.7 times those of all
 
 
 def stages_of(campaigns: Sequence[Campaign]) -> tuple[Stage, ...]:
     """The stages that the campaigns' tables feed, in order."""
-    return tuple(s for s in STAGES if any(t in c.tables for c in campaigns for t in TABLES_OF[s]))
+    return tuple(s for s in STAGES if any(t in c.tables for c in campaigns for t in kind_of(s).tables))
 
 
 def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, ...]]:
@@ -67,15 +59,17 @@ def standard_effects(campaigns: Sequence[Campaign]) -> dict[Stage, tuple[Term, .
     """
     found = stages_of(campaigns)
     names = dict(STANDARD)
-    if "free_air" not in found and "clamped" not in found:
+    alone = [kind for kind in map(kind_of, found) if kind.points] if all(kind_of(s).resting for s in found) else []
+    for kind in alone:
         n = campaigns[0].robot.n
         columns = [f"dir{i + 1}" for i in range(n)]
         directed = any(
-            (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in TABLES_OF["poses"] if t in c.tables
+            (c.tables[t][columns] != 0).any(axis=None) for c in campaigns for t in kind.tables if t in c.tables
         )
-        names["poses"] = (*POSES_ALONE, *(POSES_DIRECTED if directed else ()))
-    if "free_air" in found and min(steady_share(log_parts([c])) for c in campaigns) < LEAST_MOVING_SHARE:
-        names["free_air"] += DYNAMICS
+        names[kind.name] = (*POSES_ALONE, *(POSES_DIRECTED if directed else ()))
+    for stage in found:
+        if kind_of(stage).moving and min(steady_share(log_parts([c])) for c in campaigns) < LEAST_MOVING_SHARE:
+            names[stage] += DYNAMICS
     return {stage: tuple(Term(n) for n in names[stage]) for stage in found}
 
 
@@ -84,32 +78,17 @@ def stage_rows(
     layout: Layout,
     stage: Stage,
     base: Mapping[int, Array] | None = None,
-    table: str = "poses",
-    accelerating: bool = False,
-    resting: bool = False,
+    table: str = "",
+    active: Collection[Effect] = (),
     anchors: Anchors | None = None,
 ) -> Rows:
-    """The rows of a stage, or of the table ``verification``.
-
-    ``accelerating``: logs with their accelerations; ``resting``: with the motors that stand still.
-    """
-    match stage:
-        case "free_air":
-            return torque_rows(campaigns, layout, accelerating, resting)
-        case "clamped":
-            return clamped_rows(campaigns, layout)
-        case _:
-            return pose_rows(campaigns, layout, table, base, anchors)
+    """The rows of a stage, or of its table ``verification``, that can be used with some active effects."""
+    return kind_of(stage).rows(campaigns, layout, active, base=base, anchors=anchors, table=table)
 
 
-def has_inertia(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
-    """Whether some terms explain torques of acceleration, so that such rows can be used."""
-    return any(t.effect in effects and effects[t.effect].roles & set(INERTIAS) for t in terms)
-
-
-def has_friction_state(terms: Sequence[Term], effects: Mapping[str, Effect]) -> bool:
-    """Whether some terms say what friction is at rest, so that such rows can be used."""
-    return any(t.effect in effects and "friction_state" in effects[t.effect].acts for t in terms)
+def effects_in(terms: Iterable[Term], effects: Mapping[str, Effect]) -> tuple[Effect, ...]:
+    """The effects of some terms, without those that are not known."""
+    return tuple(effects[name] for name in dict.fromkeys(t.effect for t in terms) if name in effects)
 
 
 def resolve_terms(
@@ -145,8 +124,8 @@ def resolve_terms(
         if not chosen:
             raise EffectError(f"stage {stage}: expected at least one effect, found none")
         for term in chosen:
-            if stage not in effects[term.effect].stages:
-                acts = ", ".join(effects[term.effect].stages)
+            if not kind_of(stage).has(effects[term.effect]):
+                acts = ", ".join(stages_with(effects[term.effect]))
                 raise EffectError(f"effect {term.effect} does not act in {stage}; it does in: {acts}")
         terms[stage] = tuple(dict.fromkeys(chosen))
     return terms
@@ -212,20 +191,19 @@ def identify(
     catalogue = with_user_effects(user_effects)
     layout = layout_of(several)
     terms = resolve_terms(effects, several, catalogue, layout)
-    if cost == "mean-norm" and (joint or bootstrap or "poses" not in terms):
+    if cost == "mean-norm" and (joint or bootstrap or not any(kind_of(s).points for s in terms)):
         raise FitError("cost mean-norm: expected a table poses, and neither a joint fit nor a bootstrap")
     parts: list[JointPart] = []
     before: dict[Stage, StageModel] = {}
     for stage, wanted in in_parts(terms.items(), lambda item: f"fitting {item[0]}"):
-        accelerating, resting = has_inertia(wanted, catalogue), has_friction_state(wanted, catalogue)
-        log = None
-        if stage == "free_air" and not resting:
-            log = LogStage(log_parts(several), layout, catalogue, wanted, accelerating)
+        active, log = effects_in(wanted, catalogue), None
+        if kind_of(stage).moving and not explains_rest(active):
+            log = LogStage(log_parts(several), layout, catalogue, wanted)
         if log is not None and (log.linear or not joint):
             parts.append(log.fit(held_out_folds(log.folds, holdout, seed), seed=seed))
         else:
-            rows = stage_rows(several, layout, stage, accelerating=accelerating, resting=resting)
-            held, own = held_out_folds(rows, holdout, seed), cost if stage == "poses" else "least-squares"
+            rows = stage_rows(several, layout, stage, active=active)
+            held, own = held_out_folds(rows, holdout, seed), cost if kind_of(stage).points else "least-squares"
             fitted = fit_stage(rows, catalogue, wanted, before, held=held, cost=own)
             parts.append(fitted if joint else fitted.with_best_weights(seed))
         before[stage] = parts[-1].model
@@ -251,8 +229,8 @@ def identify(
         ledger.append(Round(stage, labels, (), errors.rms, errors.heldout_rms, errors.noise_floor, evidence))
     stages = {part.model.stage: part.model for part in parts}
     for part in parts:
-        if bootstrap and isinstance(part, FittedStage) and part.model.stage == "poses":
-            stages["poses"] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
+        if bootstrap and isinstance(part, FittedStage) and part.model.kind.points:
+            stages[part.model.stage] = replace(part.model, bootstrap=by_poses(part.estimate, bootstrap, seed))
     sessions = tuple(session_of(c, reference.get(s), anchors.get(s)) for s, c in enumerate(several))
     path = None if user_effects is None else str(user_effects)
     name, file = several[0].robot.name, several[0].robot_file
@@ -262,10 +240,11 @@ def identify(
 def verification_rows(
     campaigns: Sequence[Campaign], layout: Layout, stage: Stage, base: Mapping[int, Array]
 ) -> Rows | None:
-    """The rows of the table verification of the pose stage, or None where there is none."""
-    if stage != "poses" or not any("verification" in c.tables for c in campaigns):
+    """The rows of the table that verifies a stage, which no fit reads; None where there is none."""
+    table = kind_of(stage).verification
+    if not any(table in c.tables for c in campaigns):
         return None
-    return pose_rows(campaigns, layout, "verification", base)
+    return stage_rows(campaigns, layout, stage, base, table)
 
 
 def _same_robot(campaigns: Sequence[Campaign]) -> None:
@@ -279,9 +258,8 @@ def _same_robot(campaigns: Sequence[Campaign]) -> None:
                 "several campaigns are sessions of one robot"
             )
     if not stages_of(campaigns):
-        raise CampaignError(
-            f"{first.name}: expected a table free_air, wrist, clamped, poses or distances to fit, found none"
-        )
+        known = [table for kind in kinds() for table in kind.tables]
+        raise CampaignError(f"{first.name}: expected a table {', '.join(known[:-1])} or {known[-1]} to fit, found none")
 
 
 def session_of(campaign: Campaign, reference: Array | None, anchors: Mapping[str, Array] | None = None) -> Session:

@@ -13,14 +13,14 @@ from clampid.catalogue import with_user_effects
 from clampid.effect import EffectError
 from clampid.identification.identify import (
     LEAST_MOVING_SHARE,
-    has_friction_state,
-    has_inertia,
+    effects_in,
     held_out_folds,
     session_of,
 )
 from clampid.identification.identify_log import LogStage
 from clampid.models.model import Model, Round
 from clampid.slots import Term, parse_term
+from clampid.stages.counting import explains_rest
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import LogPart
 from clampid.stages.steady_share import steady_share
@@ -102,12 +102,12 @@ def identify_folder(
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
     elif steady_share(parts) < LEAST_MOVING_SHARE:
         terms = (*terms, *map(Term, DYNAMICS))
-    if has_friction_state(terms, catalogue):
+    if explains_rest(effects_in(terms, catalogue)):
         raise EffectError(
             f"effects {', '.join(t.label for t in terms)}: expected none that reads a state of friction, which follows "
             "the whole run, found one; read the campaign whole to fit it"
         )
-    stage = LogStage(parts, layout, catalogue, terms, has_inertia(terms, catalogue))
+    stage = LogStage(parts, layout, catalogue, terms)
     fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)

@@ -26,6 +26,7 @@ from clampid.fitting.solve import limits_of, prior_of, start_of
 from clampid.models.model import StageModel
 from clampid.roles import INERTIAL, INERTIAS
 from clampid.slots import Layout, Prior, Slot, Term, slots_of_terms
+from clampid.stages.counting import explains_acceleration
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
@@ -81,8 +82,6 @@ class LogStage:
     ----------
     parts
         The tables.
-    accelerating
-        Use rows in acceleration.
     window, kept_bytes
         Rows read at once, and how much may be kept between passes; they change nothing but time and memory.
     """
@@ -93,7 +92,6 @@ class LogStage:
         layout: Layout,
         effects: Mapping[str, Effect],
         terms: Sequence[Term],
-        accelerating: bool,
         *,
         window: int = WINDOW,
         kept_bytes: int = KEPT_BYTES,
@@ -109,7 +107,7 @@ class LogStage:
             self.facts,
             chain,
             layout.wrist,
-            accelerating,
+            explains_acceleration([effects[term.effect] for term in terms]),
             window=window,
             kept_bytes=kept_bytes,
             sampled=MOST_ROWS,

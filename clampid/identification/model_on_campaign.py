@@ -12,7 +12,7 @@ import numpy as np
 from clampid.effect import Effect, Stage
 from clampid.fitting.bootstrap import Bootstrap
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.identify import has_friction_state, has_inertia, stage_rows, stages_of
+from clampid.identification.identify import effects_in, stage_rows, stages_of
 from clampid.models.model import Model, ModelError, StageModel
 from clampid.models.own_effects import effects_of
 from clampid.progress import substep
@@ -65,14 +65,12 @@ class ModelOnCampaign:
     def rows(self, stage: Stage) -> Rows:
         """The rows of a stage."""
         terms = self.stages[stage].terms
-        moves = has_inertia(terms, self.effects)
         return stage_rows(
             self.campaigns,
             self.layout,
             stage,
             self.base,
-            accelerating=moves,
-            resting=has_friction_state(terms, self.effects),
+            active=effects_in(terms, self.effects),
             anchors=self.anchors,
         )
 

@@ -21,8 +21,7 @@ from clampid.evidence.space import space_of
 from clampid.fitting.accuracy import Floor, StageErrors
 from clampid.identification.fitted_stage import FittedStage, fit_stage
 from clampid.identification.identify import (
-    has_friction_state,
-    has_inertia,
+    effects_in,
     session_of,
     stage_rows,
     stages_of,
@@ -34,7 +33,9 @@ from clampid.models.model import Model, Round, StageModel
 from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Layout, Term, fixed_slots, parse_term, unit_of
+from clampid.stages.counting import explained
 from clampid.stages.rows import Array, Rows
+from clampid.stages.stage_kind import kind_of, stages_with
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -85,7 +86,7 @@ class Addition(Shown):
         """Stage → held-out errors before and after."""
         return {
             name: (
-                "m" if name == "poses" else "sigma",
+                kind_of(name).error_unit,
                 {"before": s.before.heldout_rms, "after": s.after.heldout_rms, "noise floor": s.after.noise_floor},
             )
             for name, s in self.stages.items()
@@ -101,7 +102,7 @@ class Addition(Shown):
         return {
             "stages": {
                 name: {
-                    "unit": "m" if name == "poses" else "sigma",
+                    "unit": kind_of(name).error_unit,
                     "added": list(s.added),
                     "noise_floor": s.after.noise_floor,
                     "heldout_rms_before": s.before.heldout_rms,
@@ -217,7 +218,7 @@ def _added(opened: ModelOnCampaign, steps: Mapping[Stage, Sequence[Step]], seed:
     stages = dict(opened.stages)
     for stage in in_parts([s for s in stages_of(opened.campaigns) if s in opened.stages], str):
         asked = steps.get(stage, ())
-        if asked or (stage == "poses" and any(m.rounds for m in mended.values())):
+        if asked or (kind_of(stage).points and any(m.rounds for m in mended.values())):
             mended[stage] = _stage_with(opened, stage, asked, stages, seed)
             stages[stage] = mended[stage].fitted.model
     return mended
@@ -231,17 +232,13 @@ def _stage_with(
     before = {s: m for s, m in stages.items() if s != stage}
     held_out, carried_prior = model.held_out, model.carried_prior
 
-    def acting(terms: Sequence[Term]) -> tuple[bool, bool]:
-        return has_inertia(terms, effects), has_friction_state(terms, effects)
-
-    def begin(known: StageModel, kind: tuple[bool, bool]) -> tuple[FittedStage, Rows | None, StageErrors]:
+    def begin(known: StageModel, active: Sequence[Effect]) -> tuple[FittedStage, Rows | None, StageErrors]:
         rows = stage_rows(
             opened.campaigns,
             opened.layout,
             stage,
             opened.base,
-            accelerating=kind[0],
-            resting=kind[1],
+            active=active,
             anchors=opened.anchors,
         )
         fitted = fit_stage(rows, effects, known.terms, carried_prior or before, known.values(), held_out)
@@ -249,18 +246,18 @@ def _stage_with(
         return fitted, verification, fitted.errors(verification, seed, floor)
 
     floor: Floor | None = None  # of all rounds that of the first fit: what is missing looks like noise in part
-    kind = acting((*model.terms, *(steps[0].terms if steps else ())))
-    fitted, verification, errors = begin(model, kind)
+    active = effects_in((*model.terms, *(steps[0].terms if steps else ())), effects)
+    fitted, verification, errors = begin(model, active)
     unmended, first, floor = fitted, errors, fitted.floor
     compared = fitted  # the first fit of the rows by which the last one is judged
     rounds: list[Round] = []
     left_out: list[Step] = []
     for step in steps:
         # Both models of a round are judged by the same rows: with inertia those in acceleration, too.
-        wanted = acting((*fitted.model.terms, *step.terms))
-        if wanted != kind:
-            kind = wanted
-            compared, verification, errors = begin(fitted.model, kind)
+        wanted = effects_in((*fitted.model.terms, *step.terms), effects)
+        if explained(wanted) != explained(active):
+            active = wanted
+            compared, verification, errors = begin(fitted.model, active)
             fitted = compared
         new_terms, shapes = _resolved(step.terms, fitted, effects)
         if not new_terms:
@@ -272,7 +269,7 @@ def _stage_with(
         fitted = fit_stage(fitted.rows, effects, every, carried_prior or before, start, held_out, last=last)
         errors = fitted.errors(verification, seed, floor)
         rounds.append(_round(old, fitted.model, worse, errors, step.evidence))
-    if rounds and stage == "free_air":
+    if rounds and kind_of(stage).moving:
         fitted = fitted.with_best_weights(seed)
         errors = fitted.errors(verification, seed, floor)
         known = {**rounds[-1].evidence, "heldout_rms_after": errors.heldout_rms, **fitted.evidence}
@@ -329,12 +326,10 @@ def _parse(
         if named and named not in STAGES:
             raise EffectError(f"stage {named!r} is not known; known: {', '.join(STAGES)}")
         term = parse_term(tail if sign else text, effects, layout)
-        acts = [s for s in here if s in effects[term.effect].stages and (not named or s == named)]
+        acts = [s for s in here if kind_of(s).has(effects[term.effect]) and (not named or s == named)]
         if not acts:
-            where = named or ", ".join(here)
-            raise EffectError(
-                f"effect {term.effect} does not act in {where}; it does in: {', '.join(effects[term.effect].stages)}"
-            )
+            where, acts_in = named or ", ".join(here), ", ".join(stages_with(effects[term.effect]))
+            raise EffectError(f"effect {term.effect} does not act in {where}; it does in: {acts_in}")
         for stage in acts:
             wanted.setdefault(stage, []).append(term)
     return wanted

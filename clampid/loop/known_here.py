@@ -54,7 +54,7 @@ def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, 
     for prior in carried_over(rows, before, effects)[0]:
         known |= dict(zip(prior.slots, np.sqrt(np.diag(prior.covariance)).tolist(), strict=True))
     clamped = before.get("clamped")
-    if clamped is not None and rows.stage == "poses":
+    if clamped is not None and rows.kind.points:
         std = np.sqrt(np.diag(clamped.covariance))
         drives = [k for k, slot in enumerate(clamped.slots) if has_role(slot, "compliance", "clearance")]
         known |= {clamped.slots[k]: float(std[k]) for k in drives}

@@ -9,10 +9,11 @@ from pathlib import Path
 from clampid.catalogue import catalogue
 from clampid.effect import Effect, Stage
 from clampid.identification.fitted_stage import fit_stage
-from clampid.identification.identify import has_friction_state, has_inertia, stage_rows
+from clampid.identification.identify import effects_in, stage_rows
 from clampid.identification.model_on_campaign import on_campaign
 from clampid.models.model import Model, ModelError, Round, StageModel
 from clampid.slots import Term
+from clampid.stages.stage_kind import kind_of
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -53,16 +54,16 @@ def undo(
     earlier = next((r for r in reversed(model.ledger[:-1]) if r.stage == last.stage), None)
     replaced = [] if earlier is None else [label for label in earlier.effects if label not in last.effects]
     again: list[Stage] = [last.stage]
-    if last.stage != "poses" and "poses" in mended:
-        again.append("poses")
+    if not kind_of(last.stage).points:
+        again += [stage for stage in mended if kind_of(stage).points]
     for stage in again:
         old = mended[stage]
         gone = set(last.added) if stage == last.stage else set()
         terms = [t for t in old.terms if t.label not in gone]
         if stage == last.stage:
             terms += [Term(effect, place or None) for effect, _, place in (label.partition("@") for label in replaced)]
-        moves, rests = has_inertia(terms, effects), has_friction_state(terms, effects)
-        rows = stage_rows(several, layout, stage, base, accelerating=moves, resting=rests, anchors=opened.anchors)
+        active = effects_in(terms, effects)
+        rows = stage_rows(several, layout, stage, base, active=active, anchors=opened.anchors)
         others = {s: m for s, m in mended.items() if s != stage}
         fitted = fit_stage(rows, effects, terms, old.carried_prior or others, old.values(), old.held_out)
         mended[stage] = fitted.with_best_weights(model.seed).model

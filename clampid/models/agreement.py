@@ -20,6 +20,7 @@ from clampid.catalogue import catalogue
 from clampid.effect import Effect
 from clampid.models.model import StageModel
 from clampid.slots import Slot
+from clampid.stages.stage_kind import acts_with
 
 __all__ = ["Agreement", "agreement_of", "is_of_drives", "shared_drives", "stands_out"]
 
@@ -126,7 +127,7 @@ def stands_out(p: npt.NDArray[np.float64], level: float) -> npt.NDArray[np.bool_
 
 def is_of_drives(effect: Effect | None) -> bool:
     """Whether an effect is of the drives: it acts with the same parameters in clamped sweeps and in poses."""
-    return effect is not None and {"clamped", "poses"} <= set(effect.stages)
+    return effect is not None and acts_with(effect, "solved", "points")
 
 
 def shared_drives(

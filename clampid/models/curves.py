@@ -16,6 +16,7 @@ from clampid.models.model import StageModel
 from clampid.slots import Layout, Slot, find_parameter
 from clampid.stages import poses
 from clampid.stages.rows import Array, Bools
+from clampid.stages.stage_kind import kind_of
 from kinematics.description import RobotDescription
 
 __all__ = ["AngleErrors", "SharedCurve", "angle_errors", "shared_curve"]
@@ -77,7 +78,7 @@ def angle_errors(
     active = np.zeros(q.shape[1], dtype=bool)
     if not slots:
         return AngleErrors(error[:count], std[:count], assumed[:count], std[0], active)
-    chain = build_chain("poses", slots, effects, layout, poses.constants_of(robot))
+    chain = build_chain(kind_of("poses"), slots, effects, layout, poses.constants_of(robot))
     found = chain.evaluate(stage.theta[chosen], {"q": q})
     covariance = stage.covariance[np.ix_(chosen, chosen)]
     prior = np.array([_assumed(find_parameter(slot, effects)) for slot in slots])

@@ -23,6 +23,7 @@ from clampid.models.stage_json import bootstrap_json, carried_prior_json, read_b
 from clampid.shown import Shown
 from clampid.slots import Layout, Prior, Slot, Term
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import StageKind, kind_of
 from experiments.outputs import write_text
 from kinematics.reading import json_of, read_text
 from kinematics.section import migrated, shown
@@ -115,6 +116,11 @@ class StageModel:
     by_springs: Array | None = None
     ranges: Ranges | None = None
 
+    @property
+    def kind(self) -> StageKind:
+        """The stage as a value."""
+        return kind_of(self.stage)
+
     def __repr__(self) -> str:
         names = ", ".join(dict.fromkeys(term.effect for term in self.terms))
         return f"<StageModel: {self.stage}: {names}; {sum(self.identified)} of {len(self.slots)} parameters identified>"
@@ -186,7 +192,7 @@ class Model(Shown):
         """Stage → the errors of its last round in the ledger."""
         last = {r.stage: r for r in self.ledger}
         return {
-            name: ("m" if name == "poses" else "sigma", {"fitted": r.rms, "held out": r.heldout_rms,
+            name: (kind_of(name).error_unit, {"fitted": r.rms, "held out": r.heldout_rms,
                                                          "noise floor": r.noise_floor})
             for name, r in last.items()
         }  # fmt: skip

@@ -53,7 +53,7 @@ class PoseBench:
         self.layout = layout_of([blank])
         known = catalogue()
         wanted = None if effects is None else {"poses": list(effects)}
-        terms = resolve_terms(wanted, [blank], known, self.layout)["poses"]  # type: ignore[arg-type]
+        terms = resolve_terms(wanted, [blank], known, self.layout)["poses"]
         self.effects = tuple(term.label for term in terms)
         rows = pose_rows([blank], self.layout, "poses", self._base)
         self.experiment = fit_problem(rows, known, active_slots(rows, known, terms))

@@ -72,7 +72,7 @@ def torque_budget(data: StageData) -> list[Share]:
     """For each effect the RMS torque per motor that it stands for, Nm, largest first."""
     piece = data.first
     rows = piece.rows
-    keep = thin(len(rows), MOST_ROWS) if data.stage == "free_air" else np.arange(len(rows))
+    keep = thin(len(rows), MOST_ROWS) if data.kind.moving else np.arange(len(rows))
     trial = piece.experiment.with_rows(rows.take(keep))
     good = piece.good[keep]
 
@@ -82,10 +82,10 @@ def torque_budget(data: StageData) -> list[Share]:
 
     out = []
     for effect in dict.fromkeys(s.effect for s in data.model.slots):
-        if data.stage == "clamped" and "compliance" in data.first.experiment.effects[effect].roles:
+        if data.kind.solved and "compliance" in data.first.experiment.effects[effect].roles:
             continue
         off = _without(data, [s for s in data.model.slots if s.effect == effect])
-        if data.stage == "clamped":  # the posture of clamping goes with it
+        if data.kind.solved:  # the posture of clamping goes with it
             change = predicted(trial, off) - piece.residual[keep]
         else:
             runs = np.zeros(trial.offsets)

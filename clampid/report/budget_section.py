@@ -12,6 +12,7 @@ from clampid.effect import Stage
 from clampid.report.budget import Share, pose_budget, torque_budget
 from clampid.report.stage_data import StageData, stage_title
 from clampid.report.style import Figure, Section, Table, as_table
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["budget_section"]
 
@@ -23,7 +24,7 @@ def budget_section(stages: Mapping[Stage, StageData]) -> Section | None:
         if not data.good.any():
             continue
         blocks.append(stage_title(stage))
-        blocks += _pose_blocks(data) if stage == "poses" else _torque_blocks(data)
+        blocks += _pose_blocks(data) if kind_of(stage).points else _torque_blocks(data)
     if not blocks:
         return None
     text = (
@@ -100,11 +101,7 @@ def _torque_blocks(data: StageData) -> list[Table | Figure]:
         panels.append(Panel((bars, level), Axis("Nm", tiny, top, log=True), axis, f"motor {k + 1}"))
     plot = Chart(tuple(panels), 110 + 30 * len(lines), across, left=210)
     rows = [(s.name, *(number(float(v)) if v > 1e-9 else "0" for v in s.total)) for s in lines]
-    note = (
-        " The springs are left out: a clamped drive without them has no finite torque."
-        if data.stage == "clamped"
-        else ""
-    )
+    note = " The springs are left out: a clamped drive without them has no finite torque." if data.kind.solved else ""
     caption = f"RMS torque at each motor that an effect stands for, Nm.{note}"
     return [
         Figure(f"budget-{data.stage}", plot, caption),

@@ -18,6 +18,7 @@ from clampid.report.budget import SETUP, pose_budget
 from clampid.report.rounds import rounds_of, unit_of
 from clampid.report.stage_data import StageData, in_order, stage_title
 from clampid.role_slots import any_of_role
+from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
@@ -175,7 +176,7 @@ def _torque(model: Model, first: Model | None) -> str:
     said = []
     for stage in in_order(model.stages):
         rounds = rounds_of(model, first, stage)
-        if stage != "poses" and rounds:
+        if not kind_of(stage).points and rounds:
             now = error_text(rounds[-1].heldout_rms, unit_of(stage))
             said.append(f"{now} in {stage_title(stage).partition(' (')[0].lower()}")
     return f"Held-out torque error: {listed(said, 3)}, the noise floor is 1 σ." if said else ""

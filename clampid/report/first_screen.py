@@ -15,6 +15,7 @@ from clampid.effect import Stage
 from clampid.models.model import Model, Round
 from clampid.report.rounds import nominal_error, rounds_of, unit_of
 from clampid.report.stage_data import StageData, in_order, stage_title
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["Fall", "FirstScreen", "Step", "first_screen"]
 
@@ -214,7 +215,7 @@ def _errors(
             ("with this model", error_text(last.heldout_rms, unit)),
             ("noise floor", error_text(last.noise_floor, unit)),
         )
-        what = "rms position error on held-out rows" if stage == "poses" else "rms torque error on held-out rows"
+        what = "rms position error on held-out rows" if kind_of(stage).points else "rms torque error on held-out rows"
         return numbers, _fall(rounds, nominal, unit), f"{stage_title(stage)}: {what}"
     return (), None, ""
 

@@ -15,6 +15,7 @@ from clampid.models.model import Model, Round
 from clampid.report.spread import Spread, spread_table
 from clampid.report.stage_data import StageData, in_order, stage_title
 from clampid.report.style import Figure, Section, as_table
+from clampid.stages.stage_kind import kind_of
 
 Array = npt.NDArray[np.float64]
 MOST_LONG_TICKS = 4
@@ -24,7 +25,7 @@ __all__ = ["rounds_of", "rounds_section", "unit_of"]
 
 def unit_of(stage: str) -> str:
     """The unit of a stage's errors."""
-    return "m" if stage == "poses" else "sigma"
+    return kind_of(stage).error_unit
 
 
 def rounds_of(model: Model, first: Model | None, stage: Stage) -> tuple[Round, ...]:
@@ -40,7 +41,7 @@ def nominal_error(data: StageData) -> float | None:
     """Error of the robot as described, base and targets fitted to the same rows, m; of fitted poses only."""
     piece = data.first
     good = piece.good[:, 0] & ~piece.held_out
-    if data.stage != "poses" or not good.any():
+    if not data.kind.points or not good.any():
         return None
     return nominal_points(piece.rows, piece.experiment.effects, good)
 
@@ -61,8 +62,8 @@ def rounds_section(
         rows += _table_rows(stage, rounds, nominal)
     plot = Chart(tuple(panels), 440)
     table = as_table(("Stage", "Round", "Fitted#", "Held out#", "Noise floor#"), rows)
-    norms = ["Poses: norm of the position error."] if any(s == "poses" for s, _ in listed) else []
-    if any(s != "poses" for s, _ in listed):
+    norms = ["Poses: norm of the position error."] if any(kind_of(s).points for s, _ in listed) else []
+    if any(not kind_of(s).points for s, _ in listed):
         norms.append("Torques: in units of each motor's noise, so that the floor is 1.")
     caption = f"Root mean square error after each round. {' '.join(norms)} The floor has the same norm."
     sure = spread_table(spreads or {})
@@ -75,7 +76,7 @@ NOMINAL = "robot as described, base and targets fitted"
 
 def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Panel:
     """One stage: error on rows fitted and held out, round by round, above the noise floor."""
-    factor, unit = (1e6, "m") if stage == "poses" else (1.0, "sigma")
+    factor, unit = (1e6, "m") if kind_of(stage).points else (1.0, "sigma")
     at = np.arange(len(rounds), dtype=float)
     fit, held_out, floor = (
         factor * np.array([getattr(r, name) for r in rounds]) for name in ("rms", "heldout_rms", "noise_floor")
@@ -97,7 +98,7 @@ def _panel(stage: Stage, rounds: Sequence[Round], nominal: float | None) -> Pane
         marks.append(_line(*place, NOMINAL, "grey", "diamond", [error_text(nominal, unit)]))
     values = values[np.isfinite(values)]
     wide = bool(values.size and values.min() > 0 and values.max() > 8 * values.min())
-    title = "RMS error, µm" if stage == "poses" else "RMS error, units of noise (σ)"
+    title = "RMS error, µm" if kind_of(stage).points else "RMS error, units of noise (σ)"
     low, high = (None, None) if wide or not values.size else (0.0, 1.15 * float(values.max()))
     x = Axis("", start - 0.4, float(at[-1]) + 0.4, ticks=_spaced(ticks))
     return Panel(tuple(marks), x, Axis(title, low, high, log=wide), stage_title(stage))

@@ -41,6 +41,6 @@ def sizes_figure(data: StageData) -> Figure:
     )
     source = {"replicates": "returns to the same pose", "instrument": "what the instrument's maker states"}
     origin = source.get(data.floor.source, "how the log scatters from row to row")
-    what = "coordinates" if data.stage == "poses" else "torques"
+    what = "coordinates" if data.kind.points else "torques"
     caption = f"Single {what} of the residual in units of the noise, which is known from {origin}."
     return Figure(f"sizes-{data.stage}", Chart(panels, 340), caption)

@@ -10,12 +10,13 @@ import pandas as pd
 
 from clampid.effect import Stage
 from clampid.fitting.accuracy import Floor, noise_floor, predicted
-from clampid.identification.identify import TABLES_OF, stage_rows
+from clampid.identification.identify import stage_rows
 from clampid.identification.model_on_campaign import ModelOnCampaign
 from clampid.models.model import StageModel
 from clampid.stages.fit_problem import FitProblem
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.stage_kind import StageKind, kind_of
 
 __all__ = ["Piece", "StageData", "in_order", "stage_data", "stage_title"]
 
@@ -59,6 +60,11 @@ class StageData:
     frames: Mapping[str, pd.DataFrame]
 
     @property
+    def kind(self) -> StageKind:
+        """The stage as a value."""
+        return kind_of(self.stage)
+
+    @property
     def first(self) -> Piece:
         """The piece that was fitted on."""
         return self.pieces[0]
@@ -66,7 +72,7 @@ class StageData:
     @property
     def channels(self) -> int:
         """Coordinates of a point (3), or motors."""
-        return 3 if self.stage == "poses" else self.first.residual.shape[1]
+        return 3 if self.kind.points else self.first.residual.shape[1]
 
     def stacked(self, name: str) -> Array:
         """A signal of all rows."""
@@ -105,7 +111,7 @@ class StageData:
 
 def stage_title(stage: str) -> str:
     """A stage's name for people."""
-    return _TITLES.get(stage, stage)
+    return kind_of(stage).words.title
 
 
 def in_order(stages: Iterable[str]) -> tuple[Stage, ...]:
@@ -123,13 +129,13 @@ def stage_data(opened: ModelOnCampaign) -> dict[Stage, StageData]:
     out: dict[Stage, StageData] = {}
     tables = opened.campaign.tables
     for stage in in_order(opened.stages):
-        if not any(t in tables for t in TABLES_OF[stage]):
+        if not any(t in tables for t in kind_of(stage).tables):
             continue
-        if stage == "poses" and "poses" not in tables:
+        if kind_of(stage).points and "poses" not in tables:
             continue  # figures are of points
         rows = opened.rows(stage)
         verification = None
-        if stage == "poses":
+        if kind_of(stage).points:
             base = opened.base or _aligned(opened, rows)
             rows = stage_rows([opened.campaign], opened.layout, stage, base).points
             verification = opened.verification(base)
@@ -137,7 +143,7 @@ def stage_data(opened: ModelOnCampaign) -> dict[Stage, StageData]:
         if verification is not None:
             pieces.append(_piece(opened, stage, verification, True))
         first = pieces[0]
-        floor = noise_floor(rows.without(~first.good[:, 0]) if stage == "poses" else rows, first.residual)
+        floor = noise_floor(rows.without(~first.good[:, 0]) if kind_of(stage).points else rows, first.residual)
         out[stage] = StageData(stage, opened.stages[stage], tuple(pieces), floor, tables)
     return out
 

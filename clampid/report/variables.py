@@ -63,24 +63,24 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
     def joints(name: str, title: str, values: Array) -> None:
         found.extend(Variable(f"{name}{i + 1}", title.format(i + 1), values[:, i]) for i in range(n))
 
-    motors = data.stage != "poses"
+    motors = not data.kind.points
     if motors:
         found.append(Variable("motor angle", "angle of the same motor, rad", data.stacked("motor")))
-    if data.stage == "free_air":
+    if data.kind.moving:
         found.append(Variable("motor speed", "speed of the same motor, rad/s", data.stacked("motor_speed")))
         acceleration = data.stacked("joint_acceleration")
     if motors:
         predicted = np.concatenate([p.rows.measured - p.residual for p in data.pieces])
         found.append(Variable("torque", "torque predicted at the same motor, Nm", predicted))
     joints("q", "joint angle q{}, deg", np.degrees(data.stacked("q")))
-    if data.stage == "poses":
+    if data.kind.points:
         joints("dir", "direction of the last motion of joint {}, ±1", data.stacked("direction"))
         joints("load", "gravity torque at joint {}, Nm", data.stacked("gravity_torque"))
-    if data.stage == "free_air":
+    if data.kind.moving:
         joints("qd", "speed of joint {}, rad/s", data.stacked("joint_speed"))
         joints("qdd", "acceleration of joint {}, rad/s²", acceleration)
         joints("load", "gravity torque at joint {}, Nm", data.stacked("gravity_torque"))
-    if data.stage == "clamped":
+    if data.kind.solved:
         found.append(_category("joint driven", "joint driven", data.first.rows.constants["driven"] + 1))
         found.append(_category("sweep", "sweep", data.first.rows.constants["run"] + 1))
         found.append(Variable("sweep_fraction", "fraction of the sweep, 0 to 1", data.stacked("sweep_fraction")))
@@ -92,7 +92,7 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
     else:
         found.append(Variable("time", f"time, {unit}", (time - time.min()) / factor))
     found += _temperatures(data)
-    if data.stage == "poses":
+    if data.kind.points:
         position = data.stacked("position")
         found += [Variable(a, f"{a} in the instrument's frame, m", position[:, k]) for k, a in enumerate("xyz")]
         target = data.column("target")

@@ -89,14 +89,14 @@ def _percent(share: float) -> str:
 def _chosen(data: StageData) -> list[Integers]:
     """Rows drawn: those fitted, held out and rejected; the first two thinned evenly where there are too many."""
     usable = data.good.any(axis=1)
-    limit = MOST_ROWS if data.stage == "poses" else MOST_POINTS
+    limit = MOST_ROWS if data.kind.points else MOST_POINTS
     step = max(1, int(np.ceil(usable.sum() / limit)))
     kept = [np.flatnonzero(usable & (data.held_out == held_out))[::step] for held_out in (False, True)]
     return [*kept, np.flatnonzero(data.rejected.any(axis=1))]
 
 
 def _panels(data: StageData) -> tuple[list[str], float, str]:
-    if data.stage == "poses":
+    if data.kind.points:
         return [f"{a} (instrument's frame)" for a in "xyz"], 1e6, "µm"
     return [f"motor {k + 1}" for k in range(data.channels)], 1.0, "Nm"
 

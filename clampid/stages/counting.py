@@ -8,16 +8,29 @@ unknown constant of the run.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
+from clampid.effect import Effect
+from clampid.roles import INERTIAS
 from clampid.stages.log_facts import LogFacts, Motion
 from clampid.stages.rows import Array, Bools, Integers
 from experiments.signals import held_sign
 
-__all__ = ["FIFTHS", "INERTIA_SHARE", "counting", "folds_of", "motion_signals", "negligible", "standing_joints"]
+__all__ = [
+    "FIFTHS",
+    "INERTIA_SHARE",
+    "counting",
+    "explained",
+    "explains_acceleration",
+    "explains_rest",
+    "folds_of",
+    "motion_signals",
+    "negligible",
+    "standing_joints",
+]
 
 FIFTHS = 5  # a log of one run is held out by contiguous fifths
 INERTIA_SHARE = 0.5  # of the noise between neighbouring rows
@@ -78,6 +91,21 @@ def motion_signals(
         "elapsed": time - facts.since,
         "rest_direction": np.zeros_like(motion.position),
     }
+
+
+def explains_acceleration(active: Collection[Effect]) -> bool:
+    """Whether some effects explain torques of acceleration, so that such rows can be used."""
+    return any(effect.roles & set(INERTIAS) for effect in active)
+
+
+def explains_rest(active: Collection[Effect]) -> bool:
+    """Whether some effects say what friction is at rest, so that such rows can be used."""
+    return any("friction_state" in effect.acts for effect in active)
+
+
+def explained(active: Collection[Effect]) -> tuple[bool, bool]:
+    """Which rows count beside those of steady motion: in acceleration, and of motors at rest."""
+    return explains_acceleration(active), explains_rest(active)
 
 
 def counting(

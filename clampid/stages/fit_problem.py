@@ -14,8 +14,9 @@ from clampid.effect import WEAK, Effect, Parameter, Per, Stage
 from clampid.role_slots import numbers_of_role
 from clampid.roles import Role
 from clampid.slots import Slot, find_parameter, fixed_slots, unit_of
-from clampid.stages import clamped, poses, torques
+from clampid.stages import poses
 from clampid.stages.rows import Array, Rows
+from clampid.stages.stage_kind import StageKind
 from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 from kinematics.masses import own_moment
@@ -24,9 +25,6 @@ __all__ = ["HELD", "FitProblem", "fit_problem", "parameter_of"]
 
 
 HELD = 1e-9  # sizes: as tightly as numbers allow
-STIFF = 0.1  # sizes: some 200 kNm/rad at the joint, as the main axes of a mid-size arm have
-CREEP, ROUGH = 0.05, 0.25  # of its friction: what a motor at rest loses between sweeps; what the loops say of it
-OFFSET_SIZE: Mapping[Stage, float] = {"free_air": 0.5, "clamped": 1e-3, "poses": 1.0}  # Nm, rad
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,13 @@ class FitProblem:
 
     @property
     def stage(self) -> Stage:
-        """Which of the three stages this is."""
+        """The name of the stage."""
         return self.rows.stage
+
+    @property
+    def kind(self) -> StageKind:
+        """The stage as a value."""
+        return self.rows.kind
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -62,54 +65,30 @@ class FitProblem:
         """Which slots, counted from 0, are numbers of one of these roles (and one for each of such places)."""
         return numbers_of_role(self.slots, *roles, per=per, effects=self.effects)
 
+    def _parts(self, theta: Array) -> tuple[Rows, Chain, Array, Array]:
+        """Rows, chain, the slots' values ``(P,)`` and the offsets ``(K,)``."""
+        return self.rows, self.chain, theta[: len(self.slots)], theta[len(self.slots) :]
+
     def residual(self, theta: Array) -> tuple[Array, Array]:
         """Measured less predicted ``(N, m)``, and the prediction's derivative ``(N, m, P + K)``, SI."""
-        own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
-        match self.stage:
-            case "poses":
-                return poses.residual(self.rows, self.chain, own)
-            case "free_air":
-                return torques.residual(self.rows, self.chain, own, extra)
-            case _:
-                return clamped.residual(self.rows, self.chain, own, extra)
+        return self.kind.residual(*self._parts(theta))
 
     @property
     def affine(self) -> bool:
         """Whether the prediction's derivative is the same at all parameters."""
-        return self.stage == "free_air" and self.chain.affine
+        return self.kind.linear and self.chain.affine
 
     def error(self, theta: Array) -> Array:
         """Measured less predicted ``(N, m)`` alone, SI."""
-        own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
-        match self.stage:
-            case "poses":
-                return poses.residual(self.rows, self.chain, own, len(own))[0]
-            case "free_air":
-                return torques.error(self.rows, self.chain, own, extra)
-            case _:
-                return clamped.residual(self.rows, self.chain, own, extra)[0]
+        return self.kind.error(*self._parts(theta))
 
     def derivative(self, theta: Array, first: int) -> tuple[Array, Array]:
         """The same with the derivative by the slots from the ``first`` on, ``(N, m, P - first)``."""
-        own, extra = theta[: len(self.slots)], theta[len(self.slots) :]
-        match self.stage:
-            case "poses":
-                return poses.residual(self.rows, self.chain, own, first)
-            case "free_air":
-                residual, jacobian = torques.residual(self.rows, self.chain, own, extra, first)
-                return residual, jacobian[:, :, : len(own) - first]
-            case _:
-                residual, jacobian = clamped.residual(self.rows, self.chain, own, extra)
-                return residual, jacobian[:, :, first : len(own)]
+        return self.kind.derivative(*self._parts(theta), first)
 
     def moved(self, theta: Array, steps: Array) -> Array:
         """What steps ``(P + K, k)`` do to the prediction ``(N, m, k)``, to first order."""
-        own = theta[: len(self.slots)]
-        if self.stage == "poses":
-            return poses.moved(self.rows, self.chain, own, steps)
-        if self.stage == "free_air":
-            return torques.moved(self.rows, self.chain, own, steps)
-        return np.asarray(self.residual(theta)[1] @ steps)
+        return self.kind.moved(*self._parts(theta), steps)
 
     def by_joint(self, theta: Array) -> Array:
         """In poses, what a small turn of each joint does to the prediction ``(N, m, n)``, m/rad and rad/rad."""
@@ -126,11 +105,10 @@ class FitProblem:
 
     def with_flanks(self, theta: Array) -> FitProblem:
         """The same with flanks and loads held where these parameters put them; only poses have any."""
-        if self.stage != "poses":
+        if self.kind.frozen is None:
             return self
-        return replace(
-            self, rows=replace(self.rows, signals=poses.frozen_flanks(self.rows, self.chain, theta[: len(self.slots)]))
-        )
+        signals = self.kind.frozen(self.rows, self.chain, theta[: len(self.slots)])
+        return replace(self, rows=replace(self.rows, signals=signals))
 
     def with_slots(self, slots: Sequence[Slot]) -> FitProblem:
         """The same rows with other slots active."""
@@ -142,7 +120,8 @@ class FitProblem:
         In ``poses`` springs are stiff, but no stiffer than springs are: dry friction in an infinitely stiff one does
         nothing, so that where a joint bears no load its clearance would seem separated from friction that winds it up.
         """
-        own = [STIFF * p.size if self.stage == "poses" and p.role == "compliance" else p.start for p in self.parameters]
+        share = self.kind.spring_start
+        own = [p.start if share is None or p.role != "compliance" else share * p.size for p in self.parameters]
         return np.array([*own, *([0.0] * self.offsets)])
 
     def sizes(self) -> Array:
@@ -166,35 +145,16 @@ class FitProblem:
         size, prior = [], []
         for _, joint in self.rows.constants.get("offset_keys", ()):
             kept = joint - self.rows.robot.n
-            size.append(OFFSET_SIZE[self.stage] if kept < 0 else float(friction[kept]))
+            size.append(self.kind.offset_size if kept < 0 else float(friction[kept]))
             prior.append(WEAK * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
         return size, prior
 
     def prior(self) -> tuple[Array, Array]:
-        """Precision ``(P + K, P + K)`` and mean ``(P + K,)`` of what is assumed before any row is seen.
-
-        A motor keeps its friction as long as it stands still, but for a little that creeps away: that of its last
-        motion, about as large as its own loops show it, or where it has not moved since the arm was clamped, any.
-        """
+        """Precision ``(P + K, P + K)`` and mean ``(P + K,)`` of what is assumed before any row is seen."""
         precision, mean = np.diag(1.0 / self.prior_std() ** 2), self.start()
-        constants, n, count = self.rows.constants, self.rows.robot.n, len(self.slots)
-        if self.stage != "clamped":
-            return self._with_statements(precision, mean)
-        keys = [(int(s), int(k)) for s, k in constants["offset_keys"]]
-        place = {key: count + i for i, key in enumerate(keys)}
-        for s, k in keys:
-            at, before = place[s, k], place.get((s - 1, k))
-            if k < n or not constants["stood"][s, k - n]:
-                continue
-            friction = float(constants["held_friction"][k - n])
-            if before is not None:
-                pair = np.ix_([before, at], [before, at])
-                mean[at], precision[at, at] = mean[before], 0.0
-                precision[pair] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / (CREEP * friction) ** 2
-            elif constants["kept_sign"][s, k - n]:
-                mean[at] = constants["kept_sign"][s, k - n] * friction
-                precision[at, at] = 1.0 / (ROUGH * friction) ** 2
-        return precision, mean
+        if self.kind.prior is not None:
+            precision, mean = self.kind.prior(self.rows, len(self.slots), precision, mean)
+        return self._with_statements(precision, mean)
 
     def _with_statements(self, precision: Array, mean: Array) -> tuple[Array, Array]:
         """A prior with what the campaigns state: of independent errors precisions add, and precisions times means."""
@@ -243,8 +203,8 @@ class FitProblem:
         Shapes, shares, and all of a clamped arm, which has no equilibrium otherwise. An amplitude that comes out beyond
         what is physical says that something else is wrong, such as friction that drives of an angle that is mirrored.
         """
-        own = [p.shape or p.share or self.stage == "clamped" for p in self.parameters]
-        return np.array([*own, *([self.stage == "clamped"] * self.offsets)], dtype=bool)
+        own = [p.shape or p.share or self.kind.solved for p in self.parameters]
+        return np.array([*own, *([self.kind.solved] * self.offsets)], dtype=bool)
 
 
 def parameter_of(slot: Slot, effects: Mapping[str, Effect], robot: RobotDescription) -> Parameter:
@@ -269,5 +229,5 @@ def fit_problem(
     clampid.effect.EffectError
         An effect does not act in the rows' stage.
     """
-    chain = build_chain(rows.stage, slots, effects, rows.layout, poses.constants_of(rows.robot))
+    chain = build_chain(rows.kind, slots, effects, rows.layout, poses.constants_of(rows.robot))
     return FitProblem(rows, effects, tuple(slots), replace(chain, lean=lean))

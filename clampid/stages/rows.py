@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from clampid.effect import Stage
 from clampid.slots import Layout
+from clampid.stages.stage_kind import StageKind, kind_of
 from experiments.signals import segments
 from kinematics.description import RobotDescription
 
@@ -74,6 +75,11 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.measured)
+
+    @property
+    def kind(self) -> StageKind:
+        """The stage as a value."""
+        return kind_of(self.stage)
 
     def take(self, chosen: npt.NDArray[Any]) -> Rows:
         """The chosen rows (indices or mask)."""

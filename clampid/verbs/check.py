@@ -31,7 +31,8 @@ def check(
 ) -> None:
     """Read and validate a campaign folder; say what it holds and what can be identified from it."""
     from clampid.catalogue import catalogue
-    from clampid.identification.identify import TABLES_OF, stages_of, standard_effects
+    from clampid.identification.identify import stages_of, standard_effects
+    from clampid.stages.stage_kind import kind_of
     from experiments.campaign import CampaignError, read_campaign
     from experiments.checks.check import check_campaign, holdings
     from experiments.long_log import LONG_ROWS
@@ -42,10 +43,10 @@ def check(
     standard = standard_effects([read]) if stages_of([read]) else {}
     stages: dict[str, Any] = {
         stage: {
-            "tables": [t for t in TABLES_OF[stage] if t in read.tables],
+            "tables": [t for t in kind_of(stage).tables if t in read.tables],
             "standard": [term.label for term in terms],
-            "known": sorted(name for name, effect in catalogue().items() if stage in effect.stages),
-            "only_asked": sorted(n for n, e in catalogue().items() if stage in e.stages and _only_asked(e, read)),
+            "known": sorted(name for name, effect in catalogue().items() if kind_of(stage).has(effect)),
+            "only_asked": sorted(n for n, e in catalogue().items() if kind_of(stage).has(e) and _only_asked(e, read)),
         }
         for stage, terms in standard.items()
     }

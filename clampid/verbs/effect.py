@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,7 +12,7 @@ from clampid.verbs.options import Quiet
 from clampid.verbs.output import Output, output_file
 
 if TYPE_CHECKING:
-    from clampid.effect import Stage
+    pass
 
 __all__ = ["effect"]
 
@@ -53,7 +53,7 @@ def new(
     from clampid.screen import Next, Screen
 
     variables = [part.strip() for part in depends_on.split(",")]
-    path = effect_new(name, variables, at, stage=cast("Stage | None", stage), orders=orders, joints=joints, path=output)
+    path = effect_new(name, variables, at, stage=stage, orders=orders, joints=joints, path=output)
     look = Next(
         "Next, see how it is understood:", shlex.join(["clampid", "effects", name, "--effects-from", str(path)])
     )

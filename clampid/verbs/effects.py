@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["effects", "in_words"]
 
-STAGES = {"poses": "measured points", "free_air": "torques in free air", "clamped": "torques with the flange clamped"}
-
 
 def effects(
     name: Annotated[
@@ -67,12 +65,13 @@ def in_words(effect: Effect) -> str:
 def _all(found: Mapping[str, Effect]) -> Screen:
     """The effects by where they act, and how to learn more."""
     from clampid.screen import Next, Screen
+    from clampid.stages.stage_kind import kinds
 
     facts, said = [], set[str]()
-    for stage, words in STAGES.items():
-        names = sorted({e.family for e in found.values() if stage in e.stages and e.family not in said})
+    for kind in sorted(kinds(), key=lambda kind: not kind.points):
+        names = sorted({e.family for e in found.values() if kind.has(e) and e.family not in said})
         also = "" if not said else "also "
-        facts.append((stage, f"{words}: {also}{', '.join(name.replace('_', ' ') for name in names)}"))
+        facts.append((kind.name, f"{kind.words.rows}: {also}{', '.join(name.replace('_', ' ') for name in names)}"))
         said |= set(names)
     return Screen(
         f"{len(found)} effects of {len({e.family for e in found.values()})} families, by the stage in which they act:",
@@ -84,12 +83,13 @@ def _all(found: Mapping[str, Effect]) -> Screen:
 
 def _one(effect: Effect) -> Screen:
     from clampid.screen import Next, Screen
+    from clampid.stages.stage_kind import kind_of, stages_with
     from kinematics.sources import load_sources
 
     titles = load_sources()
     facts = [
         ("family", effect.family),
-        ("acts in", ", ".join(f"{stage} ({STAGES[stage]})" for stage in effect.stages)),
+        ("acts in", ", ".join(f"{stage} ({kind_of(stage).words.rows})" for stage in stages_with(effect))),
         ("equation", effect.equation),
     ]
     many = len(effect.parameters) > 8

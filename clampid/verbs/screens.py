@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
 from clampid.display import change_text, count_text, counted, error_text, floor_text
 from clampid.screen import Errors, Next, Screen, Tone
+from clampid.stages.stage_kind import kind_of
 from clampid.verbs.next_step import free_name
 from clampid.verbs.show import weights_text
 
@@ -320,7 +321,7 @@ def undo_screen(
 ) -> Screen:
     """What ``undo`` left."""
     last = next(r for r in reversed(model.ledger) if r.stage == gone.stage)
-    unit = "m" if gone.stage == "poses" else "sigma"
+    unit = kind_of(gone.stage).error_unit
     errors = tuple(error_text(e, unit) for e in (gone.heldout_rms, last.heldout_rms, last.noise_floor))
     verdict, tone = _judged([(gone.stage, last.heldout_rms, last.noise_floor)])
     again = typed("diagnose", output, *campaigns, effects_from=effects_from)

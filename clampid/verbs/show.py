@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clampid.display import error_text, label_text, places_text, quantity, readable
+from clampid.stages.stage_kind import kind_of
 from clampid.verbs.output import Output
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ ON_BOUND = "on its physical limit: the interval has one side"
 
 def stage_unit(stage: str) -> str:
     """The unit of a stage's errors."""
-    return "m" if stage == "poses" else "sigma"
+    return kind_of(stage).error_unit
 
 
 def parameter_rows(stage: StageModel, effects: Mapping[str, Effect], robot: RobotDescription) -> list[tuple[str, ...]]:

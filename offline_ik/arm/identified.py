@@ -18,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from clampid.catalogue import catalogue
-from clampid.chain.chain import OUTPUTS
 from clampid.chain.row_symbols import RowSymbols, offer_torque, parameter_columns
 from clampid.effect import Effect
 from clampid.models.described import robot_of
@@ -30,6 +29,7 @@ from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of
+from clampid.stages.stage_kind import kind_of
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import cayley
@@ -176,8 +176,9 @@ class IdentifiedArm:
         index = {slot: k for k, slot in enumerate(self.slots)}
         parameters = {e.name: parameter_columns(e, self.layout, index, theta) for e in active}
         row = RowSymbols(self.layout, constants_of(self.robot), parameters, active)
-        offer_torque(row, "poses", active)
-        values = ca.vertcat(*(ca.vec(row.total(station, active).T) for station in OUTPUTS["poses"]))
+        stage = kind_of("poses")
+        offer_torque(row, stage, active)
+        values = ca.vertcat(*(ca.vec(row.total(station, active).T) for station in stage.outputs))
         outputs = [values]
         reads_flank, reads_load = "flank" in row.flats, "torque" in row.offered
         if reads_flank:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clampid.catalogue import catalogue
 from clampid.effect import Stage
 from clampid.identification.identify import stage_rows
 from clampid.stages.layout import layout_of
@@ -52,7 +53,9 @@ def few_rows(simulated: Simulated, tiny: Campaign) -> dict[Stage, Rows]:
     ranged = simulated(seed=5, poses=12, tables=("distances",)).tables["distances"]
     tiny = replace(tiny, tables={**tiny.tables, "distances": ranged})
     layout = layout_of([tiny])
-    free_air, clamped = stage_rows([tiny], layout, "free_air", resting=True), stage_rows([tiny], layout, "clamped")
+    resting = [catalogue()["presliding_friction"]]
+    free_air = stage_rows([tiny], layout, "free_air", active=resting)
+    clamped = stage_rows([tiny], layout, "clamped")
     sweeps = np.unique(clamped.fold)[[0, len(np.unique(clamped.fold)) // 2, -1]]
     return {
         "free_air": free_air.take(np.arange(0, len(free_air), 60)),

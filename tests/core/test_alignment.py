@@ -24,6 +24,7 @@ from clampid.loop.undo import undo
 from clampid.models.curves import angle_errors, shared_curve
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Layout, Slot, slots_of
+from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign
 from experiments.virtual_robot import Hidden, measure
 from kinematics.description import load_robot
@@ -122,7 +123,7 @@ def test_the_effect_is_the_curve_of_the_alignment():
     found = align(curves)
     layout = Layout(4)
     slots = slots_of(EFFECT, layout)
-    chain = build_chain("poses", slots, catalogue(), layout, {})
+    chain = build_chain(kind_of("poses"), slots, catalogue(), layout, {})
     values = found.values(EFFECT)
     q = rng.uniform(-np.pi, np.pi, (20, 4))
     error = chain.evaluate(np.array([values[s] for s in slots]), {"q": q}).values[:, chain.offsets["joint_angle"]]

@@ -12,7 +12,7 @@ from clampid.catalogue import with_user_effects
 from clampid.fitting.base_names import base_name
 from clampid.fitting.base_parameters import base_parameters, described_parameters, regroup, to_joint_points
 from clampid.identification.fitted_stage import fit_stage
-from clampid.identification.identify import has_inertia, stage_rows
+from clampid.identification.identify import effects_in, stage_rows
 from clampid.models.model import Model, load_model, save_model
 from clampid.slots import Slot, Term
 from clampid.stages.layout import layout_of
@@ -30,7 +30,7 @@ LINK = ("m", "mx", "my", "mz")
 def fitted(campaign, names):
     effects, layout = with_user_effects(None), layout_of([campaign])
     terms = [Term(name) for name in names]
-    rows = stage_rows([campaign], layout, "free_air", accelerating=has_inertia(terms, effects))
+    rows = stage_rows([campaign], layout, "free_air", active=effects_in(terms, effects))
     return fit_stage(rows, effects, terms, {})
 
 

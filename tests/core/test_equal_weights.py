@@ -18,7 +18,7 @@ from clampid.fitting.moments import Moments
 from clampid.fitting.priors import description_priors
 from clampid.fitting.solve import limits_of, prior_of
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.identify import has_inertia, identify, stage_rows
+from clampid.identification.identify import effects_in, identify, stage_rows
 from clampid.identification.identify_log import FittedLog, LogStage
 from clampid.loop.add import add
 from clampid.slots import Term
@@ -51,7 +51,7 @@ def patterned(right: Campaign) -> Campaign:
 
 def by_windows(campaign: Campaign, names: Sequence[str] = STANDARD) -> FittedLog:
     terms = [Term(n) for n in names]
-    return LogStage(log_parts([campaign]), layout_of([campaign]), catalogue(), terms, False).fit(())
+    return LogStage(log_parts([campaign]), layout_of([campaign]), catalogue(), terms).fit(())
 
 
 def held_whole(campaign: Campaign, names: Sequence[str] = STANDARD) -> FittedStage:
@@ -152,13 +152,13 @@ def worse_than_least_squares(fitted: Campaign, unseen: Campaign) -> tuple[float,
     """
     model = identify(fitted).stages["free_air"]
     effects = catalogue()
-    moves = has_inertia(model.terms, effects)
-    log = LogStage(log_parts([fitted]), layout_of([fitted]), effects, model.terms, moves)
+    active = effects_in(model.terms, effects)
+    log = LogStage(log_parts([fitted]), layout_of([fitted]), effects, model.terms)
     every, none = np.ones(len(log.folds), dtype=bool), np.zeros(0, dtype=np.int64)
     precision, mean = prior_of(log.experiment, description_priors(log.folds))
     prior = LogPrior(precision, mean, limits_of(log.experiment))
     ordinary, _ = weighted(log.design, every, prior, none, LogNoise(np.ones(log.design.n)), mean)
-    rows = stage_rows([unseen], layout_of([unseen]), "free_air", accelerating=moves)
+    rows = stage_rows([unseen], layout_of([unseen]), "free_air", active=active)
     trial = fit_problem(rows, effects, model.slots)
     own, other = (predicted(trial, theta) ** 2 for theta in (model.theta, ordinary.at[: len(model.slots)]))
     scale = np.mean(other, axis=0, where=rows.used)

@@ -11,13 +11,13 @@ import pytest
 
 import clampid.effects
 from clampid.catalogue import catalogue
-from clampid.chain.chain import OUTPUTS
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC
 from clampid.effect import UNITS, Effect, Stage
 from clampid.fitting.solve import clamping_offsets
 from clampid.slots import find_parameter, slots_of
 from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.rows import Rows
+from clampid.stages.stage_kind import kind_of, kinds
 from kinematics.sources import load_sources
 
 EFFECTS = catalogue()
@@ -33,9 +33,9 @@ ALLOWED = {
     "itertools",
 }
 VISIBLE: dict[Stage, tuple[str, ...]] = {
-    **OUTPUTS,
-    "free_air": (*OUTPUTS["free_air"], "friction_state"),
-    "poses": (*OUTPUTS["poses"], "joint_torque"),
+    **{kind.name: kind.outputs for kind in kinds()},
+    "free_air": (*kind_of("free_air").outputs, "friction_state"),
+    "poses": (*kind_of("poses").outputs, "joint_torque"),
 }
 """Where a stage sees deviations; in poses torques at the joints are loads on springs; friction has a state."""
 REVEALS: dict[Stage, tuple[str, ...]] = {

@@ -14,7 +14,7 @@ import pytest
 from clampid.catalogue import catalogue
 from clampid.fitting.accuracy import StageErrors, stage_errors
 from clampid.identification.fitted_stage import FittedStage, fit_stage
-from clampid.identification.identify import has_inertia, held_out_folds, stage_rows
+from clampid.identification.identify import effects_in, held_out_folds, stage_rows
 from clampid.identification.identify_log import FittedLog, LogStage
 from clampid.slots import Term
 from clampid.stages.counting import folds_of
@@ -49,7 +49,7 @@ def held_whole(
     campaigns: Sequence[Campaign], names: Sequence[str], holdout: float
 ) -> tuple[FittedStage, StageErrors, tuple[tuple[int, ...], ...]]:
     effects, layout, terms = catalogue(), layout_of(campaigns), [Term(n) for n in names]
-    rows = stage_rows(campaigns, layout, "free_air", accelerating=has_inertia(terms, effects))
+    rows = stage_rows(campaigns, layout, "free_air", active=effects_in(terms, effects))
     held = held_out_folds(rows, holdout, 0)
     fitted = fit_stage(rows, effects, terms, {}, held=held)
     return fitted, stage_errors(fitted.estimate, rows, held, None, 0), held
@@ -69,7 +69,6 @@ def by_windows(
         layout_of(campaigns),
         effects,
         terms,
-        has_inertia(terms, effects),
         window=window,
         kept_bytes=kept,
     )
@@ -150,7 +149,7 @@ def test_one_run_without_speeds(free_air: Campaign) -> None:
 def test_fifths_of_a_log_of_one_run_are_counted_without_its_rows(free_air: Campaign, rows: int) -> None:
     table = free_air.tables["free_air"]
     alone = replace(free_air, tables={"free_air": table[table["run"] == 1][:rows].reset_index(drop=True)})
-    design = LogStage(log_parts([alone]), layout_of([alone]), catalogue(), [Term("gravity")], False).design
+    design = LogStage(log_parts([alone]), layout_of([alone]), catalogue(), [Term("gravity")]).design
     fold = folds_of(design.facts, np.zeros(rows, dtype=np.int64), np.arange(rows))
     np.testing.assert_array_equal(design.fold_rows, np.bincount(fold, minlength=5))
 

@@ -87,7 +87,7 @@ def test_friction_that_creeps_at_rest_is_learned(simulated: Callable[..., Campai
     """The hidden law is another one, of several contacts that slip; judged by a run that no fit has seen."""
     campaign = simulated(seed=11, tables=("free_air",), hidden=("presliding_friction@joint2",))
     effects, layout = catalogue(), layout_of([campaign])
-    rows = stage_rows([campaign], layout, "free_air", resting=True)
+    rows = stage_rows([campaign], layout, "free_air", active=[effects["presliding_friction"]])
     standard = standard_effects([campaign])["free_air"]
     seen = (rows.fold == 1) & rows.used[:, 1]
     excess = []

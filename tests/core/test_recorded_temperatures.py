@@ -20,6 +20,7 @@ from clampid.slots import Slot
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import join_rows, pose_rows
 from clampid.stages.poses import constants_of
+from clampid.stages.stage_kind import kind_of
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
 
@@ -64,7 +65,7 @@ def test_an_effect_may_need_any_sensor_and_says_where_there_is_none(simulated: S
     poses = campaign.tables["poses"]
     warm = changed(campaign, poses=poses.assign(temp_wall_C=np.linspace(20.0, 30.0, len(poses))))
     slots, layout = (Slot("wall", "k", "base"),), layout_of([campaign, warm])
-    chain = build_chain("poses", slots, {"wall": effect}, layout, constants_of(campaign.robot))
+    chain = build_chain(kind_of("poses"), slots, {"wall": effect}, layout, constants_of(campaign.robot))
     both = pose_rows([campaign, warm], layout, "poses")  # one session has no such sensor
     moved = chain.evaluate(np.array([1e-3]), both.signals).values[:, chain.offsets["base_twist"]][:, 3]
     np.testing.assert_allclose(moved, np.r_[np.zeros(len(poses)), np.linspace(0.0, 0.01, len(poses))], atol=1e-12)

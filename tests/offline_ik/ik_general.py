@@ -12,6 +12,7 @@ from clampid.stages.loads import bearing_signals, declared_weight, gravity_signa
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of, evaluate, predict
 from clampid.stages.rows import Rows
+from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign, Instrument, Tool
 from offline_ik.arm.identified import Conditions, IdentifiedArm
 
@@ -35,7 +36,7 @@ def general(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array)
     jacobian
         ``(N, 6, P)``: d (position, rotation vector) / d theta.
     """
-    chain = build_chain("poses", arm.slots, arm.effects, arm.layout, constants_of(arm.robot))
+    chain = build_chain(kind_of("poses"), arm.slots, arm.effects, arm.layout, constants_of(arm.robot))
     rows = _rows(arm, np.atleast_2d(q), conditions, target)
     deviations = evaluate(rows, chain, arm.theta)
     measured = slice(chain.offsets["measurement"].start, None)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from clampid.catalogue import catalogue, with_user_effects
-from clampid.chain.chain import OUTPUTS
 from clampid.effect import EffectError
 from clampid.own_effect import SHOWN, check_own_effect
+from clampid.stages.stage_kind import kinds
 
 FILE = """
 from clampid.effect import Effect, Parameter
@@ -64,5 +64,5 @@ def test_what_depends_on_no_amplitude_is_refused(tmp_path: Path):
 def test_the_catalogue_itself_passes():
     for effect in catalogue().values():
         check_own_effect(effect)
-    for stage, outputs in OUTPUTS.items():
+    for stage, outputs in ((kind.name, kind.outputs) for kind in kinds()):
         assert set(outputs) <= set(SHOWN[stage])

@@ -1,0 +1,183 @@
+"""A stage as a value: what differs between kinds of rows is said here once, so that nothing else asks for its name.
+
+Each file of :mod:`clampid.stages.kinds` holds one, ``STAGE``. It is found by the name that it has in
+:data:`clampid.standard_sets.STANDARD`; nothing else knows how many there are.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
+
+from clampid.chain.chain import Chain
+from clampid.chain.stage_chain import StageChain
+from clampid.effect import STAGES, Effect, EffectError
+from clampid.slots import Layout
+from experiments.campaign import Campaign
+
+if TYPE_CHECKING:
+    from clampid.stages.rows import Array, Rows
+
+__all__ = ["StageKind", "StageWords", "Trait", "acts_with", "kind_of", "kinds", "known_of", "stages_with"]
+
+T = TypeVar("T")
+Trait = Literal["points", "moving", "solved", "resting"]
+"""By what the rest of the program tells stages apart: properties of :class:`StageKind`."""
+
+
+@dataclass(frozen=True)
+class StageWords:
+    """How texts speak of a stage.
+
+    Attributes
+    ----------
+    title
+        Above its figures and tables.
+    rows
+        What its rows are, for a list of effects: "measured points".
+    folds
+        What is held out as a whole, in the plural: "poses".
+    moved
+        What a joint did to come to a row: "approached", "moved".
+    record
+        What to record so that effects with a side can be told: "the direction of approach".
+    measurement
+        The whole measurement, with its article: "a log of torques in free air".
+    more
+        What more rows of it should be like, to part effects that these confuse.
+    """
+
+    title: str
+    rows: str
+    folds: str
+    moved: str
+    record: str
+    measurement: str
+    more: str
+
+
+class MakeRows(Protocol):
+    """Rows of a stage's tables; see :attr:`StageKind.rows`."""
+
+    def __call__(
+        self,
+        campaigns: Sequence[Campaign],
+        layout: Layout,
+        active: Collection[Effect],
+        *,
+        base: Mapping[int, Array] | None,
+        anchors: Mapping[int, Mapping[str, Array]] | None,
+        table: str,
+    ) -> Rows: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageKind(StageChain):
+    """A stage: what is measured in it, how its rows are made, and what the chain predicts for them.
+
+    Attributes
+    ----------
+    tables
+        Tables of a campaign that feed it.
+    words
+        See :class:`StageWords`.
+    error_unit
+        ``m``: errors of rows are lengths of points' errors; ``sigma``: of single numbers in units of their noise.
+    points
+        Rows are points of the arm, seen by an instrument whose place towards the base is unknown; a repeated posture
+        tells their noise. Then stand the arm's frames, loads and flanks in question.
+    verification
+        Name of a table of the same columns that no fit reads; "" where there is none.
+    side
+        Signal that says from which side a joint came to a row; None where every fold has both.
+    shared_channels
+        The noise of which columns ``(m,)`` is one number; of a stage that has as many channels as motors, none is.
+    offset_size
+        What an unknown constant of one run or sweep may reasonably amount to: rad in an equilibrium, else Nm.
+    spring_start
+        Where fits begin with springs, in their sizes; None: at none.
+    linear
+        The prediction is linear in the stations' deviations, with the same derivative everywhere.
+    rows
+        ``(campaigns, layout, active, base=, anchors=, table=)``: rows of the campaigns' tables, all that can be used
+        with the active effects; base and anchors as of :func:`clampid.stages.pose_rows.pose_rows`.
+    residual
+        ``(rows, chain, theta, offsets)``: measured less predicted ``(N, m)``, SI, and the prediction's derivative
+        ``(N, m, P + K)`` by slots ``(P,)`` and offsets ``(K,)``.
+    error
+        The same without the derivative.
+    derivative
+        ``(rows, chain, theta, offsets, first)``: the residual, and the derivative by slots from the ``first`` on,
+        ``(N, m, P - first)``.
+    moved
+        ``(rows, chain, theta, offsets, steps)``: what steps ``(P + K, k)`` do to the prediction ``(N, m, k)``.
+    frozen
+        ``(rows, chain, theta)``: the rows' signals with all that follows the parameters put where these have it; None
+        where nothing does.
+    prior
+        ``(rows, first, precision, mean)``: the prior ``(P + K, P + K)``, ``(P + K,)`` with what is known of offsets,
+        which stand from ``first`` on; None where that is nothing.
+    """
+
+    tables: tuple[str, ...]
+    words: StageWords
+    error_unit: Literal["m", "sigma"]
+    rows: MakeRows
+    residual: Callable[[Rows, Chain, Array, Array], tuple[Array, Array]]
+    error: Callable[[Rows, Chain, Array, Array], Array]
+    derivative: Callable[[Rows, Chain, Array, Array, int], tuple[Array, Array]]
+    moved: Callable[[Rows, Chain, Array, Array, Array], Array]
+    points: bool = False
+    verification: str = ""
+    side: str | None = None
+    shared_channels: tuple[tuple[int, ...], ...] = ()
+    offset_size: float = 1.0
+    spring_start: float | None = None
+    linear: bool = False
+    frozen: Callable[[Rows, Chain, Array], Mapping[str, Array]] | None = None
+    prior: Callable[[Rows, int, Array, Array], tuple[Array, Array]] | None = None
+
+    def channels(self, width: int) -> list[tuple[int, ...]]:
+        """Which of a row's ``width`` numbers share their noise."""
+        if not self.shared_channels:
+            return [(c,) for c in range(width)]
+        return [tuple(c for c in group if c < width) for group in self.shared_channels]
+
+
+@cache
+def kind_of(name: str) -> StageKind:
+    """The stage of a name.
+
+    Raises
+    ------
+    EffectError
+        There is none of this name.
+    """
+    if name not in STAGES:
+        raise EffectError(f"stage {name!r} is not known; known: {', '.join(STAGES)}")
+    found: StageKind = importlib.import_module(f"clampid.stages.kinds.{name}").STAGE
+    return found
+
+
+def kinds() -> tuple[StageKind, ...]:
+    """All stages in the order in which they are fitted."""
+    return tuple(map(kind_of, STAGES))
+
+
+def stages_with(effect: Effect) -> tuple[str, ...]:
+    """The names of the stages in which an effect acts."""
+    return tuple(kind.name for kind in kinds() if kind.has(effect))
+
+
+def acts_with(effect: Effect, *traits: Trait) -> bool:
+    """Whether an effect acts in stages of all these traits."""
+    own = [kind for kind in kinds() if kind.has(effect)]
+    return all(any(getattr(kind, trait) for kind in own) for trait in traits)
+
+
+def known_of(stages: Mapping[str, T], trait: Trait) -> T | None:
+    """What a mapping has of its first stage with a trait; None where it has no such stage."""
+    return next((stages[kind.name] for kind in kinds() if kind.name in stages and getattr(kind, trait)), None)
