@@ -19,6 +19,7 @@ from clampid.roles import FRAMES
 from clampid.slots import Slot
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Rows
+from clampid.stages.stage_kind import known_of
 from kinematics.description import RobotDescription
 
 __all__ = ["Yielding", "gives_way", "what_yields"]
@@ -73,13 +74,13 @@ def _of_description(robot: RobotDescription) -> Yielding:
 
 def _of_model(model: Model, tips: Collection[str] | None) -> Yielding:
     """All but geometry of the pose stage, if that has springs; else what the pose stage would start from."""
-    poses = model.stages.get("poses")
+    poses = known_of(model.stages, "points")
     if poses is not None and any_of_role(poses.slots, "compliance"):
         kept = [not has_role(s, *FRAMES) if tips is None else _of_arm(s, tips) for s in poses.slots]
         parts = [(poses, [k for k, keep in enumerate(kept) if keep])]
         said = "those of the model's stage poses"
     else:
-        clamped, free = model.stages.get("clamped"), model.stages.get("free_air")
+        clamped, free = known_of(model.stages, "solved"), known_of(model.stages, "moving")
         if clamped is None or not any_of_role(clamped.slots, "compliance"):
             raise ModelError("expected a model with joint_compliance in its stage poses or clamped, found none")
         own = [k for k, s in enumerate(clamped.slots) if is_start(s) and (free is None or not is_load(s))]

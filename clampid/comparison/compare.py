@@ -28,7 +28,7 @@ from clampid.shown import Shown
 from clampid.slots import Prior, Slot, unit_of
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array, Bools, Rows
-from clampid.stages.stage_kind import kind_of
+from clampid.stages.stage_kind import kind_of, known_of, only_of
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 
@@ -155,13 +155,13 @@ def compare(
 
 def _independent_drives(opened: ModelOnCampaign) -> tuple[StageModel, StageModel] | None:
     """The clamped stage and the poses, fitted so that neither knows of the other; None where one of them is missing."""
-    here = {"clamped", "poses"} <= set(opened.campaign.tables) & set(opened.stages)
-    if not here or opened.session is None:
+    here = {s: m for s, m in opened.stages.items() if s in opened.campaign.tables}
+    clamped, poses = known_of(here, "solved"), known_of(here, "points")
+    if clamped is None or poses is None or opened.session is None:
         return None
-    clamped, poses = opened.stages["clamped"], opened.stages["poses"]
     if not shared_drives(clamped.slots, poses.slots):
         return None
-    before = {name: stage for name, stage in opened.stages.items() if name not in ("clamped", "poses")}
+    before = {name: stage for name, stage in opened.stages.items() if name not in (clamped.stage, poses.stage)}
     alone = []
     for stage in (clamped, poses):
         if stage is clamped and stage.carried_prior is None:  # stage by stage it knows nothing of the poses anyway
@@ -204,7 +204,7 @@ def _as_fitted(
             continue
         own = rows.table == table
         shown = own & (fitted if fitted.any() else True)
-        if table == "poses" and verification is not None:
+        if table == stage and verification is not None:
             test_residual = predicted(trial.with_rows(verification), model.theta)
             test = without_outlying(verification, test_residual, rows, residual)
             chosen = np.ones(len(test), dtype=bool)
@@ -216,7 +216,7 @@ def _as_fitted(
         out[table] = _table(rows, residual, shown, test, test_residual, chosen, floor)
         if kind_of(stage).points:
             out[table] |= _beyond(opened, test, chosen)
-        if table == "poses":
+        if kind_of(stage).points and table == stage:
             out[table] |= _placed(opened, rows, residual, test, test_residual, chosen, sample)
     return out
 
@@ -303,7 +303,7 @@ def _refitted(
     opened: ModelOnCampaign, refit: Sequence[str], share: float, seed: int, sample: Sequence[float] | None
 ) -> dict[str, dict[str, Any]]:
     """The poses with only base, tool or both fitted anew on a share of whole poses; the rest is held out."""
-    model, rows = opened.stages["poses"], opened.rows("poses")
+    model, rows = only_of(opened.stages, "points"), opened.rows("poses")
     held_out = held_out_folds(rows, 1.0 - share, seed)
     out = rows.in_folds(held_out)
     if not (~out).any() or not out.any():
@@ -325,7 +325,7 @@ def _refitted(
         floor, chosen = noise_floor(rows.take(own), residual[own]), own & out
         found[table] = _table(rows, residual, own & ~out, rows, residual, chosen, floor)
         found[table] |= _beyond(opened, rows, chosen)
-        if table == "poses":
+        if table == rows.stage:
             found[table] |= _placed(opened, rows, residual, rows, residual, chosen, sample)
     return found
 
@@ -337,7 +337,7 @@ def _beyond(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[str, Any
     """
     curves = _extrapolated(opened, rows, chosen)
     entry: dict[str, Any] = {} if curves is None else {"extrapolated": curves}
-    stage = opened.stages["poses"]
+    stage = only_of(opened.stages, "points")
     if stage.ranges is not None:
         far, found = beyond_rows(stage.ranges, rows.take(chosen), stage.slots, opened.effects)
         quantities = [{**one.to_json(), "rows": count} for one, count in found]
@@ -353,12 +353,12 @@ def _extrapolated(opened: ModelOnCampaign, rows: Rows, chosen: Bools) -> dict[st
     None where the model has no angle errors that depend on where a joint stands.
     """
     q = rows.signals["q"][chosen]
-    found = angle_errors(opened.stages["poses"], opened.effects, opened.layout, rows.robot, q)
+    found = angle_errors(only_of(opened.stages, "points"), opened.effects, opened.layout, rows.robot, q)
     if not found.active.any() or not len(q):
         return None
     far = found.extrapolated
     joints = {f"joint{j + 1}": float(far[:, j].mean()) for j in np.flatnonzero(far.any(axis=0))}
-    one = shared_curve(opened.stages["poses"], opened.effects, np.zeros(1))
+    one = shared_curve(only_of(opened.stages, "points"), opened.effects, np.zeros(1))
     together = {} if one is None else {"one_curve": [f"joint{j + 1}" for j in one.joints]}
     return {"share": float(far.any(axis=1).mean()), "joints": joints, **together}
 

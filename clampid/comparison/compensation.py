@@ -30,6 +30,7 @@ from clampid.roles import WEIGHTS
 from clampid.stages import poses
 from clampid.stages.fit_problem import FitProblem
 from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.stage_kind import known_of, only_of
 
 __all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
 
@@ -118,7 +119,7 @@ def compensation_of(opened: ModelOnCampaign) -> Compensation | None:
         None where the model has no springs in its poses, the campaign has none, nothing is deflected, or nobody knows
         what the arm weighs.
     """
-    model = opened.stages.get("poses")
+    model = known_of(opened.stages, "points")
     if (
         model is None
         or "poses" not in opened.campaign.tables
@@ -194,7 +195,7 @@ class _Bending:
 
 def _bending(opened: ModelOnCampaign, trial: FitProblem) -> _Bending:
     """The deflections of the joints at the joint values that were asked for."""
-    model = opened.stages["poses"]
+    model = only_of(opened.stages, "points")
     springs = numbers_of_role(model.slots, "compliance")
     at_flanks = trial.with_flanks(model.theta).rows.signals
     angle = trial.chain.offsets["joint_angle"]
@@ -340,7 +341,7 @@ def _shifted(table: pd.DataFrame, shift: Array) -> pd.DataFrame:
 
 def _values(trial: FitProblem, opened: ModelOnCampaign) -> Array:
     """The model's station values ``(N, S)``."""
-    theta = opened.stages["poses"].theta
+    theta = only_of(opened.stages, "points").theta
     return trial.chain.evaluate(theta, trial.with_flanks(theta).rows.signals).values
 
 

@@ -13,7 +13,7 @@ from clampid.fitting.accuracy import noise_floor, predicted, rms_of
 from clampid.identification.model_on_campaign import ModelOnCampaign, on_campaign
 from clampid.models.model import Model
 from clampid.stages.rows import Bools, Rows
-from clampid.stages.stage_kind import kind_of
+from clampid.stages.stage_kind import kind_of, only_of
 from experiments.campaign import Campaign
 
 __all__ = ["nominal_errors", "nominal_points"]
@@ -59,7 +59,7 @@ def _points(opened: ModelOnCampaign) -> tuple[float, int] | None:
     if "poses" not in opened.campaign.tables:
         return None
     rows = opened.rows("poses").points
-    rejected = {(table, row) for _, table, row in opened.stages["poses"].outliers}
+    rejected = {(table, row) for _, table, row in only_of(opened.stages, "points").outliers}
     good = np.array([key not in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)])
     good &= rows.used[:, 0]
     if not good.any():
@@ -80,6 +80,6 @@ def _torques(opened: ModelOnCampaign) -> tuple[float, int]:
     """Root mean square in units of the motors' noise, and number of rows."""
     rows = opened.rows("free_air")
     found = opened.fit_problem("free_air", rows)
-    floor = noise_floor(rows, predicted(found, opened.stages["free_air"].theta))
+    floor = noise_floor(rows, predicted(found, only_of(opened.stages, "moving").theta))
     nothing = found.start()[: len(found.slots)]
     return rms_of(rows, predicted(found, nothing), floor), len(rows)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from clampid.effect import STAGES, EffectError, Stage, signal
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["AXES", "Dependence", "Place", "Variable", "dependence"]
 
@@ -194,10 +195,10 @@ def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None, j
 
 def _first(depends_on: Sequence[str], at: str) -> Stage:
     """The first stage that knows all names; if none does, the first that knows the place, to say what is wrong."""
-    stages: tuple[Stage, ...] = ("poses", "free_air", "clamped")
+    stages = sorted(_STATIONS, key=lambda stage: not kind_of(stage).points)
     placed = [s for s in stages if _split(at)[0] in _STATIONS[s]]
     fitting = [s for s in placed if all(_split(name)[0] in _KINDS[s] for name in depends_on)]
-    return (fitting or placed or list(stages))[0]
+    return (fitting or placed or stages)[0]
 
 
 def _split(name: str) -> tuple[str, int]:

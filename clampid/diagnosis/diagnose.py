@@ -29,7 +29,7 @@ from clampid.models.model import Model
 from clampid.progress import in_parts
 from clampid.shown import Shown
 from clampid.slots import Slot, Term
-from clampid.stages.stage_kind import acts_with, kind_of
+from clampid.stages.stage_kind import acts_with, kind_of, kinds, known_of, only_of
 from clampid.threads import single_threaded
 from experiments.campaign import Campaign
 from experiments.plans.errors import PlanError
@@ -134,9 +134,10 @@ def diagnose(
             if taken is not None:
                 mending = replace(mending, stages={**mending.stages, stage: taken.model})
     mended = {stage: part.fitted.estimate for stage, part in found.items() if part.fitted is not None}
-    if compensation is not None and "poses" in found:
+    of_points = known_of(found, "points")
+    if compensation is not None and of_points is not None:
         rest = "" if right is None else sent_elsewhere(compensation)
-        found["poses"].summary = " ".join(filter(None, (compensation.said, rest, found["poses"].summary)))
+        of_points.summary = " ".join(filter(None, (compensation.said, rest, of_points.summary)))
     return Diagnosis(found, compensation, {stage: simpler(estimate) for stage, estimate in mended.items()})
 
 
@@ -222,14 +223,14 @@ def _alone(opened: ModelOnCampaign, poses: FittedStage) -> Model:
     """A model of the poses of these campaigns alone."""
     seen, anchors = poses.base_reference, poses.anchors
     sessions = tuple(session_of(c, seen.get(s), anchors.get(s)) for s, c in enumerate(opened.campaigns))
-    return replace(opened.model, layout=opened.layout, stages={"poses": poses.model}, sessions=sessions)
+    return replace(opened.model, layout=opened.layout, stages={poses.model.stage: poses.model}, sessions=sessions)
 
 
 def _called_for(opened: ModelOnCampaign, stage: Stage) -> frozenset[Term]:
     """What the torque log has shown to act at the joints, where this is the stage of poses."""
-    if not kind_of(stage).points or "free_air" not in opened.stages:
+    if not kind_of(stage).points or known_of(opened.stages, "moving") is None:
         return frozenset()
-    known = opened.stages["free_air"].terms
+    known = only_of(opened.stages, "moving").terms
     return frozenset(t for t in known if set(opened.effects[t.effect].acts) == {"joint_torque"})
 
 
@@ -242,9 +243,11 @@ def _effects_for(opened: ModelOnCampaign, stage: Stage) -> dict[str, Effect]:
     """
     measured = {s for s in opened.stages if opened.has(kind_of(s).tables)}
     effects = {name: e for name, e in opened.effects.items() if e.search.differs_from in (None, *measured)}
-    if not kind_of(stage).points or not opened.has(kind_of("free_air").tables):
+    logged = any(kind.moving and opened.has(kind.tables) for kind in kinds())
+    if not kind_of(stage).points or not logged:
         return effects
-    known = {t.effect for s in ("free_air", "poses") if s in opened.stages for t in opened.stages[s].terms}
+    both = [model for model in opened.stages.values() if model.kind.moving or model.kind.points]
+    known = {term.effect for model in both for term in model.terms}
     return {
         name: e
         for name, e in effects.items()

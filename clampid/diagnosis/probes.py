@@ -33,13 +33,12 @@ PERIODIC_SIZE = 3e-4  # rad, rms: the upper end of what joints' transmissions an
 
 def probes(estimate: Estimate) -> list[Candidate]:
     """All probes of the estimate's stage."""
-    match estimate.experiment.stage:
-        case "poses":
-            return _pose_probes(estimate)
-        case "free_air":
-            return _motor_probes(estimate, _log_covariates(estimate.experiment.rows))
-        case _:
-            return _motor_probes(estimate, _sweep_covariates(estimate.experiment.rows))
+    rows = estimate.experiment.rows
+    if rows.kind.points:
+        return _pose_probes(estimate)
+    if rows.kind.moving:
+        return _motor_probes(estimate, _log_covariates(rows))
+    return _motor_probes(estimate, _sweep_covariates(rows)) if rows.kind.solved else []
 
 
 def _probe(estimate: Estimate, place: str, what: str, variables: Sequence[str], columns: Array) -> Candidate | None:

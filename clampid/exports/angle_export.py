@@ -12,6 +12,7 @@ from clampid.models.curves import angle_errors
 from clampid.models.described import robot_of
 from clampid.models.model import Model, ModelError
 from clampid.models.own_effects import effects_of
+from clampid.stages.stage_kind import known_of
 from kinematics.robot import RobotDescription
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def angle_table(
     import pandas as pd
 
     nominal = robot_of(model, robot)
-    stage = model.stages.get("poses")
+    stage = known_of(model.stages, "points")
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none")
     parts = []

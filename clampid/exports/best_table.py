@@ -23,6 +23,7 @@ from clampid.models.model import Model
 from clampid.role_slots import numbers_of_role
 from clampid.roles import FRAMES
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import only_of
 from experiments.campaign import Campaign
 from kinematics.robot import RobotDescription
 from kinematics.screws import inverse, log_so3
@@ -91,7 +92,7 @@ def best_table(
     ModelError
         The model has no geometry, or effects that are not known.
     """
-    stage = model.stages["poses"]
+    stage = only_of(model.stages, "points")
     geometry = numbers_of_role(stage.slots, *FRAMES)
     q, where = _postures(model, robot, campaign)
     whole = whole_model(
@@ -135,7 +136,7 @@ def _postures(model: Model, robot: RobotDescription, campaign: Campaign | None) 
         q = campaign.tables["poses"][[f"q{i + 1}_rad" for i in range(robot.n)]].to_numpy(float)
         return q, f"the {len(q)} poses of {campaign.name}"
     low, high = ranges(robot)
-    known = model.stages["poses"].ranges
+    known = only_of(model.stages, "points").ranges
     if known is not None:
         low, high = (np.where(np.isfinite(e), e, o) for e, o in ((known.lower[0], low), (known.upper[0], high)))
     q = np.random.default_rng(2).uniform(low, high, (COUNT, robot.n))

@@ -20,6 +20,7 @@ from clampid.role_slots import has_role, numbers_of_role
 from clampid.roles import FRAMES
 from clampid.slots import Slot, find_parameter
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import known_of
 
 __all__ = ["Determined", "determined_shifts", "fix_undetermined", "in_words", "reasonable", "undetermined_directions"]
 
@@ -47,7 +48,7 @@ class Determined:
 
 def fix_undetermined(model: Model) -> Determined:
     """The model as it may be exported; the same one where its geometry is determined."""
-    stage = model.stages.get("poses")
+    stage = known_of(model.stages, "points")
     geometry = [] if stage is None else numbers_of_role(stage.slots, *FRAMES)
     if stage is None or not geometry:
         return Determined(model, np.zeros((0, 0)), ())

@@ -16,6 +16,7 @@ from clampid.models.model import Model, ModelError, StageModel
 from clampid.role_slots import any_of_role
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import known_of, only_of
 from experiments.campaign import Campaign
 from kinematics.robot import RobotDescription
 
@@ -56,7 +57,7 @@ def dynamics(
     ModelError
         The model has no base parameters; the campaign is not of its robot, or has no torque logs.
     """
-    stage = model.stages.get("free_air")
+    stage = known_of(model.stages, "moving")
     if stage is None or not stage.base:
         raise ModelError("expected a model with gravity identified from free-air or wrist logs, found none to export")
     nominal = robot_of(model, robot)
@@ -104,9 +105,9 @@ def torque_errors(
         The campaign is not of the model's robot, or has no torque logs.
     """
     opened = on_campaign(model, campaign, user_effects)
-    if "free_air" not in opened.stages:
+    if known_of(opened.stages, "moving") is None:
         raise ModelError(f"{campaign.name}: expected torque logs (free_air, wrist) to compare on, found none")
-    stage: StageModel = opened.stages["free_air"]
+    stage: StageModel = only_of(opened.stages, "moving")
     rows = opened.rows("free_air")
     rejected = {(table, row) for _, table, row in stage.outliers}
     bad = [key in rejected for key in zip(rows.table.tolist(), rows.row.tolist(), strict=True)]

@@ -25,6 +25,7 @@ from clampid.stages import poses
 from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.pose_rows import pose_rows
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import known_of, only_of
 from experiments.campaign import Campaign, Instrument, Tool, target_points
 from experiments.measures.metrics import norm_metrics
 from experiments.temperatures import REFERENCE_TEMPERATURE
@@ -260,7 +261,7 @@ def whole_model(
     ModelError
         The model has no stage poses, or an effect that is not known here.
     """
-    stage = model.stages.get("poses")
+    stage = known_of(model.stages, "points")
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none")
     effects = effects_of(model, user_effects)
@@ -293,7 +294,7 @@ def measured_error(form: Flange, model: Model, session: int, campaign: Campaign)
         raise ModelError(f"{campaign.name}: expected a campaign with a table poses or verification, found none")
     frame, robot = campaign.tables[table], campaign.robot
     prefix = f"session{session + 1}:" if len(model.sessions) > 1 else ""
-    values = model.stages["poses"].values()
+    values = only_of(model.stages, "points").values()
     shift = np.array(
         [[values.get(slot_of("target_point", f"{prefix}{name}", a), 0.0) for a in "xyz"] for name in frame["target"]]
     )
@@ -327,7 +328,7 @@ def _drawn(
     campaigns = [load] * len(model.sessions)
     campaigns[session] = replace(load, tables={"poses": pd.DataFrame(data)})
     base = {k: s.base_reference for k, s in enumerate(model.sessions) if s.base_reference is not None}
-    stage = model.stages["poses"]
+    stage = only_of(model.stages, "points")
     return fit_problem(pose_rows(campaigns, model.layout, "poses", base), effects, stage.slots, stage.lean)
 
 

@@ -23,6 +23,7 @@ from clampid.slots import Term, parse_term
 from clampid.stages.counting import explains_rest
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import LogPart
+from clampid.stages.stage_kind import acts_with
 from clampid.stages.steady_share import steady_share
 from clampid.standard_sets import DYNAMICS, STANDARD
 from clampid.threads import single_threaded
@@ -97,7 +98,7 @@ def identify_folder(
     if effects is not None:
         terms = tuple(dict.fromkeys(parse_term(name, catalogue, layout) for name in effects if name.strip()))
         for term in terms:
-            if "free_air" not in catalogue[term.effect].stages:
+            if not acts_with(catalogue[term.effect], "moving"):
                 acts = ", ".join(catalogue[term.effect].stages)
                 raise EffectError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
     elif steady_share(parts) < LEAST_MOVING_SHARE:
@@ -111,7 +112,8 @@ def identify_folder(
     fitted = stage.fit(held_out_folds(stage.folds, holdout, seed), seed=seed)
     errors = fitted.errors(None, seed)
     ledger = Round("free_air", tuple(t.label for t in terms), (), errors.rms, errors.heldout_rms, errors.noise_floor)
-    warmth = _temperatures(parts[0].table) if parts[0].name == "free_air" else None
+    table = parts[0].name
+    warmth = _temperatures(parts[0].table) if table == "free_air" else None
     session = replace(session_of(campaign, None), temperature=warmth)
     source = None if user_effects is None else str(user_effects)
     name, file = campaign.robot.name, campaign.robot_file

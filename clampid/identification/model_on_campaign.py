@@ -23,6 +23,7 @@ from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.pose_rows import Anchors, pose_rows
 from clampid.stages.rows import Array, Integers, Rows
+from clampid.stages.stage_kind import known_of
 from experiments.campaign import Campaign
 
 __all__ = ["ModelOnCampaign", "on_campaign"]
@@ -76,7 +77,7 @@ class ModelOnCampaign:
 
     def verification(self, base: Mapping[int, Array] | None = None) -> Rows | None:
         """The rows of the table verification, if there is one."""
-        if not self.has(("verification",)) or "poses" not in self.stages:
+        if not self.has(("verification",)) or known_of(self.stages, "points") is None:
             return None
         return pose_rows(self.campaigns, self.layout, "verification", base or self.base)
 

@@ -154,10 +154,10 @@ def add(
             why = "in the model already" if there else "not identifiable from these rows"
             raise EffectError(f"{stage}: {names}: {why}")
     result = _model_with(opened, mended, user_effects)
-    if "poses" in found:
-        without = result.with_stage(mended["poses"].unmended.model)
+    for stage in [stage for stage in found if kind_of(stage).points]:
+        without = result.with_stage(mended[stage].unmended.model)
         shift = exported_shift(without, result, opened.campaign.robot)
-        found["poses"] = replace(found["poses"], shift=tuple(shift))
+        found[stage] = replace(found[stage], shift=tuple(shift))
     return result, Addition(found)
 
 

@@ -12,6 +12,7 @@ from clampid.models.model import StageModel
 from clampid.role_slots import has_role
 from clampid.stages.fit_problem import parameter_of
 from clampid.stages.rows import Array, Bools, Rows
+from clampid.stages.stage_kind import known_of
 
 __all__ = ["known_before", "known_here"]
 
@@ -53,7 +54,7 @@ def _carried(stage: StageModel, before: Mapping[Stage, StageModel], rows: Rows, 
     known: dict[object, float] = {}
     for prior in carried_over(rows, before, effects)[0]:
         known |= dict(zip(prior.slots, np.sqrt(np.diag(prior.covariance)).tolist(), strict=True))
-    clamped = before.get("clamped")
+    clamped = known_of(before, "solved")
     if clamped is not None and rows.kind.points:
         std = np.sqrt(np.diag(clamped.covariance))
         drives = [k for k, slot in enumerate(clamped.slots) if has_role(slot, "compliance", "clearance")]

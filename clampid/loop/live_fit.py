@@ -21,6 +21,7 @@ from clampid.models.model import Model, StageModel
 from clampid.role_slots import has_role
 from clampid.roles import FRAMES
 from clampid.stages.rows import Bools
+from clampid.stages.stage_kind import stage_of_table
 from experiments.campaign import Campaign, read_campaign, write_campaign
 from experiments.checks.check import check_campaign
 from experiments.errors import CampaignError
@@ -132,8 +133,8 @@ class LiveFit:
         return None
 
     def _lines(self, model: Model, campaign: Campaign, block: Block, rows: int) -> list[str]:
-        name = {"free_air": "free_air", "wrist": "free_air", "clamped": "clamped"}.get(block.table, "poses")
-        stage = next((model.stages[s] for s in model.stages if s == name), None)
+        name = stage_of_table(block.table)
+        stage = None if name is None else model.stages.get(name)
         if stage is None:
             return []
         opened = on_campaign(model, campaign)

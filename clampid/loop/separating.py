@@ -18,12 +18,11 @@ from clampid.loop.confusable import Confusable, confusable_pairs, evidence_apart
 from clampid.loop.live_fit import fit_of
 from clampid.models.model import StageModel
 from clampid.slots import Term
+from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign
 
 __all__ = ["Next", "Separating"]
 
-RESTED: Mapping[Stage, Sequence[str]] = {"poses": STATES, "free_air": ("warm",), "clamped": ("warm",)}
-"""In which states a stage is measured: the runner rests before a visit only."""
 TRIALS = 2
 """Proposals for a pair, each of which does in 9 of 10 campaigns: after so many in vain, the model is wrong there."""
 
@@ -88,7 +87,7 @@ class Separating:
             words = f"{min(len(found.next_plan.chosen), left)} more, because {_alike(found)} explain the same."
             return Next(found.next_plan, _joined(decided, f"{words} {_sentence(found.next_plan)}."))
         pairs = [p for p in pairs if p.apart > -SAME and self._expected[p.terms] < TRIALS]
-        chosen = self._most_doubt(campaign, pairs, RESTED[stage], left)
+        chosen = self._most_doubt(campaign, pairs, STATES if kind_of(stage).points else STATES[:1], left)
         if chosen is None:
             return Next(None, _joined(decided, _nothing(found, pairs)))
         best, mine = chosen

@@ -23,6 +23,7 @@ from clampid.roles import FRAMES, Role
 from clampid.stages.pose_kernel import link_points
 from clampid.stages.poses import link_vectors
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import known_of, only_of
 from experiments.temperatures import COLDEST_C, HOTTEST_C, REFERENCE_TEMPERATURE
 from kinematics.poe import forward
 from kinematics.robot import RobotDescription
@@ -88,7 +89,7 @@ def calibrated_chain(
         The model has no geometry from a table of poses, no such session, or no expansion for another temperature; or
         the temperature is none of a robot.
     """
-    stage = model.stages.get("poses")
+    stage = known_of(model.stages, "points")
     if stage is None or not any_of_role(stage.slots, *FRAMES):
         raise ModelError("expected a model with geometry identified from a table of poses, found none to export")
     if not 0 <= session < len(model.sessions):
@@ -159,7 +160,7 @@ def sensitivity(
         Derivatives ``(M, P)`` by the P parameters of ``geometry`` (at another temperature than 20 °C also of the
         expansion), and these parameters' covariance ``(P, P)``.
     """
-    stage = model.stages["poses"]
+    stage = only_of(model.stages, "points")
     warm: tuple[Role, ...] = ("expansion",) if temperature != REFERENCE_TEMPERATURE else ()
     free = numbers_of_role(stage.slots, *FRAMES, *warm)
     columns = []

@@ -30,6 +30,7 @@ from clampid.role_slots import any_of_role, has_role, slot_of
 from clampid.roles import WEIGHTS as WEIGHT_ROLES
 from clampid.slots import Slot
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import known_of
 from kinematics.dynamics import inertial_parameters
 from kinematics.pseudo_inertia import BASIS, about_centre, pseudo_inertia
 from kinematics.robot import Link, RobotDescription
@@ -99,7 +100,7 @@ def consistent_arm(model: Model, robot: RobotDescription) -> ConsistentArm:
     ModelError
         The model has no base parameters, or none that any bodies come near to.
     """
-    stage = model.stages.get("free_air")
+    stage = known_of(model.stages, "moving")
     if stage is None or not stage.base:
         raise ModelError("expected a model with gravity identified from free-air or wrist logs, found none to export")
     bodies = any_of_role(stage.slots, "inertia_tensor")

@@ -19,6 +19,7 @@ from clampid.role_slots import any_of_role, has_role
 from clampid.roles import Role
 from clampid.slots import Slot
 from clampid.stages.rows import Array, Bools
+from clampid.stages.stage_kind import known_of
 from kinematics.robot import RobotDescription
 
 __all__ = ["DETECTION", "Drives", "clamped_drives", "drives_of", "effective_compliance"]
@@ -121,7 +122,7 @@ def drives_of(stage: StageModel, robot: RobotDescription) -> Drives:
 
 def clamped_drives(model: Model, robot: RobotDescription) -> Drives | None:
     """The drives as a model's clamped stage knows them; None where it has no such stage, or no springs in it."""
-    stage = model.stages.get("clamped")
+    stage = known_of(model.stages, "solved")
     if stage is None or not any_of_role(stage.slots, "compliance"):
         return None
     return drives_of(stage, robot)

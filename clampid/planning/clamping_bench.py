@@ -19,7 +19,7 @@ from clampid.stages.clamped_rows import GAP_SOFTNESS, clamped_rows
 from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Array, Rows
-from clampid.stages.stage_kind import stages_with
+from clampid.stages.stage_kind import acts_with, stages_with
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell, Sweep
 from experiments.plans.press import holding_torque
@@ -42,7 +42,7 @@ class ClampingBench:
         self.layout = layout_of([blank])
         terms = [parse_term(name, effects, self.layout) for name in wanted]
         for term in terms:
-            if "clamped" not in effects[term.effect].stages:
+            if not acts_with(effects[term.effect], "solved"):
                 acts = ", ".join(stages_with(effects[term.effect]))
                 raise PlanError(f"effect {term.effect} does not act in clamped; it does in: {acts}")
         if not any("compliance" in effects[term.effect].roles for term in terms):

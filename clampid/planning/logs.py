@@ -22,7 +22,7 @@ from clampid.stages.fit_problem import FitProblem, fit_problem
 from clampid.stages.layout import coupled_joints, layout_of
 from clampid.stages.log_facts import CLEAR_MOTION
 from clampid.stages.rows import Array, Bools, Integers
-from clampid.stages.stage_kind import stages_with
+from clampid.stages.stage_kind import acts_with, stages_with
 from clampid.stages.torques import torque_rows
 from experiments.plans.errors import PlanError
 from experiments.plans.model import Cell
@@ -140,7 +140,7 @@ class LogBench:
         self.layout = layout_of([self._blank])
         terms = [parse_term(name, effects, self.layout) for name in wanted]
         for term in terms:
-            if "free_air" not in effects[term.effect].stages:
+            if not acts_with(effects[term.effect], "moving"):
                 acts = ", ".join(stages_with(effects[term.effect]))
                 raise PlanError(f"effect {term.effect} does not act in free_air; it does in: {acts}")
         self.slots: tuple[Slot, ...] = slots_of_terms(terms, effects, self.layout, "free_air")

@@ -17,6 +17,7 @@ from clampid.report.stage_data import StageData
 from clampid.report.style import Figure, Section, Table, as_table
 from clampid.stages.poses import evaluate, predict
 from clampid.stages.rows import Array
+from clampid.stages.stage_kind import known_of
 from kinematics.description import RobotDescription
 
 __all__ = ["angle_curves_section"]
@@ -42,9 +43,9 @@ def angle_curves_section(
     diagnosis
         INTERFACE's JSON of ``diagnose``: it says whether curves of single joints are one.
     """
-    if "poses" not in model.stages:
+    stage = known_of(model.stages, "points")
+    if stage is None:
         return None
-    stage = model.stages["poses"]
     angle = np.linspace(-np.pi, np.pi, CURVE_POINTS + 1)
     q = np.tile(angle[:, None], (1, robot.n))
     found = angle_errors(stage, effects, model.layout, robot, q)

@@ -9,6 +9,7 @@ from typing import Any
 from clampid.display import Scale, fixed, with_std
 from clampid.models.model import Model
 from clampid.report.style import Section, Table, as_table
+from clampid.stages.stage_kind import known_of
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
 
@@ -21,7 +22,7 @@ OPEN = "not determined"
 
 def dh_section(model: Model, robot: RobotDescription) -> Section | None:
     """Section "Compensated DH table"; None without poses or without the export."""
-    if "poses" not in model.stages:
+    if known_of(model.stages, "points") is None:
         return None
     try:
         export = importlib.import_module("clampid.exports.dh_export")

@@ -18,7 +18,7 @@ from clampid.report.budget import SETUP, pose_budget
 from clampid.report.rounds import rounds_of, unit_of
 from clampid.report.stage_data import StageData, in_order, stage_title
 from clampid.role_slots import any_of_role
-from clampid.stages.stage_kind import kind_of
+from clampid.stages.stage_kind import kind_of, known_of
 from experiments.campaign import Campaign
 from kinematics.dh_conversion import DHError
 from kinematics.robot import RobotDescription
@@ -201,7 +201,7 @@ def _drives(clamped: StageData | None) -> str:
 
 def _dh(model: Model, robot: RobotDescription) -> str:
     """The largest deviation of a length from the nominal table, of those that are determined."""
-    if "poses" not in model.stages:
+    if known_of(model.stages, "points") is None:
         return ""
     try:
         frame, nominal = static_table(model, "hayati", robot=robot), nominal_rows(robot, "hayati")

@@ -70,14 +70,14 @@ def _fitted_on(model: Model, campaign: Campaign) -> str:
     return f"{', '.join(names)}; not on this campaign, which is all held out; its base was aligned with the poses"
 
 
-def _units(name: str, frame: pd.DataFrame) -> str:
-    if name in POSES:
+def _units(table: str, frame: pd.DataFrame) -> str:
+    if table in POSES:
         poses = frame["pose"].nunique()
         visits = len(frame[["pose", "visit"]].drop_duplicates())
         targets = frame["target"].nunique()
         again = f", {counted(visits - poses, 'return')}" if visits > poses else ", no returns"
         return f"{counted(poses, 'pose')}{again}, {counted(targets, 'target')}"
-    if name == "clamped":
+    if table == "clamped":
         return f"{frame['sweep'].nunique()} sweeps of {frame['joint'].nunique()} joints"
     runs = frame["run"].nunique()
     return f"{runs} run{'s' if runs != 1 else ''}"

@@ -14,13 +14,12 @@ from clampid.fitting.fit import without_outlying
 from clampid.report.stage_data import StageData, stage_title
 from clampid.report.style import Table, as_table
 from clampid.stages.rows import Array, Bools, Integers
+from clampid.stages.stage_kind import kind_of
 
 __all__ = ["HeldOut", "Spread", "held_out", "spread_of", "spread_sentences", "spread_table", "spreads"]
 
 DRAWS = 2000
 MIN_UNITS = 10  # whole poses, runs or sweeps, below which a draw of them says little
-_UNITS = {"poses": "m", "free_air": "sigma", "clamped": "sigma"}
-_WHOLE = {"poses": "poses", "free_air": "runs", "clamped": "sweeps"}
 _CAPTION = (
     "Root mean square errors on rows that no fit saw and that count both times, with 95 % intervals: {draws} draws of "
     "whole poses (logs: runs, sweeps) with replacement, the same before and now. The models stay as they are, so that "
@@ -116,7 +115,11 @@ def spreads(stages: Mapping[Stage, StageData], before: Mapping[Stage, StageData]
 def spread_table(found: Mapping[Stage, Spread]) -> Table | None:
     """The errors with their intervals as a table; None where there are none."""
     rows = [
-        (stage_title(stage), *(_text(part, stage) for part in (s.before, s.now, s.fall)), f"{s.folds} {_WHOLE[stage]}")
+        (
+            stage_title(stage),
+            *(_text(part, stage) for part in (s.before, s.now, s.fall)),
+            f"{s.folds} {kind_of(stage).words.folds}",
+        )
         for stage, s in found.items()
     ]
     heads = ("Stage", "Before#", "Now#", "Fall#", "Of")
@@ -131,8 +134,8 @@ def spread_sentences(found: Mapping[Stage, Spread]) -> list[str]:
             continue
         significance = "" if s.fall[1] > 0.0 or s.fall[2] < 0.0 else "; this is not significant"
         out.append(
-            f"{stage_title(stage)}: on the {s.folds} held-out {_WHOLE[stage]} the error fell by "
-            f"{error_text(s.fall[0], _UNITS[stage])} (95 % interval {_ends(s.fall, stage)}){significance}."
+            f"{stage_title(stage)}: on the {s.folds} held-out {kind_of(stage).words.folds} the error fell by "
+            f"{error_text(s.fall[0], kind_of(stage).error_unit)} (95 % interval {_ends(s.fall, stage)}){significance}."
         )
     return out
 
@@ -140,9 +143,9 @@ def spread_sentences(found: Mapping[Stage, Spread]) -> list[str]:
 def _text(part: tuple[float, float, float] | None, stage: str) -> str:
     if part is None:
         return "–"
-    return f"{error_text(part[0], _UNITS[stage])} ({_ends(part, stage)})"
+    return f"{error_text(part[0], kind_of(stage).error_unit)} ({_ends(part, stage)})"
 
 
 def _ends(part: tuple[float, float, float], stage: str) -> str:
-    unit = _UNITS[stage]
+    unit = kind_of(stage).error_unit
     return ranged_text(part[1:], unit.replace("sigma", "σ"))

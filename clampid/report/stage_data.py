@@ -16,13 +16,9 @@ from clampid.models.model import StageModel
 from clampid.stages.fit_problem import FitProblem
 from clampid.stages.pose_rows import align
 from clampid.stages.rows import Array, Bools, Rows
-from clampid.stages.stage_kind import StageKind, kind_of
+from clampid.stages.stage_kind import StageKind, kind_of, kinds
 
 __all__ = ["Piece", "StageData", "in_order", "stage_data", "stage_title"]
-
-ORDER: tuple[Stage, ...] = ("poses", "free_air", "clamped")
-"""Poses first: they are what the robot is calibrated for."""
-_TITLES = {"free_air": "Free air and wrist (torques)", "clamped": "Clamped (torques)", "poses": "Poses"}
 
 
 @dataclass(frozen=True)
@@ -115,9 +111,9 @@ def stage_title(stage: str) -> str:
 
 
 def in_order(stages: Iterable[str]) -> tuple[Stage, ...]:
-    """Stages in the order in which the report tells of them."""
+    """Stages in the order in which the report tells of them: points first, what the robot is calibrated for."""
     found = set(stages)
-    return tuple(s for s in ORDER if s in found)
+    return tuple(kind.name for kind in sorted(kinds(), key=lambda kind: not kind.points) if kind.name in found)
 
 
 def stage_data(opened: ModelOnCampaign) -> dict[Stage, StageData]:

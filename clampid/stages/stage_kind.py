@@ -12,16 +12,27 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
-from clampid.chain.chain import Chain
 from clampid.chain.stage_chain import StageChain
 from clampid.effect import STAGES, Effect, EffectError
-from clampid.slots import Layout
-from experiments.campaign import Campaign
 
 if TYPE_CHECKING:
+    from clampid.chain.chain import Chain
+    from clampid.slots import Layout
     from clampid.stages.rows import Array, Rows
+    from experiments.campaign import Campaign
 
-__all__ = ["StageKind", "StageWords", "Trait", "acts_with", "kind_of", "kinds", "known_of", "stages_with"]
+__all__ = [
+    "StageKind",
+    "StageWords",
+    "Trait",
+    "acts_with",
+    "kind_of",
+    "kinds",
+    "known_of",
+    "only_of",
+    "stage_of_table",
+    "stages_with",
+]
 
 T = TypeVar("T")
 Trait = Literal["points", "moving", "solved", "resting"]
@@ -167,6 +178,11 @@ def kinds() -> tuple[StageKind, ...]:
     return tuple(map(kind_of, STAGES))
 
 
+def stage_of_table(table: str) -> str | None:
+    """The name of the stage that a table of a campaign feeds or verifies; None where it is of none."""
+    return next((kind.name for kind in kinds() if table in kind.tables or table == kind.verification), None)
+
+
 def stages_with(effect: Effect) -> tuple[str, ...]:
     """The names of the stages in which an effect acts."""
     return tuple(kind.name for kind in kinds() if kind.has(effect))
@@ -181,3 +197,17 @@ def acts_with(effect: Effect, *traits: Trait) -> bool:
 def known_of(stages: Mapping[str, T], trait: Trait) -> T | None:
     """What a mapping has of its first stage with a trait; None where it has no such stage."""
     return next((stages[kind.name] for kind in kinds() if kind.name in stages and getattr(kind, trait)), None)
+
+
+def only_of(stages: Mapping[str, T], trait: Trait) -> T:
+    """The same where the caller knows that there is one.
+
+    Raises
+    ------
+    KeyError
+        There is none.
+    """
+    found = known_of(stages, trait)
+    if found is None:
+        raise KeyError(f"expected a stage of the kind {trait}, found {', '.join(stages) or 'none'}")
+    return found

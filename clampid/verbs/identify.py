@@ -55,6 +55,7 @@ def identify(
     from clampid.models.drives import clamped_drives
     from clampid.models.model import save_model
     from clampid.stages.resolution import resolution_of
+    from clampid.stages.stage_kind import known_of
     from clampid.verbs.rejected import rejected_words
     from clampid.verbs.screens import fit_screen
     from clampid.verbs.show import model_json, show_drives, show_model
@@ -84,10 +85,11 @@ def identify(
     if drives is not None:
         show_drives(drives, out)
         data["stages"]["clamped"]["drives"] = drives.to_json()
-    if "free_air" in data["stages"] and (resolution := resolution_of(read)) is not None:
-        data["stages"]["free_air"]["resolution"] = resolution.to_json()
-    if "poses" in data["stages"] and "poses" in read[0].tables:
+    moving, points = known_of(data["stages"], "moving"), known_of(data["stages"], "points")
+    if moving is not None and (resolution := resolution_of(read)) is not None:
+        moving["resolution"] = resolution.to_json()
+    if points is not None and "poses" in read[0].tables:
         frame = pd.concat([c.tables["poses"] for c in read if "poses" in c.tables])
-        data["stages"]["poses"]["enough_poses"] = enough_poses(frame, data["stages"]["poses"]["parameters"])
+        points["enough_poses"] = enough_poses(frame, points["parameters"])
     out.show(fit_screen(data, nominal, rejected, read, campaigns, effects_from))
     out.result(data)

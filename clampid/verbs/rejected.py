@@ -35,7 +35,7 @@ def rejected_words(model: Model, campaigns: Sequence[Campaign], effects_from: Pa
     for name, stage in model.stages.items():
         if not stage.outliers:
             continue
-        if name == "poses":
+        if stage.kind.points:
             listed = _visits(model, campaigns, effects_from)
         else:
             listed = [f"{table} row {row}" for _, table, row in stage.outliers]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from clampid.diagnosis.headline import headline, listed, named, notes, outcome
 from clampid.display import change_text, count_text, counted, error_text, floor_text
 from clampid.screen import Errors, Next, Screen, Tone
-from clampid.stages.stage_kind import kind_of
+from clampid.stages.stage_kind import kind_of, kinds, stage_of_table
 from clampid.verbs.next_step import free_name
 from clampid.verbs.show import weights_text
 
@@ -45,8 +45,14 @@ def typed(*words: str | Path, effects_from: Path | None = None) -> str:
     return shlex.join(["clampid", *map(str, words), *own])
 
 
+def _of_points(name: str) -> bool:
+    """Whether a stage, or a table, is of measured points."""
+    stage = stage_of_table(name) or name
+    return any(kind.points for kind in kinds() if kind.name == stage)
+
+
 def _title(stages: Sequence[str], what: str = HELD_OUT) -> str:
-    return what + (SIGMA if any(stage not in ("poses", "verification", "distances") for stage in stages) else "")
+    return what + (SIGMA if any(not _of_points(stage) for stage in stages) else "")
 
 
 def _of(nominal: Mapping[Stage, float], name: str) -> float | None:

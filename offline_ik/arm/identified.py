@@ -29,7 +29,7 @@ from clampid.slots import Layout, Slot
 from clampid.stages.pose_kernel import link_points, pose_function
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of
-from clampid.stages.stage_kind import kind_of
+from clampid.stages.stage_kind import kind_of, known_of
 from kinematics.gravity import STANDARD_GRAVITY
 from kinematics.robot import RobotDescription
 from kinematics.screws import cayley
@@ -275,7 +275,7 @@ def arm_of(
         The model has no poses, no such session, is of another robot, or has effects that are not known.
     """
     nominal = robot_of(model, robot)
-    stage: StageModel | None = model.stages.get("poses")
+    stage: StageModel | None = known_of(model.stages, "points")
     if stage is None:
         raise ModelError("expected a model with a stage poses, found none: joint angles need a geometry")
     if not 0 <= session < len(model.sessions):
