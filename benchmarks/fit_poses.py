@@ -110,14 +110,14 @@ def loop_model(rows: Rows, slots: tuple[Slot, ...]) -> Callable[[np.ndarray], np
         gear = [[value("gear_eccentricity", p, f"joint{i + 1}") for p in ("a1", "b1", "a2", "b2")] for i in range(6)]
         out = np.empty((len(rows), 3))
         for r in range(len(rows)):
-            X = rows.constants["base_reference"][r] @ base
+            X = rows.pose.base_reference[r] @ base
             for i in range(6):
                 q = rows.signals["q"][r, i]
                 a1, b1, a2, b2 = gear[i]
                 angle = q - gap[i] / 2 * flank[r, i]
                 angle += a1 * np.sin(q) + b1 * np.cos(q) + a2 * np.sin(2 * q) + b2 * np.cos(2 * q)
                 X = X @ turn(robot.screws[i], angle) @ links[i]
-            point = rows.constants["target"][r] + shift[target_of[r]]
+            point = rows.pose.target[r] + shift[target_of[r]]
             out[r] = rows.measured[r] - (X @ robot.flange @ np.r_[point, 1.0])[:3]
         return (out / rows.sigma).ravel()
 
@@ -171,7 +171,7 @@ def rows_of(data: Campaign, kept: Callable[[Rows], Array]) -> tuple[Rows, Rows]:
     layout = layout_of([data])
     every = stage_rows([data], layout, "poses")
     rows = every.take(kept(every))
-    return rows, stage_rows([data], layout, "poses", {0: rows.constants["base_reference"][0]}, "verification")
+    return rows, stage_rows([data], layout, "poses", {0: rows.pose.base_reference[0]}, "verification")
 
 
 def targets_in_turn(rows: Rows) -> Array:
@@ -235,14 +235,14 @@ def run_pybotics(python: str, rows: Rows, other: Rows) -> dict[str, float] | Non
     c, s = np.cos(own[-1, 0]), np.sin(own[-1, 0])
     last[1:3, 1:3], last[0, 3] = [[c, -s], [s, c]], own[-1, 1]
     tool = last @ table.tool
-    tool[:3, 3] += tool[:3, :3] @ rows.constants["target"][0]
+    tool[:3, 3] += tool[:3, :3] @ rows.pose.target[0]
     with TemporaryDirectory() as folder:
         path = Path(folder) / "poses.npz"
         np.savez(
             path,
             mdh=np.c_[before, own[:, 2:]],
             tool=tool,
-            world=rows.constants["base_reference"][0] @ table.base,
+            world=rows.pose.base_reference[0] @ table.base,
             q=rows.signals["q"] * sign,
             points=rows.measured[:, :3],
             other_q=other.signals["q"] * sign,

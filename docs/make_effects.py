@@ -16,9 +16,11 @@ import numpy as np
 
 from clampid.catalogue import catalogue
 from clampid.effect import Effect
-from clampid.verbs.effects import STAGES, in_words
+from clampid.stages.stage_kind import kinds
+from clampid.verbs.effects import in_words
 
 DOCS = Path(__file__).parent
+ORDER = sorted(kinds(), key=lambda kind: not kind.points)
 PAGE = DOCS / "reference" / "effects.md"
 PICTURE = DOCS / "images" / "effects.png"
 
@@ -247,7 +249,7 @@ def page() -> str:
             lines += ["| effect | what it is | equation | seen in |", "|---|---|---|---|"]
             for effect in effects:
                 if family_of(effect) == family:
-                    seen = ", ".join(stage.replace("_", " ") for stage in STAGES if stage in effect.stages)
+                    seen = ", ".join(kind.name.replace("_", " ") for kind in ORDER if kind.has(effect))
                     words = in_words(effect).replace("|", "\\|")
                     equation = effect.equation.replace("|", "\\|")
                     lines.append(f"| `{effect.name}` | {words} | {equation} | {seen} |")

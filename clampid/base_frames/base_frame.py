@@ -131,7 +131,7 @@ def base_from_circles(
     rows = pose_rows([campaign], layout, "poses").points
     circles = circles_of(rows)
     measured = rows.measured[:, :3]
-    plain = fit_circles(rows, circles, measured, rows.constants["base_reference"][0])
+    plain = fit_circles(rows, circles, measured, rows.pose.base_reference[0])
     found, way, by = plain, np.zeros_like(measured), np.zeros((len(rows), 3, 0))
     for _ in range(0 if rigid else BENDING_PASSES):
         rows = pose_rows([campaign], layout, "poses", {0: found.base}).points

@@ -108,7 +108,7 @@ def circles_of(rows: Rows) -> tuple[Circle, ...]:
         There is none of one of the two joints, or the robot has no such axes.
     """
     _common_normal(rows.robot)
-    q, target = rows.signals["q"], rows.constants["target"]
+    q, target = rows.signals["q"], rows.pose.target
     chain_q = q @ np.asarray(rows.robot.linkage).T
     found: list[Circle] = []
     for joint in (0, 1):

@@ -141,7 +141,7 @@ def base_from_touches(
     rows = pose_rows([campaign], layout, "poses", {0: np.eye(4)})
     chain_q = rows.signals["q"] @ np.asarray(campaign.robot.linkage).T
     pose = forward(campaign.robot.screws, campaign.robot.flange, chain_q)
-    stiff = np.einsum("nij,nj->ni", pose[:, :3, :3], rows.constants["target"]) + pose[:, :3, 3]
+    stiff = np.einsum("nij,nj->ni", pose[:, :3, :3], rows.pose.target) + pose[:, :3, 3]
     way, by = (np.zeros_like(stiff), np.zeros((*stiff.shape, 0))) if rigid else gives_way(rows, effects, yielding)
     sigma = float(campaign.instrument.position_std or 0.0)
     everything = touches_of(touched, stiff + way)

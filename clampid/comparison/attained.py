@@ -81,7 +81,7 @@ def iso9283(rows: Rows, residual: Array) -> dict[str, Any]:
         stated noise.
     """
     used = np.flatnonzero(rows.used[:, 0])
-    frame = rows.constants["base_reference"][:, :3, :3]
+    frame = rows.pose.base_reference[:, :3, :3]
     out: dict[str, Any] = {"returns_wanted": WANTED}
     labels = _labels(rows, used, rows.signals["target_is"])
     error = np.einsum("nji,nj->ni", frame, residual[:, :3])[used]
@@ -107,7 +107,7 @@ def _labels(rows: Rows, chosen: Integers, target: Array) -> tuple[Integers, Inte
     _, side = np.unique(direction[:, moved], axis=0, return_inverse=True)
     side = np.where(np.all(direction[:, moved] != 0, axis=1), side, -1)
     place, number, side = (a.astype(np.int64) for a in (place, number, side))
-    return place, number, side, np.asarray(rows.constants["time"][chosen], dtype=float)
+    return place, number, side, np.asarray(rows.constants.time[chosen], dtype=float)
 
 
 def _turns(rows: Rows, residual: Array) -> tuple[Integers, Array] | None:

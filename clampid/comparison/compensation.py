@@ -174,7 +174,7 @@ def put_right(opened: ModelOnCampaign, found: Compensation) -> ModelOnCampaign |
         parts = _bending(opened, opened.fit_problem("poses", others)).parts
         tables["verification"] = _shifted(tables["verification"], np.einsum("p,k,pkni->ni", less, springs, parts))
     campaign = replace(opened.campaign, tables=tables)
-    return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]})
+    return replace(opened, campaigns=(campaign,), base={0: rows.pose.base_reference[0]})
 
 
 @dataclass(frozen=True)
@@ -330,7 +330,7 @@ def _sent(opened: ModelOnCampaign, rows: Rows, shift: Array) -> Rows:
     """The rows at joint values shifted by ``(N, n)``, seen from the same base."""
     table = _shifted(opened.campaign.tables["poses"], shift)
     campaign = replace(opened.campaign, tables={**opened.campaign.tables, "poses": table})
-    return replace(opened, campaigns=(campaign,), base={0: rows.constants["base_reference"][0]}).rows("poses").points
+    return replace(opened, campaigns=(campaign,), base={0: rows.pose.base_reference[0]}).rows("poses").points
 
 
 def _shifted(table: pd.DataFrame, shift: Array) -> pd.DataFrame:

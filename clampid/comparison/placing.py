@@ -78,7 +78,7 @@ def _errors(rows: Rows, residual: Array, chosen: Integers, sample: Sequence[floa
     out["universal"] = norm_metrics(np.linalg.norm(residual[chosen, :3], axis=1))
     if sample is None:
         return out
-    frames = rows.constants["base_reference"][chosen]
+    frames = rows.pose.base_reference[chosen]
     points = np.einsum("nji,nj->ni", frames[:, :3, :3], rows.measured[chosen, :3] - frames[:, :3, 3])
     errors = np.einsum("nji,nj->ni", frames[:, :3, :3], residual[chosen, :3])
     radial, along = split_about(errors, points, np.asarray(sample, dtype=float))

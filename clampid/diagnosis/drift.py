@@ -96,7 +96,7 @@ def drift_of(estimate: Estimate) -> Drift | None:
 
 def _counts(rows: Rows, session: int) -> bool:
     """Whether the times of a session's rows are their numbers."""
-    time = np.sort(rows.constants["time"][rows.session == session])
+    time = np.sort(rows.constants.time[rows.session == session])
     return len(time) > 1 and bool(np.all(np.diff(time) == 1.0))
 
 

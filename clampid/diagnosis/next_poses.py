@@ -118,7 +118,7 @@ def _imagined_rows(campaign: Campaign, estimate: Estimate, q: Array, direction: 
         table[f"q{i + 1}_rad"], table[f"dir{i + 1}"] = q[pose, i], direction[pose, i]
     # Elapsed time counts from the first row of the campaign: the measured table stays beside the imagined one.
     imagined = replace(campaign, tables=MappingProxyType({"poses": frame, "verification": table}))
-    base = {int(s): rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]] for s in rows.session[:1]}
+    base = {int(s): rows.pose.base_reference[np.flatnonzero(rows.session == s)[0]] for s in rows.session[:1]}
     made = pose_rows([imagined], rows.layout, "verification", base)
     # What depends on the measured point takes the predicted one.
     residual, _ = estimate.experiment.with_rows(made).residual(estimate.theta)

@@ -83,7 +83,7 @@ def runs_to_choose(
     for start in range(0, len(kinds), CHUNK):
         few = [kind.course for kind in kinds[start : start + CHUNK]]
         rows = _imagined_rows(campaign, estimate, cell, few, rate / noise.together, state, fastest)
-        information += columns_seen_by(sparse, candidates, rows, rows.constants["run"])
+        information += columns_seen_by(sparse, candidates, rows, rows.series.run)
     nuisance, columns = joined(information, candidates, len(estimate.slots))
     assumed = (*assumed, f"the robot is {TEMPERATURES[state]}", "the floor is the only obstacle")
 
@@ -204,7 +204,7 @@ def _imagined_rows(
     since = float(own.signals["elapsed"].max()) if state == "warm" else 0.0
     signals = {**rows.signals, "elapsed": rows.signals["elapsed"] + since}
     noise = _neighbouring(estimate)
-    used = planned_rows(cell, noise, rate, signals, courses, rows.constants["run"], fastest)
+    used = planned_rows(cell, noise, rate, signals, courses, rows.series.run, fastest)
     return replace(rows, signals=signals, used=used)
 
 

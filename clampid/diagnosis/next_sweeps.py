@@ -63,7 +63,7 @@ def sweeps_to_choose(
         def standing(theta: Array, rows: Rows = rows, few: Sequence[Sweep] = few) -> Array:
             return _standing(estimate, candidates, cell, rows, few, theta)
 
-        information += columns_seen_by(estimate, candidates, rows, rows.constants["run"], standing)
+        information += columns_seen_by(estimate, candidates, rows, rows.series.run, standing)
     nuisance, columns = joined(information, candidates, len(estimate.slots))
 
     def plan(chosen: Sequence[int], wished: dict[str, float | int | str]) -> Plan:
@@ -111,7 +111,7 @@ def _stiffness(estimate: Estimate, described: Array) -> Array:
 def _places(estimate: Estimate, cell: Cell, limits: Limits, seed: int) -> Array:
     """Postures ``(k, n)``, rad: those in which the flange has been clamped, and others clear of the floor."""
     known: list[Array] = []
-    for q in estimate.experiment.rows.constants["reference"]:
+    for q in estimate.experiment.rows.sweep.reference:
         inside = np.all((q >= limits.lower) & (q <= limits.upper))
         if inside and all(np.max(np.abs(q - other)) > ALIKE for other in known):
             known.append(np.round(q, 6))
@@ -173,9 +173,9 @@ def _standing(
     for c in candidates:
         slots |= dict.fromkeys([*c.slots, *c.shapes])
     chain = estimate.experiment.with_rows(rows).with_slots(tuple(slots)).chain
-    run = rows.constants["run"]
+    run = rows.series.run
     load = np.array([_load(cell, sweeps[s].posture) for s in run])
     at, _ = standing_angles(rows, chain, theta, load)
-    still = at - rows.constants["wound"]
+    still = at - rows.sweep.wound
     first = np.array([np.flatnonzero(run == s)[0] for s in range(len(sweeps))])
-    return np.array([still[first[s], j] if j < cell.robot.n else 0.0 for s, j in rows.constants["offset_keys"]])
+    return np.array([still[first[s], j] if j < cell.robot.n else 0.0 for s, j in rows.series.offset_keys])

@@ -270,7 +270,7 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
     air = _air(rows)
     out = []
     for i in range(n):
-        sign, mine = s["motor_motion"][:, i], (rows.constants["driven"] == i).astype(float)
+        sign, mine = s["motor_motion"][:, i], (rows.sweep.driven == i).astype(float)
         stiff = 1.0 / max(float(T[i, i] ** 2), 1e-12)
         name = i + 1
         own: list[Covariate] = [
@@ -285,9 +285,9 @@ def _sweep_covariates(rows: Rows) -> list[list[Covariate]]:
             *air,
         ]
         for k in range(n):
-            x = rows.constants["wound"][:, k] * np.sqrt(stiff)
+            x = rows.sweep.wound[:, k] * np.sqrt(stiff)
             x = x / max(float(np.std(x)), 1e-12)
-            driven = rows.constants["driven"] == k
+            driven = rows.sweep.driven == k
             moved = np.where(driven, x, 0.0)
             powers = (moved**2, moved**3) if k == i else (moved, moved**2, moved**3)
             own.append((f"motor angle {k + 1}", (f"motor{k + 1}",), np.column_stack(powers)))

@@ -89,7 +89,7 @@ def _smooth(rows: Rows, white: Whitened, mine: Mapping[int, slice]) -> Array:
     """Slow cosines of the time of measurement ``(M, k)``, for each channel its own: what is smooth does not wander."""
     out = np.zeros((len(white.residual), COSINES * len(mine)))
     for number, own in enumerate(mine.values()):
-        time = rows.constants["time"][white.entry[own]]
+        time = rows.constants.time[white.entry[own]]
         share = (time - time.min()) / max(float(np.ptp(time)), 1e-12)
         out[own, COSINES * number : COSINES * (number + 1)] = np.cos(np.pi * share[:, None] * np.arange(1, COSINES + 1))
     return out

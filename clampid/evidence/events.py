@@ -132,7 +132,7 @@ def _unit_steps(estimate: Estimate, effect: Effect) -> Array:
 
 def _positions(rows: Rows) -> tuple[Integers, Integers]:
     """Where each row stands in its sweep, from 0, and how many rows that has: ``(N,)`` each."""
-    _, run, length = np.unique(rows.constants["run"], return_inverse=True, return_counts=True)
+    _, run, length = np.unique(rows.series.run, return_inverse=True, return_counts=True)
     share = rows.signals["sweep_progress"] % 1.0
     return np.rint(share * length[run]).astype(np.int64), length[run]
 
@@ -144,7 +144,7 @@ def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
     """
     rows, white, k = estimate.experiment.rows, estimate.whitened, steps.shape[2]
     position, length = _positions(rows)
-    run, progress = rows.constants["run"], rows.signals["sweep_progress"]
+    run, progress = rows.series.run, rows.signals["sweep_progress"]
     starts = np.arange(BLOCK_ROWS, int(length.max(initial=0)) - BLOCK_ROWS + 1)
     sums: dict[int, _Sums] = {}
     for first, stop in channel_starts(white):
@@ -162,7 +162,7 @@ def _scanned(estimate: Estimate, space: Space, steps: Array) -> Scan | None:
         if value is not None:
             time.append(float(progress[row]) - 0.5 / float(length[row]))
             explained.append(value / space.scale**2)
-            driven.append(int(rows.constants["driven"][row]))
+            driven.append(int(rows.sweep.driven[row]))
     return Scan(np.array(time), np.array(explained), np.array(driven, dtype=np.int64)) if time else None
 
 

@@ -213,7 +213,7 @@ def _at_rest(rows: Rows) -> dict[str, Array]:
     out: dict[str, Array] = {}
     for s in np.unique(rows.session):
         own = rows.session == s
-        found = gravity_regressors(rows.robot, rows.constants["gravity_vector"][s], rows.signals["q"][own])
+        found = gravity_regressors(rows.robot, rows.log.gravity_vector[s], rows.signals["q"][own])
         for name, values in found.items():
             out.setdefault(name, np.zeros_like(rows.signals[name]))[own] = values
     return out

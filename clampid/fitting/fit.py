@@ -118,7 +118,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
     """
     for _ in range(BAR_PASSES):
         rows = estimate.experiment.rows
-        stated = rows.constants.get("stated", ())
+        stated = rows.constants.stated
         if not any(s.bar for s in stated):
             return estimate
         now = about(stated, estimate.values())
@@ -129,7 +129,7 @@ def _along_bars(estimate: Estimate, priors: Sequence[Prior]) -> Estimate:
         ]
         if max(float(m.max()) for m in moved) < BAR_MOVED:
             return estimate
-        experiment = estimate.experiment.with_rows(replace(rows, constants={**rows.constants, "stated": now}))
+        experiment = estimate.experiment.with_rows(replace(rows, constants=replace(rows.constants, stated=now)))
         precision, mean = prior_of(experiment, priors)
         mean = np.where(experiment.fixed(), estimate.theta, mean)
         estimate = solve(experiment, estimate.theta, estimate.noise, precision, mean)
@@ -176,7 +176,7 @@ def _kept_first(experiment: FitProblem, theta: Array, noise: Noise, precision: A
     """
     if not _yields(experiment):
         return theta
-    motors = experiment.rows.constants["offset_keys"][:, 1] >= experiment.rows.robot.n
+    motors = experiment.rows.series.offset_keys[:, 1] >= experiment.rows.robot.n
     kept = len(experiment.slots) + np.flatnonzero(motors)
     held = holding(experiment, precision, kept, FIRST_FRICTION_STEP)
     return solve(experiment, theta, noise, held, mean).theta if len(kept) else theta

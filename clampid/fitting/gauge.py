@@ -49,7 +49,7 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
     q = rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi), (len(chosen), robot.n))
     sample = rows.take(chosen)
     anchor = sample.signals["anchor_is"] @ rng.uniform(-ABOUT, ABOUT, (len(rows.layout.anchors), 3))
-    constants = {**sample.constants, "anchor": anchor}
+    constants = replace(sample.pose, anchor=anchor)
     sample = replace(sample, signals={**sample.signals, "q": q}, constants=constants)
     trial = fit_problem(sample, effects, slots)
     _, jacobian = trial.residual(np.zeros(len(slots)))
@@ -72,7 +72,7 @@ def independent_geometry(rows: Rows, effects: Mapping[str, Effect]) -> tuple[Slo
 
 def _stated(rows: Rows, slots: tuple[Slot, ...], size: Array, jacobian: Array) -> Array:
     """What is known beforehand, as rows ``(m, P)`` about as large as those measured: which directions, not how well."""
-    at, matrix, _ = stated_equations(rows.constants.get("stated", ()), {slot: k for k, slot in enumerate(slots)})
+    at, matrix, _ = stated_equations(rows.constants.stated, {slot: k for k, slot in enumerate(slots)})
     out = np.zeros((len(matrix), len(slots)))
     out[:, at] = matrix * size[at]
     length = np.linalg.norm(out, axis=1, keepdims=True)

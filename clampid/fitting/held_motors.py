@@ -63,9 +63,9 @@ class _Sweeps:
     @classmethod
     def of(cls, experiment: FitProblem, noise: Noise, theta: Array, precision: Array, mean: Array) -> _Sweeps:
         count, rows = len(experiment.slots), experiment.rows
-        keys = rows.constants["offset_keys"]
+        keys = rows.series.offset_keys
         own = np.asarray(precision[count:, count:])
-        clamping = np.arange(int(rows.constants["run"].max()) + 1)
+        clamping = np.arange(int(rows.series.run.max()) + 1)
         for a, b in np.argwhere(np.triu(own != 0.0, 1)):
             pair = clamping[keys[[a, b], 0]]
             clamping[clamping == pair.max()] = pair.min()
@@ -73,7 +73,7 @@ class _Sweeps:
 
     def only(self, clampings: Bools) -> _Sweeps:
         """The rows of some clampings ``(sweeps,)`` alone."""
-        chosen = np.flatnonzero(clampings[self.clamping[self.rows.constants["run"]]])
+        chosen = np.flatnonzero(clampings[self.clamping[self.rows.series.run]])
         if len(chosen) == len(self.rows):
             return self
         index = self.index[clampings[self.clamping[self.keys[self.index, 0]]]]
@@ -85,7 +85,7 @@ class _Sweeps:
         residual, by_angle = residual_by_angle(rows, self.experiment.chain, self.theta, own[self.index])
         kept = np.broadcast_to(np.eye(n), (len(rows), n, n))
         white = self.noise.whiten(rows, residual, np.concatenate([by_angle, kept], axis=2))
-        run = rows.constants["run"][white.entry]
+        run = rows.series.run[white.entry]
         lever = self.precision @ (own - self.mean)
         prior = np.bincount(self.clamping[self.keys[:, 0]], (own - self.mean) * lever, count)
         cost = np.bincount(self.clamping[run], white.residual**2, count) + prior
@@ -158,7 +158,7 @@ def other_crossings(experiment: FitProblem, noise: Noise, theta: Array, precisio
 def _live(experiment: FitProblem, theta: Array) -> Bools:
     """Held motors ``(sweeps, n)`` whose joint's torque the model, its clearances closed, lets change tellably."""
     rows, n, count = experiment.rows, experiment.rows.robot.n, len(experiment.slots)
-    keys, run = rows.constants["offset_keys"], rows.constants["run"]
+    keys, run = rows.series.offset_keys, rows.series.run
     angle, _ = standing_angles(rows, experiment.chain, theta[:count], np.zeros((len(rows), n)))
     torque = -np.linalg.solve(_strained(experiment, theta[:count]), angle[:, :, None])[:, :, 0]
     limit = rows.sigma / np.abs(np.diag(np.asarray(rows.robot.transmission)))
@@ -172,7 +172,7 @@ def _live(experiment: FitProblem, theta: Array) -> Bools:
 def _strained(experiment: FitProblem, theta: Array) -> Array:
     """The balance by torque ``(N, n, n)``, rad/Nm, where no joint is in its clearance."""
     rows = experiment.rows
-    far = np.tile(rows.constants["rated"], (len(rows), 1))
+    far = np.tile(rows.sweep.rated, (len(rows), 1))
     return standing_angles(rows, experiment.chain, theta, far)[1]
 
 
@@ -188,7 +188,7 @@ def _stands(sweeps: _Sweeps, live: Bools) -> Iterator[tuple[int, list[list[int]]
                 stands[-1].append(int(s))
             else:
                 stands.append([int(s)])
-        sign_known = sweeps.rows.constants["kept_sign"]
+        sign_known = sweeps.rows.sweep.kept_sign
         stands = [s for s in stands if live[s, motor].any() and not sign_known[s[0], motor]]
         while stands:
             clampings = [int(sweeps.clamping[s[0]]) for s in stands]
@@ -205,7 +205,7 @@ def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]])
     """
     table = _Table.of(sweeps, own, motor)
     n, count = sweeps.rows.robot.n, len(sweeps.clamping)
-    limit = LARGEST * sweeps.rows.constants["held_friction"][motor]
+    limit = LARGEST * sweeps.rows.sweep.held_friction[motor]
     levels = [[c for c in table.changes(stand) if abs(table.kept[stand[0]] + c) < limit] for stand in stands]
     found: list[list[tuple[float, tuple[bool, ...], float, Array]]] = [[] for _ in stands]
     for k in range(max(map(len, levels), default=0)):
@@ -263,7 +263,7 @@ class _Table:
         kept = np.zeros(len(sweeps.clamping))
         at = keys[:, 1] == len(T) + motor
         kept[keys[at, 0]] = own[at]
-        run, counts = rows.constants["run"], rows.used.all(axis=1)
+        run, counts = rows.series.run, rows.used.all(axis=1)
         return cls(
             sweeps, motor, kept, torque, np.sqrt(rows.sigma**2 @ (inverse**2).T), inverse[:, motor],
             T @ np.linalg.inv(_strained(sweeps.experiment, sweeps.theta)),
@@ -290,7 +290,7 @@ class _Table:
     def balance(self, change: Array) -> tuple[Array, Bools, Array]:
         """What changed frictions ``(sweeps,)`` leave of the balance, by sweep: chi-square, crossed or not, angles."""
         rows, theta = self.sweeps.rows, self.sweeps.theta
-        torque = self.torque - change[rows.constants["run"], None] * self.lever
+        torque = self.torque - change[rows.series.run, None] * self.lever
         angle, _ = standing_angles(rows, self.sweeps.experiment.chain, theta, torque)
         side = torque / np.sqrt(torque**2 + rows.signals["rest_direction"] ** 2)
         gap = np.where(np.abs(torque) < NEAR * self.spread, self.sweeps.experiment.clearances(theta), 0.0)

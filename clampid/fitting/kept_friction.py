@@ -43,7 +43,7 @@ def _open(estimate: Estimate, at: float) -> Array:
     """Second moment ``(6, 6)`` of what a slip at that ``sweep_progress`` may differ by, (w, v), rad and m."""
     experiment, n = estimate.experiment, estimate.experiment.rows.robot.n
     rows, count = experiment.rows, len(estimate.slots)
-    mine = np.flatnonzero(rows.constants["run"] == int(at))
+    mine = np.flatnonzero(rows.series.run == int(at))
     after = int(np.searchsorted(rows.signals["sweep_progress"][mine], at))
     if not 0 < after < len(mine):
         return np.zeros((6, 6))
@@ -53,10 +53,10 @@ def _open(estimate: Estimate, at: float) -> Array:
     kept = rows.offset_table(offsets, 2)[beside[0], n:]
     gap = experiment.clearances(theta)
     held = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
-    limit = np.where(held, rows.constants["held_friction"], 0.0)
+    limit = np.where(held, rows.sweep.held_friction, 0.0)
     drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (DRAWS, n)) * limit, kept)
     T = np.asarray(rows.robot.transmission)
     other = torque + np.linalg.solve(T, (kept - drawn).T).T[:, None, :]  # (DRAWS, 2, n)
     passed = 0.5 * (np.sign(other[:, 1]) - np.sign(other[:, 0])) - 0.5 * (np.sign(torque[1]) - np.sign(torque[0]))
-    slip = (passed * gap) @ np.linalg.pinv(rows.constants["inverse_jacobian"][beside[0]]).T
+    slip = (passed * gap) @ np.linalg.pinv(rows.sweep.inverse_jacobian[beside[0]]).T
     return np.asarray(slip.T @ slip / DRAWS)

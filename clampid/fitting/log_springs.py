@@ -84,7 +84,7 @@ def rows_by_springs(estimate: Estimate) -> Array | None:
     torques = np.zeros((len(part), rows.robot.n, rows.robot.n))
     for s in np.unique(part.session):
         own = part.session == s
-        weight, gravity = (rows.constants[name][s] for name in ("weight", "gravity_vector"))
+        weight, gravity = (rows.log.weight[s], rows.log.gravity_vector[s])
         torques[own] = spring_torques(rows.robot, weight, gravity, part.signals["q"][own])
     if not torques.any():
         return None

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from clampid.fitting.anisotropy import relative_axes
 from clampid.fitting.wander import course_of
 from clampid.stages.prewhitening import Grouping, Predictors, Whitener, autocorrelation, lag_products, settled
+from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Late", "Noise", "Whitened", "groups_of", "initial_noise", "learn_noise"]
@@ -203,7 +204,7 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
     if rows.kind.points:
         sigma[:, :3] *= relative_axes(rows, residual)
         return Noise(sigma)
-    autocorrelations, counts, together = [], [], int(rows.constants.get("together", 1))
+    autocorrelations, counts, together = [], [], rows.log.together if isinstance(rows.constants, LogConstants) else 1
     for c in range(residual.shape[1]):
         index = np.flatnonzero(rows.used[:, c])
         x = residual[:, c, None] if absorbed is None else np.c_[residual[:, c], absorbed[:, c]]
@@ -218,5 +219,5 @@ def learn_noise(rows: Rows, residual: Array, absorbed: Array | None = None) -> N
 
 def groups_of(rows: Rows, index: Integers, together: int) -> Grouping:
     """The groups of some rows ``(k,)``; of a log that is thinned, by their places in the whole of it."""
-    place = index if together == 1 else rows.constants["log_row"][index]
+    place = index if together == 1 else rows.log.log_row[index]
     return Grouping.of(place, rows.stretch[index], together)

@@ -87,7 +87,7 @@ def open_turns(rows: Rows) -> tuple[OpenTurn, ...]:
     error = float(np.hypot(POINT_ERROR_M, POINT_ERROR_RAD * rows.robot.stretched))
     for session in np.unique(rows.session):
         mine = (rows.session == session) & ~rows.ranged & rows.used[:, :3].all(axis=1)
-        if not mine.any() or rows.constants["oriented"][mine].any():
+        if not mine.any() or rows.pose.oriented[mine].any():
             continue
         turn = _open(rows, int(session), rows.measured[mine, :3], error)
         if turn is not None:
@@ -117,7 +117,7 @@ def _stated(rows: Rows, session: int, centre: Array) -> Array:
     """What is stated of a turn about the points' centre ``(3, 3)``, 1/rad², instrument axes."""
     place = rows.layout.sessions[session]
     slots = [slot_of("base_frame", place, a) for a in ("rx", "ry", "rz", "x", "y", "z")]
-    at, matrix, _ = stated_equations(rows.constants.get("stated", ()), {slot: k for k, slot in enumerate(slots)})
+    at, matrix, _ = stated_equations(rows.constants.stated, {slot: k for k, slot in enumerate(slots)})
     if not len(at):
         return np.zeros((3, 3))
     X = _reference(rows, session)
@@ -128,15 +128,15 @@ def _stated(rows: Rows, session: int, centre: Array) -> Array:
 
 
 def _reference(rows: Rows, session: int) -> Array:
-    return np.asarray(rows.constants["base_reference"][np.flatnonzero(rows.session == session)[0]])
+    return np.asarray(rows.pose.base_reference[np.flatnonzero(rows.session == session)[0]])
 
 
 def _turned(rows: Rows, turn: OpenTurn, angles: Array) -> Rows:
     """The rows with the base of one session turned by angles ``(k,)``."""
-    reference = rows.constants["base_reference"].copy()
+    reference = rows.pose.base_reference.copy()
     mine = rows.session == turn.session
     reference[mine] = turn.by(angles) @ reference[mine]
-    return replace(rows, constants={**rows.constants, "base_reference": reference})
+    return replace(rows, constants=replace(rows.pose, base_reference=reference))
 
 
 def from_likeliest_turn(experiment: FitProblem, priors: Sequence[Prior]) -> Rows:

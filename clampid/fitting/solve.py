@@ -350,12 +350,11 @@ def start_of(experiment: FitProblem, start: Mapping[Slot, float] | None, priors:
     known = {slot: float(v) for prior in priors for slot, v in zip(prior.slots, prior.mean, strict=True)}
     known |= dict(start or {})
     # A drive without spring would be infinitely stiff, and its torque undefined: the loops' slopes are the start.
-    stiffness = experiment.rows.constants.get("loop_compliance", np.zeros(0))
     for k, slot in enumerate(experiment.slots):
         if slot in known:
             theta[k] = known[slot]
         elif experiment.kind.solved and experiment.parameters[k].role == "compliance":
-            theta[k] = stiffness[int(slot.place.removeprefix("joint")) - 1]
+            theta[k] = experiment.rows.sweep.loop_compliance[int(slot.place.removeprefix("joint")) - 1]
     if experiment.kind.solved:
         theta[len(experiment.slots) :] = clamping_offsets(experiment, theta)
     return theta
@@ -367,11 +366,11 @@ def clamping_offsets(experiment: FitProblem, theta: Array) -> Array:
     Of the friction that held motors keep: what their last motion left, or none where that is not known.
     """
     rows, n = experiment.rows, experiment.rows.robot.n
-    torque = rows.constants["start_torque"]
+    torque = rows.sweep.start_torque
     d = experiment.chain.evaluate(theta[: len(experiment.slots)], rows.signals, torque)
-    wound = rows.constants["wound"] + d.values[:, :n]
-    run = rows.constants["run"]
-    keys, kept = rows.constants["offset_keys"], rows.constants["kept_sign"] * rows.constants["held_friction"]
+    wound = rows.sweep.wound + d.values[:, :n]
+    run = rows.series.run
+    keys, kept = rows.series.offset_keys, rows.sweep.kept_sign * rows.sweep.held_friction
     return np.array([wound[run == s, j].mean() if j < n else kept[s, j - n] for s, j in keys])
 
 

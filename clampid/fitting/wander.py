@@ -66,7 +66,7 @@ def course_of(rows: Rows, entry: Integers) -> Course:
 
     Steps are visits of poses, between two of a session always one; of logs the usual time between two numbers.
     """
-    time, count = rows.constants["time"][entry], len(entry)
+    time, count = rows.constants.time[entry], len(entry)
     if count == 0:
         return Course(np.zeros(0, dtype=np.int64), np.zeros(0))
     if rows.kind.points:
@@ -92,7 +92,7 @@ def in_time(rows: Rows, index: Integers) -> tuple[Integers, Integers]:
     """Of each of some rows of a session ``(k,)`` its visit, and of each visit its number in the order of time."""
     _, visit = np.unique(rows.unit[index], return_inverse=True)
     count = np.bincount(visit)
-    time = np.bincount(visit, rows.constants["time"][index]) / count
+    time = np.bincount(visit, rows.constants.time[index]) / count
     return visit, np.argsort(np.argsort(time, kind="stable"))
 
 

@@ -189,7 +189,7 @@ def fit_stage(
     reference = {}
     if rows.kind.points:
         for s in np.unique(rows.session):
-            reference[int(s)] = rows.constants["base_reference"][np.flatnonzero(rows.session == s)[0]]
+            reference[int(s)] = rows.pose.base_reference[np.flatnonzero(rows.session == s)[0]]
     return FittedStage(
         _model_of(estimate, rows, terms, held, carried_prior), estimate, reference, rows, contradicted, universal
     )

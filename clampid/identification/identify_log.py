@@ -30,6 +30,7 @@ from clampid.stages.counting import explains_acceleration
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.log_design import KEPT_BYTES, LogDesign, fold_table
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, facts_of
+from clampid.stages.row_constants import SeriesConstants
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["FittedLog", "LogStage"]
@@ -227,6 +228,5 @@ class LogStage:
             table=np.array([self.parts[p].name for p in folds["part"]]),
             row=index + 1,
             session=folds["session"],
-            constants={"run": folds["run"], "time": np.zeros(count), "offset_keys": offset_keys},
-            per_row=("time", "run"),
+            constants=SeriesConstants(run=folds["run"], time=np.zeros(count), offset_keys=offset_keys),
         )

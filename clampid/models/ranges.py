@@ -187,7 +187,7 @@ def read_ranges(data: Mapping[str, Any] | None) -> Ranges | None:
 
 def ranges_of(rows: Rows, outliers: Bools) -> Ranges:
     """The ranges of the pose rows of a fit, those rejected ``(N,)`` left out."""
-    values, masses = _recorded(rows.take(~outliers)), rows.constants["tool_mass"][~outliers]
+    values, masses = _recorded(rows.take(~outliers)), rows.pose.tool_mass[~outliers]
     known = np.isfinite(values)
     lower = np.where(known, values, np.inf).min(axis=0, initial=np.inf)
     upper = np.where(known, values, -np.inf).max(axis=0, initial=-np.inf)
@@ -199,7 +199,7 @@ def ranges_of(rows: Rows, outliers: Bools) -> Ranges:
 
 def _recorded(rows: Rows) -> Array:
     """Angles, gravity torques and temperatures ``(N, 3, n)`` of pose rows; not a number where none was recorded."""
-    warmth = np.where(rows.constants["link_recorded"], rows.signals["link_temperature"] + REFERENCE_TEMPERATURE, np.nan)
+    warmth = np.where(rows.pose.link_recorded, rows.signals["link_temperature"] + REFERENCE_TEMPERATURE, np.nan)
     return np.stack([rows.signals["q"], rows.signals["gravity_torque"], warmth], axis=1)
 
 
@@ -231,7 +231,7 @@ def beyond_rows(
     for k, i in np.argwhere((distance > 0).any(axis=0)).tolist():
         furthest = float(values[np.argmax(distance[:, k, i]), k, i])
         found.append((ranges._beyond(k, i, furthest), int((distance[:, k, i] > 0).sum())))
-    masses = rows.constants["tool_mass"]
+    masses = rows.pose.tool_mass
     for mass in np.unique(masses).tolist():
         for other in ranges.beyond_mass(mass):
             far = far | (masses == mass)

@@ -86,16 +86,16 @@ class ClampingBench:
         soft = np.tile(GAP_SOFTNESS * self.noise.sigma / ratio, (len(rows), 1))
         rows = replace(rows, signals={**rows.signals, "rest_direction": soft})
         _, jacobian = self.experiment.with_rows(rows).residual(self._theta(rows, sweeps))
-        count, run = len(self.slots), rows.constants["run"]
+        count, run = len(self.slots), rows.series.run
         out = []
         for number in range(len(sweeps)):
-            own = np.flatnonzero(rows.constants["offset_keys"][:, 0] == number) + count
+            own = np.flatnonzero(rows.series.offset_keys[:, 0] == number) + count
             columns = np.r_[np.arange(count), own]
             information = np.zeros((len(columns), len(columns)))
             for channel in range(jacobian.shape[1]):
                 at = np.flatnonzero((run == number) & rows.used[:, channel])
                 if len(at):
-                    white = self.noise.white(rows.constants["time"][at], jacobian[at, channel][:, columns])
+                    white = self.noise.white(rows.constants.time[at], jacobian[at, channel][:, columns])
                     white = white / self.noise.sigma[channel]
                     information += white.T @ white
             A, B, C = information[:count, :count], information[:count, count:], information[count:, count:]
@@ -114,8 +114,8 @@ class ClampingBench:
                 theta[k] = self.size[k]
         T = np.asarray(self.cell.robot.transmission)
         C = T.T @ (T / self.press.stiffness[:, None])
-        for k, (sweep, joint) in enumerate(rows.constants["offset_keys"]):
-            posture, reference = sweeps[sweep].posture, rows.constants["reference"][sweep]
+        for k, (sweep, joint) in enumerate(rows.series.offset_keys):
+            posture, reference = sweeps[sweep].posture, rows.sweep.reference[sweep]
             theta[len(self.slots) + k] = (posture - reference - C @ self._load(posture))[joint]
         return theta
 

@@ -153,7 +153,7 @@ class LogBench:
         """Information of every move of every course; each course is a run of its own."""
         joined = planned_log(courses, self.rate)
         rows = torque_rows([imagined(self.cell, free_air=joined)], self.layout)
-        run = rows.constants["run"]
+        run = rows.series.run
         used = planned_rows(self.cell, self.noise, self.rate, rows.signals, courses, run, self.fastest)
         here = self.experiment.with_rows(rows)
         _, jacobian = here.residual(np.zeros(len(self.slots) + rows.offsets))

@@ -15,7 +15,7 @@ from clampid.report.stage_data import StageData
 from clampid.report.style import Figure, Section, Table, as_table
 from clampid.role_slots import any_of_role
 from clampid.stages.clamped import fixture_motion
-from clampid.stages.rows import Array
+from clampid.stages.rows import Array, Integers
 
 __all__ = ["drives_section"]
 
@@ -95,7 +95,7 @@ def _fixture(data: StageData) -> Figure | None:
     rows = data.first.rows
     seen = thin(len(rows), MOST_ROWS)
     titles = [f"along {a}" for a in AXES] + [f"about {a}" for a in AXES]
-    sensor, model = _from_mean(_sensor(frame), rows.constants["run"]), _modelled(data)
+    sensor, model = _from_mean(_sensor(frame), rows.series.run), _modelled(data)
     panels = []
     for k in range(6):
         marks: list[Mark] = [Points(seen.astype(float), 1e6 * sensor[seen, k], "sensor", "grey", 2.5)]
@@ -124,10 +124,10 @@ def _modelled(data: StageData) -> Array | None:
     theta = np.r_[data.model.theta, np.zeros(trial.offsets)]
     offsets = clamping_offsets(trial, theta)
     moved = fixture_motion(trial.rows, trial.chain, data.model.theta, offsets)
-    return _from_mean(np.c_[moved[:, 3:], moved[:, :3]], trial.rows.constants["run"])
+    return _from_mean(np.c_[moved[:, 3:], moved[:, :3]], trial.rows.series.run)
 
 
-def _from_mean(values: Array, sweep: Sequence[int] | Array) -> Array:
+def _from_mean(values: Array, sweep: Sequence[int] | Integers) -> Array:
     """Values less the mean of their sweep: at which posture a sweep was clamped is not known."""
     out = values - np.nan_to_num(np.nanmean(values, axis=0))
     for s in np.unique(sweep):

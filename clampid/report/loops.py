@@ -20,7 +20,7 @@ DEGREES = Scale(180.0 / np.pi, "deg")
 def loops_figure(data: StageData) -> Figure:
     """Motor torque against motor angle, driven joint by driven joint."""
     piece = data.first
-    driven, sweep = piece.rows.constants["driven"], piece.rows.constants["run"]
+    driven, sweep = piece.rows.sweep.driven, piece.rows.series.run
     joints = np.unique(driven).tolist()
     springs = any_of_role(data.model.slots, "compliance")
     drives = drives_of(data.model, piece.rows.robot) if springs else None

@@ -39,7 +39,7 @@ def arm_points(robot: RobotDescription, q: Array) -> Array:
 
 def base_pose(data: StageData) -> tuple[Array, Array]:
     """Where the instrument sees the robot's base: rotation ``(3, 3)`` and position ``(3,)``."""
-    reference = data.first.rows.constants["base_reference"][0]
+    reference = data.first.rows.pose.base_reference[0]
     twist = np.zeros(6)
     names = ("rx", "ry", "rz", "x", "y", "z")
     for slot, value in data.model.values().items():

@@ -150,7 +150,7 @@ def _aligned(opened: ModelOnCampaign, rows: Rows) -> dict[int, Array]:
     rows = rows.points
     residual = predicted(opened.fit_problem("poses", rows), model.theta)
     motion = align(rows.measured[:, :3] - residual[:, :3], rows.measured[:, :3])
-    return {0: motion @ rows.constants["base_reference"][0]}
+    return {0: motion @ rows.pose.base_reference[0]}
 
 
 def _piece(opened: ModelOnCampaign, stage: Stage, rows: Rows, verification: bool) -> Piece:

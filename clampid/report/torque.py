@@ -35,7 +35,7 @@ def torque_section(stages: Mapping[Stage, StageData]) -> Section | None:
 def _best_stretch(data: StageData) -> Integers:
     """The minute of a run in which most motors move; rows held out are preferred, where there are any."""
     piece = data.first
-    run, time = piece.rows.constants["run"], piece.rows.constants["time"]
+    run, time = piece.rows.series.run, piece.rows.constants.time
     wanted = piece.held_out if piece.held_out.any() else np.ones(len(run), dtype=bool)
     best, most = np.arange(min(len(run), MOST_STRETCH)), -1.0
     for r in np.unique(run[wanted]):
@@ -53,7 +53,7 @@ def _stretch(data: StageData) -> Figure:
     """Torque and, below it, what the model leaves of it, motor by motor."""
     piece, motors = data.first, data.channels
     rows = _best_stretch(data)
-    time = piece.rows.constants["time"][rows]
+    time = piece.rows.constants.time[rows]
     across = min(motors, 3)
     down = int(np.ceil(motors / across))
     measured, residual = piece.rows.measured[rows], piece.residual[rows]
@@ -83,7 +83,7 @@ def _stretch(data: StageData) -> Figure:
             panels.append(Panel(below, Axis(), up))
         panels += [Panel(())] * (across - len(row)) if r < down - 1 else []
     plot = Chart(tuple(panels), 310 * down + 40, across, (3.0, 1.4) * down, below="time, s")
-    table, run = str(piece.rows.table[rows[0]]), int(piece.rows.constants["run"][rows[0]]) + 1
+    table, run = str(piece.rows.table[rows[0]]), int(piece.rows.series.run[rows[0]]) + 1
     kind = "held out" if piece.held_out[rows].all() else "fitted"
     caption = (
         f"Measured and predicted motor torques over {time[-1] - time[0]:.0f} s of the table {table} (run {run}, from "

@@ -81,11 +81,11 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
         joints("qdd", "acceleration of joint {}, rad/s²", acceleration)
         joints("load", "gravity torque at joint {}, Nm", data.stacked("gravity_torque"))
     if data.kind.solved:
-        found.append(_category("joint driven", "joint driven", data.first.rows.constants["driven"] + 1))
-        found.append(_category("sweep", "sweep", data.first.rows.constants["run"] + 1))
+        found.append(_category("joint driven", "joint driven", data.first.rows.sweep.driven + 1))
+        found.append(_category("sweep", "sweep", data.first.rows.series.run + 1))
         found.append(Variable("sweep_fraction", "fraction of the sweep, 0 to 1", data.stacked("sweep_fraction")))
         joints("dir", "direction of motor {}, ±1", data.stacked("motor_motion"))
-    time = np.concatenate([p.rows.constants["time"] for p in data.pieces])
+    time = np.concatenate([p.rows.constants.time for p in data.pieces])
     factor, unit = (60.0, "min") if np.ptp(time) > 600.0 else (1.0, "s")
     if counts_rows(np.sort(time)):
         found.append(Variable("time", "number of the row", time))

@@ -41,8 +41,8 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Ar
     """
     n, count = rows.robot.n, len(rows)
     T = np.asarray(rows.robot.transmission)
-    run, keys = rows.constants["run"], rows.constants["offset_keys"]
-    inverse = rows.constants["inverse_jacobian"]
+    run, keys = rows.series.run, rows.series.offset_keys
+    inverse = rows.sweep.inverse_jacobian
     left, by_angle, deviations = _by_angle(rows, chain, theta, offsets)
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
     # Implicit differentiation: d tau = -(d balance / d tau)^-1 d balance.
@@ -80,8 +80,8 @@ def residual_by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) ->
 def _by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[Array, Array, Deviations]:
     T, n = np.asarray(rows.robot.transmission), rows.robot.n
     constant = rows.offset_table(offsets, 2)
-    shift = rows.constants["wound"] - constant[:, :n]
-    torque, deviations, slope = _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])
+    shift = rows.sweep.wound - constant[:, :n]
+    torque, deviations, slope = _equilibrium(rows, chain, theta, shift, rows.sweep.inverse_jacobian)
     motor, joint = chain.offsets["motor_torque"], chain.offsets["joint_torque"]
     predicted = (torque + deviations.values[:, joint]) @ T.T + deviations.values[:, motor] + constant[:, n:]
     by_torque = _by_torque(deviations)
@@ -92,8 +92,8 @@ def _by_angle(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> tuple[A
 
 def joint_torques(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
     """Joint torques ``(N, n)``, Nm, at which the model is in balance, friction apart."""
-    shift = rows.constants["wound"] - rows.offset_table(offsets, 2)[:, : rows.robot.n]
-    return _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])[0]
+    shift = rows.sweep.wound - rows.offset_table(offsets, 2)[:, : rows.robot.n]
+    return _equilibrium(rows, chain, theta, shift, rows.sweep.inverse_jacobian)[0]
 
 
 def standing_angles(rows: Rows, chain: Chain, theta: Array, torque: Array) -> tuple[Array, Array]:
@@ -101,16 +101,16 @@ def standing_angles(rows: Rows, chain: Chain, theta: Array, torque: Array) -> tu
 
     The latter ``(N, n, n)``, rad/Nm.
     """
-    n, fixture, inverse = rows.robot.n, chain.offsets["fixture"], rows.constants["inverse_jacobian"]
+    n, fixture, inverse = rows.robot.n, chain.offsets["fixture"], rows.sweep.inverse_jacobian
     d = chain.evaluate(theta, rows.signals, torque)
     moved, rigid = np.einsum("nij,nj->ni", inverse, d.values[:, fixture]), _rigid(rows, chain, theta)
-    return rows.constants["wound"] + d.values[:, :n] - moved - rigid * torque, _slope(d, inverse, fixture, rigid)
+    return rows.sweep.wound + d.values[:, :n] - moved - rigid * torque, _slope(d, inverse, fixture, rigid)
 
 
 def fixture_motion(rows: Rows, chain: Chain, theta: Array, offsets: Array) -> Array:
     """Motion ``(N, 6)`` of the clamped flange that the model gives, (w, v) in the base frame about it, rad and m."""
-    shift = rows.constants["wound"] - rows.offset_table(offsets, 2)[:, : rows.robot.n]
-    _, deviations, _ = _equilibrium(rows, chain, theta, shift, rows.constants["inverse_jacobian"])
+    shift = rows.sweep.wound - rows.offset_table(offsets, 2)[:, : rows.robot.n]
+    _, deviations, _ = _equilibrium(rows, chain, theta, shift, rows.sweep.inverse_jacobian)
     return np.asarray(deviations.values[:, chain.offsets["fixture"]])
 
 
@@ -124,7 +124,7 @@ def _equilibrium(
     n = rows.robot.n
     fixture = chain.offsets["fixture"]
     signals = {name: rows.signals[name] for name, _ in chain.signals if name != "torque"} or {"q": rows.signals["q"]}
-    scale = rows.constants["rated"]
+    scale = rows.sweep.rated
     step_limit = 0.5 * scale
     rigid = _rigid(rows, chain, theta)
 
@@ -169,8 +169,8 @@ def _rigid(rows: Rows, chain: Chain, theta: Array) -> Array:
     """
     T = np.asarray(rows.robot.transmission)
     first = {name: values[:1] for name, values in rows.signals.items()}
-    far = _by_torque(chain.evaluate(theta, first, CLOSING_TORQUE * rows.constants["rated"][None]))
-    yields, loops = np.abs(np.diag(far[0, : len(T)])), rows.constants["loop_compliance"]
+    far = _by_torque(chain.evaluate(theta, first, CLOSING_TORQUE * rows.sweep.rated[None]))
+    yields, loops = np.abs(np.diag(far[0, : len(T)])), rows.sweep.loop_compliance
     return np.asarray(np.where(yields < NONE, STIFF * np.diag(T.T @ np.diag(loops) @ T), 0.0))
 
 

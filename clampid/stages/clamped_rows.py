@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clampid.slots import Layout
+from clampid.stages.row_constants import SweepConstants
 from clampid.stages.rows import Array, Bools, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
@@ -104,22 +105,21 @@ def clamped_rows(campaigns: Sequence[Campaign], layout: Layout) -> Rows:
         table=np.full(count, "clamped"),
         row=np.concatenate([np.arange(1, len(f) + 1) for f in frames]),
         session=session,
-        constants={
-            "run": sweep,
-            "time": time,
-            "offset_keys": np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
-            "loop_compliance": compliance,
-            "held_friction": loop_friction(motor, measured, motion, used, sweep),
-            "stood": stood,
-            "kept_sign": _kept_signs(motion, used, stood, sweep),
-            "driven": driven,
-            "wound": q - reference[sweep],
-            "reference": reference,
-            "inverse_jacobian": inverse[sweep],
-            "start_torque": measured @ to_joints,
-            "rated": robot.rated_torques,
-        },
-        per_row=("run", "time", "driven", "wound", "inverse_jacobian", "start_torque"),
+        constants=SweepConstants(
+            run=sweep,
+            time=time,
+            offset_keys=np.array([(s, j) for s in range(sweeps) for j in range(n)] + keeping),
+            loop_compliance=compliance,
+            held_friction=loop_friction(motor, measured, motion, used, sweep),
+            stood=stood,
+            kept_sign=_kept_signs(motion, used, stood, sweep),
+            driven=driven,
+            wound=q - reference[sweep],
+            reference=reference,
+            inverse_jacobian=inverse[sweep],
+            start_torque=measured @ to_joints,
+            rated=robot.rated_torques,
+        ),
     )
 
 

@@ -141,11 +141,11 @@ class FitProblem:
     @cached_property
     def _offset_sizes(self) -> tuple[list[float], list[float]]:
         """Reasonable sizes of the offsets, and standard deviations of their priors ``(K,)`` each."""
-        friction = self.rows.constants.get("held_friction", np.zeros(0))
-        size, prior = [], []
-        for _, joint in self.rows.constants.get("offset_keys", ()):
+        size: list[float] = []
+        prior: list[float] = []
+        for _, joint in self.rows.offset_keys:
             kept = joint - self.rows.robot.n
-            size.append(self.kind.offset_size if kept < 0 else float(friction[kept]))
+            size.append(self.kind.offset_size if kept < 0 else float(self.rows.sweep.held_friction[kept]))
             prior.append(WEAK * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
         return size, prior
 
@@ -159,7 +159,7 @@ class FitProblem:
     def _with_statements(self, precision: Array, mean: Array) -> tuple[Array, Array]:
         """A prior with what the campaigns state: of independent errors precisions add, and precisions times means."""
         index = {slot: k for k, slot in enumerate(self.slots)}
-        at, matrix, value = stated_equations(self.rows.constants.get("stated", ()), index)
+        at, matrix, value = stated_equations(self.rows.constants.stated, index)
         if len(value):
             weighted = precision[np.ix_(at, at)] @ mean[at] + matrix.T @ value
             precision[np.ix_(at, at)] += matrix.T @ matrix

@@ -18,19 +18,19 @@ def with_kept_friction(rows: Rows, first: int, precision: Array, mean: Array) ->
     A motor keeps its friction as long as it stands still, but for a little that creeps away: that of its last
     motion, about as large as its own loops show it, or where it has not moved since the arm was clamped, any.
     """
-    constants, n = rows.constants, rows.robot.n
-    keys = [(int(s), int(k)) for s, k in constants["offset_keys"]]
+    sweep, n = rows.sweep, rows.robot.n
+    keys = [(int(s), int(k)) for s, k in sweep.offset_keys]
     place = {key: first + i for i, key in enumerate(keys)}
     for s, k in keys:
         at, before = place[s, k], place.get((s - 1, k))
-        if k < n or not constants["stood"][s, k - n]:
+        if k < n or not sweep.stood[s, k - n]:
             continue
-        friction = float(constants["held_friction"][k - n])
+        friction = float(sweep.held_friction[k - n])
         if before is not None:
             pair = np.ix_([before, at], [before, at])
             mean[at], precision[at, at] = mean[before], 0.0
             precision[pair] += np.array([[1.0, -1.0], [-1.0, 1.0]]) / (CREEP_SHARE * friction) ** 2
-        elif constants["kept_sign"][s, k - n]:
-            mean[at] = constants["kept_sign"][s, k - n] * friction
+        elif sweep.kept_sign[s, k - n]:
+            mean[at] = sweep.kept_sign[s, k - n] * friction
             precision[at, at] = 1.0 / (LOOP_SHARE * friction) ** 2
     return precision, mean

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from clampid.slots import Layout
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, lean_torque, weight_stiffness
+from clampid.stages.row_constants import PoseConstants, joined
 from clampid.stages.rows import Array, Bools, Rows
 from clampid.stages.statements import stated_base_pose, statements_of
 from clampid.stages.temperatures import link_recorded, temperatures
@@ -33,9 +34,6 @@ __all__ = [
 
 DEFAULT_POSITION_STD = 1e-4  # m, of points and of distances, where the instrument's maker says nothing
 DEFAULT_ORIENTATION_STD = 3e-4  # rad
-_PER_ROW = (
-    "target", "ranged", "base_reference", "time", "link_recorded", "tool_mass", "rotation", "oriented", "anchor",
-)  # fmt: skip
 REST_FRICTION = 1e-3  # of rated torque: the dry friction that any bearing has, which decides an unloaded joint's flank
 
 
@@ -107,11 +105,11 @@ def pose_rows(
                 reference = base[s] if base is not None else reference
                 seen = None if anchors is None else anchors[s]
                 parts.append(_one(campaign, s, len(campaigns), layout, name, reference, seen))
-                reference = parts[-1].constants["base_reference"][0]
+                reference = parts[-1].pose.base_reference[0]
                 references[s] = reference if name != "distances" else references[s]
     rows = parts[0] if len(parts) == 1 else join_rows(parts)
     stated = statements_of(campaigns, layout, references)
-    return replace(rows, constants={**rows.constants, "stated": stated}) if stated else rows
+    return replace(rows, constants=replace(rows.constants, stated=stated)) if stated else rows
 
 
 def anchors_of(rows: Rows) -> dict[int, dict[str, Array]]:
@@ -122,13 +120,16 @@ def anchors_of(rows: Rows) -> dict[int, dict[str, Array]]:
         if len(mine):
             session = int(rows.session[mine[0]])
             name = label if len(rows.layout.sessions) == 1 else label.removeprefix(f"session{session + 1}:")
-            found.setdefault(session, {})[name] = rows.constants["anchor"][mine[0]]
+            found.setdefault(session, {})[name] = rows.pose.anchor[mine[0]]
     return found
 
 
 @dataclass(frozen=True)
 class _Read:
-    """What an instrument read: columns of the rows' numbers ``(N, m)``, and constants of theirs that others lack."""
+    """What an instrument read: columns of the rows' numbers ``(N, m)``, and what only some instruments have.
+
+    See :class:`clampid.stages.row_constants.PoseConstants`; ``axes`` as ``noise_axes`` there.
+    """
 
     measured: Array
     sigma: Array
@@ -136,8 +137,10 @@ class _Read:
     reference: Array
     position: Array
     anchor_way: Array
-    constants: Mapping[str, Array]
-    axes: Mapping[str, Array] = field(default_factory=dict)
+    rotation: Array
+    oriented: Bools
+    anchor: Array
+    axes: Array | None = None
 
 
 def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, reference: Array | None) -> _Read:
@@ -158,7 +161,9 @@ def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, referen
         reference=_seen_base(campaign, points, position) if reference is None else reference,
         position=position,
         anchor_way=np.zeros((count, 3)),
-        constants={"rotation": rotation, "oriented": np.full(count, rotated), "anchor": np.zeros((count, 3))},
+        rotation=rotation,
+        oriented=np.full(count, rotated),
+        anchor=np.zeros((count, 3)),
         axes=axes,
     )
 
@@ -196,10 +201,10 @@ def _read_distances(
         reference=reference,
         position=np.zeros((count, 3)),  # the scale of an instrument that sees points is not that of distances
         anchor_way=way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12),
-        constants={
-            "rotation": np.tile(np.eye(3), (count, 1, 1)), "oriented": np.zeros(count, dtype=bool), "anchor": anchor
-        },
-    )  # fmt: skip
+        rotation=np.tile(np.eye(3), (count, 1, 1)),
+        oriented=np.zeros(count, dtype=bool),
+        anchor=anchor,
+    )
 
 
 def _one(
@@ -266,47 +271,48 @@ def _one(
         table=np.full(count, table),
         row=np.arange(1, count + 1),
         session=np.full(count, session),
-        constants={
-            "target": target,
-            "ranged": np.full(count, ranged),
-            "base_reference": np.tile(read.reference, (count, 1, 1)),
-            "time": time,
-            "link_recorded": link_recorded(recorded, n),
-            "tool_mass": np.full(count, float(campaign.tool.mass)),
-            **read.constants,
-            **read.axes,
-        },
-        per_row=(*_PER_ROW, *read.axes),
+        constants=PoseConstants(
+            target=target,
+            ranged=np.full(count, ranged),
+            base_reference=np.tile(read.reference, (count, 1, 1)),
+            time=time,
+            link_recorded=link_recorded(recorded, n),
+            tool_mass=np.full(count, float(campaign.tool.mass)),
+            rotation=read.rotation,
+            oriented=read.oriented,
+            anchor=read.anchor,
+            noise_axes=read.axes,
+        ),
     )
 
 
-def _position_noise(instrument: Instrument, position: Array) -> tuple[Array, dict[str, Array]]:
+def _position_noise(instrument: Instrument, position: Array) -> tuple[Array, Array | None]:
     """Standard deviations ``(N, 3)``, m, of positions ``(N, 3)``, instrument frame, and their axes if not x, y, z.
 
     A tracker's are along the beam, a + b r, and across it, r times that of its angles.
     """
     tracker = instrument.tracker
     if tracker is None:
-        return np.full(position.shape, instrument.position_std or DEFAULT_POSITION_STD), {}
+        return np.full(position.shape, instrument.position_std or DEFAULT_POSITION_STD), None
     r = np.linalg.norm(position, axis=1, keepdims=True)
     beam = position / np.maximum(r, 1e-9)
     # Any two axes across the beam do: both angles have the same error.
     across = np.cross(beam, np.eye(3)[np.argmin(np.abs(beam), axis=1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     sigma = np.hstack([tracker.range_std + tracker.range_rate * r, *[tracker.angle_std * r] * 2])
-    return np.maximum(sigma, 1e-9), {"noise_axes": np.stack([beam, across, np.cross(beam, across)], axis=-1)}
+    return np.maximum(sigma, 1e-9), np.stack([beam, across, np.cross(beam, across)], axis=-1)
 
 
 def _with_axes(parts: Sequence[Rows]) -> Sequence[Rows]:
     """The parts, axes of noise in all of them if one has any: x, y, z where none are given."""
-    if not any("noise_axes" in p.constants for p in parts):
+    if all(p.constants.noise_axes is None for p in parts):
         return parts
-    out = []
-    for p in parts:
-        axes = p.constants.get("noise_axes", np.tile(np.eye(3), (len(p), 1, 1)))
-        names = tuple(dict.fromkeys((*p.per_row, "noise_axes")))
-        out.append(replace(p, constants={**p.constants, "noise_axes": axes}, per_row=names))
-    return out
+    plain = [p for p in parts if p.constants.noise_axes is None]
+    straight = {id(p): np.tile(np.eye(3), (len(p), 1, 1)) for p in plain}
+    return [
+        replace(p, constants=replace(p.constants, noise_axes=straight[id(p)])) if id(p) in straight else p
+        for p in parts
+    ]
 
 
 def join_rows(parts: Sequence[Rows]) -> Rows:
@@ -337,11 +343,7 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
         table=np.concatenate([p.table for p in parts]),
         row=np.concatenate([p.row for p in parts]),
         session=np.concatenate([p.session for p in parts]),
-        constants={
-            k: np.concatenate([p.constants[k] for p in parts]) if k in first.per_row else v
-            for k, v in first.constants.items()
-        },
-        per_row=first.per_row,
+        constants=joined([p.constants for p in parts]),
     )
 
 

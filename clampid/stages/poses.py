@@ -70,13 +70,13 @@ def predict(rows: Rows, deviations: Deviations) -> tuple[Array, Array, Array]:
     sensitivity
         ``(N, 6, S)``: d (position, rotation vector) / d station entries, instrument frame.
     """
-    reference = rows.constants["base_reference"]
+    reference = rows.pose.base_reference
     position, rotation, sensitivity = kernel(rows.robot)(
         _NOTHING,
         rows.signals["q"],
         reference[:, :3, :3].reshape(-1, 9),
         reference[:, :3, 3],
-        rows.constants["target"],
+        rows.pose.target,
         deviations.values,
     )
     return position, rotation.reshape(-1, 3, 3), sensitivity.reshape(len(rows), 6, -1)
@@ -150,8 +150,8 @@ def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
     error[:, :3] = rows.measured[:, :3] - position
     if width == 3:
         return error, sensitivity[:, :3]
-    read = rows.constants["oriented"]
-    error[read, 3:6] = log_so3(rows.constants["rotation"][read] @ np.swapaxes(rotation[read], 1, 2))
+    read = rows.pose.oriented
+    error[read, 3:6] = log_so3(rows.pose.rotation[read] @ np.swapaxes(rotation[read], 1, 2))
     if width == 6 and read.all():
         return error, sensitivity
     seen = np.zeros((len(rows), width, sensitivity.shape[2]))
@@ -159,7 +159,7 @@ def by_station(rows: Rows, deviations: Deviations) -> tuple[Array, Array]:
     seen[~read, 3:6] = 0.0
     if width > 6:
         far = rows.ranged
-        way = position[far] - rows.constants["anchor"][far]
+        way = position[far] - rows.pose.anchor[far]
         distance = np.linalg.norm(way, axis=1)
         along = way / np.maximum(distance, 1e-12)[:, None]
         error[far, :3], seen[far, :3] = 0.0, 0.0

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from clampid.effect import Stage
 from clampid.slots import Layout
+from clampid.stages.row_constants import LogConstants, PoseConstants, RowConstants, SeriesConstants, SweepConstants
 from clampid.stages.stage_kind import StageKind, kind_of
 from experiments.signals import segments
 from kinematics.description import RobotDescription
@@ -21,6 +22,8 @@ __all__ = ["POSE_CHANNELS", "Array", "Bools", "Integers", "Rows", "lengths"]
 Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+
+C = TypeVar("C", bound=RowConstants)
 
 POSE_CHANNELS = ((0, 1, 2), (3, 4, 5), (6,))
 """Columns of what poses measure: position, rotation, distance; the last ones only where any row has them."""
@@ -51,11 +54,7 @@ class Rows:
     session
         ``(N,)``: index of the session.
     constants
-        What the experiment needs beside signals, such as reference frames. ``offset_keys`` ``(K, 2)``, (run or sweep,
-        joint): an unknown constant of that joint in that run, which no other run shares; in ``clamped`` (sweep, n +
-        motor): the friction that a held motor keeps; ``run`` ``(N,)``.
-    per_row
-        The constants that are ``(N, …)``.
+        What the rows need beside signals, such as reference frames.
     """
 
     stage: Stage
@@ -70,8 +69,7 @@ class Rows:
     table: npt.NDArray[np.str_]
     row: Integers
     session: Integers
-    constants: Mapping[str, Any] = field(default_factory=dict)
-    per_row: tuple[str, ...] = ()
+    constants: RowConstants
 
     def __len__(self) -> int:
         return len(self.measured)
@@ -81,12 +79,33 @@ class Rows:
         """The stage as a value."""
         return kind_of(self.stage)
 
+    @property
+    def series(self) -> SeriesConstants:
+        """The constants of rows that follow each other in runs or sweeps."""
+        return self._of(SeriesConstants)
+
+    @property
+    def log(self) -> LogConstants:
+        """The constants of a torque log."""
+        return self._of(LogConstants)
+
+    @property
+    def sweep(self) -> SweepConstants:
+        """The constants of clamped sweeps."""
+        return self._of(SweepConstants)
+
+    @property
+    def pose(self) -> PoseConstants:
+        """The constants of measured points and distances."""
+        return self._of(PoseConstants)
+
+    def _of(self, kind: type[C]) -> C:
+        if not isinstance(self.constants, kind):
+            raise TypeError(f"rows of {self.stage} have {type(self.constants).__name__}, expected {kind.__name__}")
+        return self.constants
+
     def take(self, chosen: npt.NDArray[Any]) -> Rows:
         """The chosen rows (indices or mask)."""
-        constants = {k: (v[chosen] if k in self.per_row else v) for k, v in self.constants.items()}
-        if "offset_keys" in constants:
-            keys = constants["offset_keys"]
-            constants["offset_keys"] = keys[np.isin(keys[:, 0], constants["run"])]
         return replace(
             self,
             signals={k: v[chosen] for k, v in self.signals.items()},
@@ -98,7 +117,7 @@ class Rows:
             table=self.table[chosen],
             row=self.row[chosen],
             session=self.session[chosen],
-            constants=constants,
+            constants=self.constants.take(chosen),
         )
 
     @property
@@ -115,7 +134,8 @@ class Rows:
         Taking every fifth of them then never takes all sweeps of a joint at once, where there are several.
         """
         folds, first = np.unique(self.fold, return_index=True)
-        driven = self.constants.get("driven", np.zeros(len(self), dtype=np.int64))
+        none = np.zeros(len(self), dtype=np.int64)
+        driven = self.constants.driven if isinstance(self.constants, SweepConstants) else none
         order = np.random.default_rng(seed).permutation(len(folds))
         kind = [(str(self.table[first[k]]), int(driven[first[k]])) for k in order]
         return np.asarray(folds[order[sorted(range(len(order)), key=lambda i: kind[i])]])
@@ -139,13 +159,19 @@ class Rows:
         return {}
 
     @property
+    def offset_keys(self) -> Integers:
+        """``(K, 2)``: see :class:`clampid.stages.row_constants.SeriesConstants`; none of rows that are no series."""
+        own = self.constants
+        return own.offset_keys if isinstance(own, SeriesConstants) else np.zeros((0, 2), dtype=np.int64)
+
+    @property
     def offsets(self) -> int:
         """K: how many unknown constants the runs or sweeps have."""
-        return len(self.constants["offset_keys"]) if "offset_keys" in self.constants else 0
+        return len(self.offset_keys)
 
     def offset_table(self, offsets: Array, kinds: int = 1) -> Array:
         """Offsets ``(K,)`` as a value per row and joint ``(N, n)``; of several kinds ``(N, kinds n)``, one by one."""
-        keys, run = self.constants["offset_keys"], self.constants["run"]
+        keys, run = self.series.offset_keys, self.series.run
         table = np.zeros((int(run.max(initial=0)) + 1, kinds * self.robot.n))
         table[keys[:, 0], keys[:, 1]] = offsets
         return np.asarray(table[run])
@@ -153,18 +179,18 @@ class Rows:
     @cached_property
     def stretch(self) -> Integers:
         """The stretch of a log ``(N,)`` that each row is of; between two, the clock breaks off."""
-        return segments(self.constants["run"], self.constants["time"], np.ones(len(self), dtype=bool))
+        return segments(self.series.run, self.constants.time, np.ones(len(self), dtype=bool))
 
     @property
     def oriented(self) -> bool:
         """Whether any row of poses has a rotation."""
         width = self.measured.shape[1]
-        return width == 6 or (width > 6 and bool(self.constants["oriented"].any()))
+        return width == 6 or (width > 6 and bool(self.pose.oriented.any()))
 
     @property
     def ranged(self) -> Bools:
         """Which rows of poses ``(N,)`` are distances."""
-        return np.asarray(self.constants["ranged"], dtype=bool)
+        return np.asarray(self.pose.ranged, dtype=bool)
 
     @property
     def points(self) -> Rows:
@@ -177,7 +203,7 @@ class Rows:
 
     def in_noise_axes(self, values: Array) -> Array:
         """The same numbers ``(N, m, …)``, positions turned to the axes that ``sigma`` is along."""
-        axes = self.constants.get("noise_axes")
+        axes = self.constants.noise_axes
         if axes is None:
             return values
         out = values.copy()

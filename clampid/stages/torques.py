@@ -16,6 +16,7 @@ from clampid.stages.counting import counting, folds_of, motion_signals, negligib
 from clampid.stages.loads import described_weight, gravity_signals, inertial_signals, weight_rate
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
 from clampid.stages.presliding import friction_states
+from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Integers, Rows
 from clampid.stages.temperatures import temperatures
 from experiments.campaign import Campaign
@@ -45,8 +46,8 @@ def residual(rows: Rows, chain: Chain, theta: Array, offsets: Array, first: int 
     for k, (station, parameter) in enumerate(zip(deviations.station, deviations.parameter, strict=True)):
         for motor in np.flatnonzero(sensitivity[:, station]) if parameter >= first else ():
             jacobian[motor, parameter - first] += sensitivity[motor, station] * partials[k]
-    for k, (run, still) in enumerate(rows.constants["offset_keys"]):
-        of_run = rows.constants["run"] == run
+    for k, (run, still) in enumerate(rows.series.offset_keys):
+        of_run = rows.series.run == run
         jacobian[:, len(chain.slots) - first + k, of_run] = T[:, still, None]
     return _error(rows, chain, deviations, offsets), jacobian.transpose(2, 0, 1)
 
@@ -133,17 +134,16 @@ def torque_rows(
         table=np.repeat([part.name for part in parts], lengths),
         row=np.concatenate([np.arange(1, k + 1) for k in lengths]),
         session=session,
-        constants={
-            "time": time,
-            "run": run,
-            "together": facts.together,
-            "regression": facts.regression,
-            "log_row": np.arange(len(run)),
-            "offset_keys": standing_joints(facts, layout.wrist),
-            "gravity_vector": np.array([campaign.gravity for campaign in campaigns], dtype=float),
-            "weight": np.array([described_weight(campaign) for campaign in campaigns]),
-        },
-        per_row=("time", "run", "log_row"),
+        constants=LogConstants(
+            time=time,
+            run=run,
+            together=facts.together,
+            regression=facts.regression,
+            log_row=np.arange(len(run)),
+            offset_keys=standing_joints(facts, layout.wrist),
+            gravity_vector=np.array([campaign.gravity for campaign in campaigns], dtype=float),
+            weight=np.array([described_weight(campaign) for campaign in campaigns]),
+        ),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from clampid.verbs.errors import CallError
 from clampid.verbs.output import Output
@@ -94,7 +94,7 @@ def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[
     """
     if not lists:
         return None
-    from clampid.effect import Stage
+    from clampid.effect import STAGES
 
     plain: list[str] = []
     staged: dict[Stage, list[str]] = {}
@@ -103,11 +103,11 @@ def split_effects(lists: Sequence[str] | None) -> dict[Stage, list[str]] | list[
         if not equals:
             plain += _names(text, text)
             continue
-        stage: Stage | None = next((s for s in get_args(Stage) if s == head.strip()), None)
+        stage: Stage | None = next((s for s in STAGES if s == head.strip()), None)
         if stage is None:
-            near = get_close_matches(head.strip(), get_args(Stage), 1)
+            near = get_close_matches(head.strip(), STAGES, 1)
             hint = f"did you mean {near[0]}? " if near else ""
-            raise CallError(f"--effects {text}: no stage is called {head!r}; {hint}known: {', '.join(get_args(Stage))}")
+            raise CallError(f"--effects {text}: no stage is called {head!r}; {hint}known: {', '.join(STAGES)}")
         if stage in staged:
             raise CallError(f"--effects: the stage {stage} is given twice; expected one list for it")
         staged[stage] = _names(names, text)

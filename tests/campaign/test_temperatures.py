@@ -85,9 +85,9 @@ def test_no_row_is_taken_for_20_degrees(campaign: Campaign) -> None:
     rows = pose_rows([broken], layout, "poses")
     warm = rows.signals["link_temperature"]
     assert warm[:, 1].min() > 0.5 * (campaign.tables["poses"][LINKS[1]].min() - 20.0)
-    assert not rows.constants["link_recorded"][:, 1].all()
+    assert not rows.pose.link_recorded[:, 1].all()
     np.testing.assert_allclose(warm[:, 2] + 20.0, campaign.tables["verification"][LINKS[2]].mean())
-    assert not rows.constants["link_recorded"][:, 2].any()
+    assert not rows.pose.link_recorded[:, 2].any()
 
 
 def test_check_says_what_is_missing(campaign: Campaign) -> None:

@@ -83,8 +83,8 @@ def _width(rows: Rows) -> int:
 def test_without_deviations_it_is_the_nominal_robot(rows: Rows):
     width = _width(rows)
     position, rotation, _ = poses.predict(rows, _deviations(rows, np.zeros((len(rows), width))))
-    X = rows.constants["base_reference"] @ forward(rows.robot.screws, rows.robot.flange, rows.signals["q"])
-    target = np.c_[rows.constants["target"], np.ones(len(rows))]
+    X = rows.pose.base_reference @ forward(rows.robot.screws, rows.robot.flange, rows.signals["q"])
+    target = np.c_[rows.pose.target, np.ones(len(rows))]
     np.testing.assert_allclose(position, np.einsum("nij,nj->ni", X, target)[:, :3], atol=1e-12)
     np.testing.assert_allclose(rotation, X[:, :3, :3], atol=1e-12)
 

@@ -30,13 +30,13 @@ def torques(of: FitProblem, theta: np.ndarray) -> np.ndarray:
 def loops(rows: Rows) -> np.ndarray:
     """The loops' compliance at the joints, rad/Nm."""
     T = np.asarray(rows.robot.transmission)
-    return np.asarray(np.diag(T.T @ np.diag(rows.constants["loop_compliance"]) @ T))
+    return np.asarray(np.diag(T.T @ np.diag(rows.sweep.loop_compliance) @ T))
 
 
 def test_a_drive_without_a_spring_is_ten_times_as_stiff_as_its_loops(few_rows: Mapping[Stage, Rows]) -> None:
     rows = few_rows["clamped"]
     of = trial(rows, "coulomb_friction")
-    np.testing.assert_allclose(torques(of, of.start()), rows.constants["wound"] / (STIFF * loops(rows)), rtol=1e-9)
+    np.testing.assert_allclose(torques(of, of.start()), rows.sweep.wound / (STIFF * loops(rows)), rtol=1e-9)
 
 
 def test_nothing_stiffens_a_drive_with_a_spring(few_rows: Mapping[Stage, Rows]) -> None:
@@ -45,7 +45,7 @@ def test_nothing_stiffens_a_drive_with_a_spring(few_rows: Mapping[Stage, Rows]) 
     theta, T = of.start(), np.asarray(rows.robot.transmission)
     theta[: len(of.slots)] = c = np.linspace(0.05, 2.0, len(of.slots))
     # q = T' diag(c) T tau, for row vectors
-    expected = rows.constants["wound"] @ np.linalg.inv(T.T @ np.diag(c) @ T)
+    expected = rows.sweep.wound @ np.linalg.inv(T.T @ np.diag(c) @ T)
     np.testing.assert_allclose(torques(of, theta), expected, rtol=1e-9, atol=1e-9)
 
 
@@ -70,7 +70,7 @@ def test_what_slips_slips_with_the_load(few_rows: Mapping[Stage, Rows]) -> None:
     """A drive that stands still has no loop of its own, but its load may change with that of coupled ones."""
     rows = few_rows["clamped"]
     slip = rows.signals["slip"].reshape(len(rows), -1, 3)
-    driven = rows.constants["driven"]
+    driven = rows.sweep.driven
     for joint in np.unique(driven):
         mine = slip[driven == joint]
         assert np.abs(mine[:, joint]).max() == pytest.approx(1.0)  # it slips, both ways

@@ -61,7 +61,7 @@ def test_blocks_are_consecutive_visits(simulated):
     block = blocks_of_visits(rows, 5)
     for b in np.unique(block)[:-1]:
         assert len(np.unique(rows.unit[block == b])) == 5
-    time = rows.constants["time"]
+    time = rows.constants.time
     ends = [(time[block == b].min(), time[block == b].max()) for b in np.unique(block)]
     assert all(a[1] < b[0] for a, b in pairwise(ends))
     assert blocks_of_visits(rows, 1) is rows.unit

@@ -69,14 +69,14 @@ def fitted(campaign: Campaign) -> Estimate:
 def test_the_time_is_found_to_the_row(with_slip: Estimate):
     at = time_of(with_slip, EVENTS["fixture_shift"])[SLIPPED]
     rows = with_slip.experiment.rows
-    progress, time = rows.signals["sweep_progress"], rows.constants["time"]
+    progress, time = rows.signals["sweep_progress"], rows.constants.time
     after = np.flatnonzero(progress > at)[0]
     assert time[after - 1] < 463.764 < time[after]
 
 
 def test_rows_after_a_slip_are_no_outliers(with_slip: Estimate):
-    constants = with_slip.experiment.rows.constants
-    after = (constants["run"] == 2) & (constants["time"] > 463.764)
+    constants = with_slip.experiment.rows.sweep
+    after = (constants.run == 2) & (constants.time > 463.764)
     assert after.sum() == 56
     assert not (with_slip.outliers & after).any()
     assert with_slip.outliers.mean() < 0.02  # of 16 sweeps in one clamping, which it makes disagree

@@ -46,29 +46,27 @@ def trial(measured: Measured) -> FitProblem:
 
 def test_every_held_motor_keeps_some_friction(trial: FitProblem):
     rows, n = trial.rows, trial.rows.robot.n
-    run, motion = rows.constants["run"], rows.signals["motor_motion"]
+    run, motion = rows.series.run, rows.signals["motor_motion"]
     held = {(s, n + i) for s in np.unique(run) for i in range(n) if not motion[run == s, i].any()}
-    assert held == {(s, k) for s, k in rows.constants["offset_keys"] if k >= n}
+    assert held == {(s, k) for s, k in rows.series.offset_keys if k >= n}
 
 
 def test_a_motor_that_stands_still_keeps_its_friction(trial: FitProblem):
     precision, mean = prior_of(trial, ())
-    keys, n, count = trial.rows.constants["offset_keys"], trial.rows.robot.n, len(trial.slots)
+    keys, n, count = trial.rows.series.offset_keys, trial.rows.robot.n, len(trial.slots)
     covariance = np.linalg.inv(precision[count:, count:])
-    driven = {
-        s: int(trial.rows.constants["driven"][trial.rows.constants["run"] == s][0]) for s in np.unique(keys[:, 0])
-    }
+    driven = {s: int(trial.rows.sweep.driven[trial.rows.series.run == s][0]) for s in np.unique(keys[:, 0])}
     at = {(int(s), int(k)): i for i, (s, k) in enumerate(keys)}
     # Joint 1 is driven first, and last upwards: its friction is known in the sweeps of the same clamping that follow.
     first = next(s for s in sorted(driven) if driven[s] == 0)
     after = [at[s, n] for s in range(first + 1, first + n)]
-    friction = trial.rows.constants["held_friction"][0]
+    friction = trial.rows.sweep.held_friction[0]
     np.testing.assert_allclose(mean[count:][after], friction)
     assert np.sqrt(np.diag(covariance)[after]).max() < 0.5 * friction
     # The wrist waits: its friction is unknown as a friction is, but the same in all sweeps before.
     before = [at[s, 2 * n - 1] for s in range(first, first + 3)]
     np.testing.assert_allclose(mean[count:][before], 0.0)
-    spread = covariance[np.ix_(before, before)] / trial.rows.constants["held_friction"][n - 1] ** 2
+    spread = covariance[np.ix_(before, before)] / trial.rows.sweep.held_friction[n - 1] ** 2
     assert np.all(np.abs(spread - 1.0) < 0.02)
 
 

@@ -35,7 +35,7 @@ def test_normal_equations_by_joints_are_those_of_the_jacobian(tiny: Campaign, ob
     theta = whole.start() + 0.1 * whole.sizes() * rng.normal(size=len(whole.sizes()))
     rows = whole.rows
     axes = exp_so3(rng.normal(size=(len(rows), 3)))
-    constants = {**rows.constants, "noise_axes": axes} if oblique else rows.constants
+    constants = replace(rows.constants, noise_axes=axes) if oblique else rows.constants
     rows = replace(rows, used=rows.used & (rng.random(rows.used.shape) < 0.8), constants=constants)
     trial = whole.with_rows(replace(rows, sigma=rows.sigma * rng.uniform(0.5, 2.0, rows.sigma.shape))).with_flanks(
         theta

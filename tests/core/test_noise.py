@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import lgamma
 from typing import Any
 
@@ -40,7 +41,7 @@ def log_of(rows: Rows, residual: np.ndarray, run: np.ndarray) -> Rows:
     """A torque log of one motor's numbers, evenly sampled, in the given runs."""
     count = len(residual)
     first = rows.take(np.zeros(count, dtype=int))
-    constants = {**first.constants, "run": run, "time": 0.1 * np.arange(count), "offset_keys": np.zeros((0, 2), int)}
+    constants = replace(first.series, run=run, time=0.1 * np.arange(count), offset_keys=np.zeros((0, 2), int))
     return Rows(
         **{
             **vars(first),

@@ -113,7 +113,7 @@ def test_what_is_not_known_of_the_base_is_found_from_the_points() -> None:
     line = made(1)
     campaign = stated(line, 1, (TURN_STD, TURN_STD, np.inf))
     rows = pose_rows([campaign], layout_of([campaign]), "poses")
-    found = rows.constants["base_reference"][0]
+    found = rows.pose.base_reference[0]
     np.testing.assert_allclose(found[:3, :3], line.base[:3, :3], atol=5e-3)
     value, std, known = clearance(identify(campaign, EFFECTS))
     assert known

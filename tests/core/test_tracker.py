@@ -105,10 +105,10 @@ def test_sessions_with_and_without_a_tracker_go_together(plain: Campaign) -> Non
     stated = replace(plain, instrument=Instrument("tracker", None, None, TRACKER))
     layout = layout_of([plain, stated])
     rows = pose_rows([plain, stated], layout, "poses")
-    assert rows.constants["noise_axes"].shape == (len(rows), 3, 3)
+    assert rows.constants.noise_axes.shape == (len(rows), 3, 3)
     first = rows.take(rows.session == 0)
     assert np.array_equal(first.in_noise_axes(first.measured), first.measured)
-    assert len(join_rows([first, first]).constants["noise_axes"]) == 2 * len(first)
+    assert len(join_rows([first, first]).constants.noise_axes) == 2 * len(first)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from clampid.models.model import Model, ModelError, save_model
 from clampid.models.ranges import Ranges
 from clampid.slots import Slot, Term
 from clampid.stages.poses import predict
+from clampid.stages.row_constants import PoseConstants
 from clampid.stages.rows import Array, Rows
 from clampid.verbs.export import dh, kuka, urdf
 from kinematics.description import load_robot, robot_names
@@ -48,10 +49,12 @@ def stage_prediction(model: Model, q: Array) -> Array:
     stations[:, offsets["base_twist"]] = [values[f"base_{axis}", "session1"] for axis in AXES]
     stations[:, offsets["link_twist"]] = link.ravel()
     none, index = np.zeros((count, 0)), np.zeros(count, dtype=np.int64)
-    constants = {
-        "base_reference": np.broadcast_to(np.asarray(model.sessions[0].base_reference), (count, 4, 4)),
-        "target": np.zeros((count, 3)),
-    }
+    reference = np.broadcast_to(np.asarray(model.sessions[0].base_reference), (count, 4, 4))
+    constants = PoseConstants(
+        time=np.zeros(count), target=np.zeros((count, 3)), base_reference=reference, ranged=none.any(axis=1),
+        oriented=none.any(axis=1), rotation=np.tile(np.eye(3), (count, 1, 1)), anchor=np.zeros((count, 3)),
+        link_recorded=np.zeros((count, robot.n), dtype=bool), tool_mass=np.zeros(count),
+    )  # fmt: skip
     rows = Rows(
         "poses", robot, model.layout, {"q": q}, np.zeros((count, 6)), none, none.astype(bool), index, index,
         index.astype(np.str_), index, index, constants,

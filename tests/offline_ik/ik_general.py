@@ -11,6 +11,7 @@ from clampid.chain.chain import build_chain
 from clampid.stages.loads import bearing_signals, declared_weight, gravity_signals, weight_stiffness
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.poses import constants_of, evaluate, predict
+from clampid.stages.row_constants import PoseConstants
 from clampid.stages.rows import Rows
 from clampid.stages.stage_kind import kind_of
 from experiments.campaign import Campaign, Instrument, Tool
@@ -96,5 +97,10 @@ def _rows(arm: IdentifiedArm, q: Array, conditions: Conditions, target: Array) -
     return Rows(
         "poses", arm.robot, arm.layout, signals, np.zeros((count, 3)), np.ones((count, 3)),
         np.ones((count, 3), dtype=bool), zero, zero, np.full(count, "command"), zero, zero,
-        {"target": each(target), "base_reference": np.tile(reference, (count, 1, 1))},
+        PoseConstants(
+            time=np.zeros(count), target=each(target), base_reference=np.tile(reference, (count, 1, 1)),
+            ranged=np.zeros(count, dtype=bool), oriented=np.zeros(count, dtype=bool),
+            rotation=np.tile(np.eye(3), (count, 1, 1)), anchor=np.zeros((count, 3)),
+            link_recorded=np.zeros((count, arm.robot.n), dtype=bool), tool_mass=np.zeros(count),
+        ),
     )  # fmt: skip

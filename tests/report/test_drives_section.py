@@ -45,7 +45,7 @@ def test_slopes_and_clearances_are_where_the_loops_are(data: StageData):
 def test_the_line_runs_in_the_middle_of_the_loop(data: StageData):
     """Without friction, a forward branch lies as far above it as a backward one below."""
     mark = next(m for m in loops_figure(data).plot.named("spring and clearance") if isinstance(m, Line))
-    rows = np.flatnonzero((data.first.rows.constants["driven"] == 0) & (data.first.rows.constants["run"] == 0))
+    rows = np.flatnonzero((data.first.rows.sweep.driven == 0) & (data.first.rows.series.run == 0))
     angle = data.first.rows.signals["motor"][rows, 0]
     off = data.first.rows.measured[rows, 0] - np.interp(np.degrees(angle - angle.mean()), mark.x, mark.y)
     motion = data.first.rows.signals["motor_motion"][rows, 0]
