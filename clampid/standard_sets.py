@@ -12,6 +12,7 @@ STANDARD: Mapping[Stage, tuple[str, ...]] = {
     "free_air": ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction"),
     "clamped": ("joint_compliance", "backlash", "coulomb_friction"),
     "poses": ("geometry", "joint_compliance", "backlash", "gravity", "wrist_coupling_friction"),
+    "inclination": ("base_tilt",),
 }
 """What every geared arm has, and what its own stage measures well. Everything else is for diagnosis to find.
 

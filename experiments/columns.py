@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 LOGS = ("free_air", "wrist")
-TABLES = ("free_air", "wrist", "clamped", "poses", "distances", "verification")
+TABLES = ("free_air", "wrist", "clamped", "poses", "distances", "verification", "inclination")
 POSES = ("poses", "distances", "verification")
 QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x_m", "y_m", "z_m")
@@ -146,6 +146,9 @@ def table_format(table: str, n: int) -> TableFormat:
             measured = (Column("anchor", "text"), Column("distance_m", lower=0.0))
             return TableFormat(table, (*stop, *measured), (), run=None)
         return TableFormat(table, (*stop, *map(Column, POSITION)), (tuple(map(Column, QUATERNION)),), run=None)
+    if table == "inclination":
+        turned = (Column("at", "text"), Column("about_x_rad"), Column("about_y_rad"))
+        return TableFormat(table, (time, *q, *turned), (), run=None)
     raise KeyError(f"no table {table!r} in the contract; known: {', '.join(TABLES)}")
 
 

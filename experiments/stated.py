@@ -24,13 +24,14 @@ __all__ = ["UNREAD", "CertifiedDistance", "Sensor", "Stated", "StatedBase", "sta
 
 FloatArray = npt.NDArray[np.float64]
 
-UNREAD = ("flange_sensor", "fixed_points_m", "fixed_points_std_m", "inclinometer", "displacement")
+UNREAD = ("flange_sensor", "fixed_points_m", "fixed_points_std_m", "displacement")
 """Sections of the campaign format whose tables are not read."""
 
 FARTHEST_BASE_M = 100.0  # of a tracker: beyond, millimetres
 MOST_TURNED = 4.0 * np.pi  # rad: beyond, degrees
 WORST_BASE_STD_M = 1.0
 WORST_BASE_STD_RAD = np.pi
+WORST_INCLINATION_STD_RAD = 5e-3  # a level sees what settles; beyond, degrees
 WORST_TARGET_STD_M = 0.02  # a drawing is better than that: beyond, millimetres
 LONGEST_M = 100.0
 WORST_DISTANCE_STD_M = 1e-3  # a scale bar is certified to micrometres
@@ -92,12 +93,15 @@ class Stated:
         Target → ``(3,)``, m, in the flange frame's axes.
     sensors
         Name → place, of the columns ``temp_<name>_C``.
+    inclinometer_std
+        Of one reading of the table ``inclination``, rad; None: not stated.
     """
 
     base: StatedBase | None = None
     targets_std: Mapping[str, FloatArray] = field(default_factory=dict)
     distances: tuple[CertifiedDistance, ...] = ()
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
+    inclinometer_std: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """What was stated, for programs; infinite standard deviations are None."""
@@ -112,6 +116,8 @@ class Stated:
             out["distance"] = [{"between": list(d.between), "value_m": d.value, "std_m": d.std} for d in self.distances]
         if self.sensors:
             out["sensors"] = {name: {"at": s.at, "weight": s.weight} for name, s in self.sensors.items()}
+        if self.inclinometer_std is not None:
+            out["inclinometer"] = {"std_rad": self.inclinometer_std}
         return out
 
 
@@ -137,7 +143,10 @@ def stated_in(root: Section, targets: Mapping[str, FloatArray], joints: int) -> 
     stds.done()
     places = {name: _sensor(sensors, name, joints) for name in sensors.keys()}  # noqa: SIM118 - not a dict
     distances = tuple(_distance(at, targets) for at in root.sections("distance", optional=True))
-    return Stated(_base(root), MappingProxyType(known), distances, MappingProxyType(places))
+    inclinometer = root.section("inclinometer", optional=True)
+    level = inclinometer.number("std_rad", 0.0, WORST_INCLINATION_STD_RAD, unit="rad", above=True, default=None)
+    inclinometer.done()
+    return Stated(_base(root), MappingProxyType(known), distances, MappingProxyType(places), level)
 
 
 def _base(root: Section) -> StatedBase | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -57,7 +58,10 @@ def validate_table(
     else:
         _refuse_repeated(result, source)
         _refuse_bad_quaternions(result, source)
-        _refuse_unknown_targets(result, targets, source)
+        if "target" in table.known():
+            _refuse_unknown_targets(result, targets, source)
+        if "at" in table.known():
+            _refuse_unknown_bodies(result, source)
     return result
 
 
@@ -209,9 +213,10 @@ def _refuse_repeated(frame: pd.DataFrame, source: TableFile) -> None:
         return
     row = int(repeated[0])
     first = int(np.flatnonzero(_equal_rows(frame, row))[0])
-    pose, visit, target = (frame[name].iloc[row] for name in ("pose", "visit", "target"))
-    found = f"row {first + 1} again (pose {pose}, visit {visit}, target {target})" + _more(repeated.size)
-    raise source.fault(expected="every measurement once", found=found, row=row, column="pose")
+    known = [name for name in ("pose", "visit", "target", "at") if name in frame]
+    said = ", ".join(f"{name} {frame[name].iloc[row]}" for name in known)
+    found = f"row {first + 1} again ({said})" + _more(repeated.size)
+    raise source.fault(expected="every measurement once", found=found, row=row, column=known[0])
 
 
 def _equal_rows(frame: pd.DataFrame, row: int) -> npt.NDArray[np.bool_]:
@@ -246,3 +251,13 @@ def _refuse_unknown_targets(frame: pd.DataFrame, targets: Collection[str], sourc
         row = int(bad[0])
         found = repr(frame["target"].iloc[row]) + _more(bad.size)
         raise source.fault(expected=expected, found=found, row=row, column="target")
+
+
+def _refuse_unknown_bodies(frame: pd.DataFrame, source: TableFile) -> None:
+    joints = sum(1 for name in frame if re.fullmatch(r"q\d+_rad", str(name)))
+    allowed = ["base", *(f"link{i + 1}" for i in range(joints))]
+    bad = np.flatnonzero(~frame["at"].isin(allowed).to_numpy())
+    if bad.size:
+        row = int(bad[0])
+        found = repr(frame["at"].iloc[row]) + _more(bad.size)
+        raise source.fault(expected=f"base or link1 … link{joints}", found=found, row=row, column="at")

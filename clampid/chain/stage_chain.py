@@ -28,7 +28,7 @@ class StageChain:
     loads
         See :data:`Loads`.
     effects_of
-        Another stage, if all effects of that stage act here, too, as far as these outputs see them; else "".
+        Another stage, if those effects of it act here, too, of which these outputs see all that they do; else "".
     """
 
     name: str
@@ -55,4 +55,4 @@ class StageChain:
         """Whether an effect acts in this stage."""
         if self.name in effect.stages:
             return True
-        return self.effects_of in effect.stages and any(station in self.outputs for station in effect.acts)
+        return self.effects_of in effect.stages and all(station in self.outputs for station in effect.acts)

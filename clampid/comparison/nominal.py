@@ -44,8 +44,9 @@ def nominal_errors(
     for campaign in several:
         opened = on_campaign(model, campaign, user_effects)
         for stage in opened.stages:
-            if not kind_of(stage).solved and opened.has(kind_of(stage).tables) and not campaign.long:
-                error = _points(opened) if kind_of(stage).points else _torques(opened)
+            kind = kind_of(stage)
+            if (kind.points or kind.moving) and opened.has(kind.tables) and not campaign.long:
+                error = _points(opened) if kind.points else _torques(opened)
                 if error is not None and np.isfinite(error[0]):
                     squares.setdefault(stage, []).append(error)
     return {

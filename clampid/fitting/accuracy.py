@@ -13,7 +13,6 @@ from clampid.fitting.fit import without_outlying
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, clamping_offsets, limits_of, solve
 from clampid.stages.fit_problem import FitProblem
-from clampid.stages.row_constants import LogConstants
 from clampid.stages.rows import Array, Bools, Integers, Rows, lengths
 from experiments.measures.returns import ENOUGH_RETURNS, comparable_returns, freedom_of
 
@@ -95,10 +94,9 @@ def noise_floor(rows: Rows, residual: Array) -> Floor:
     if rows.kind.moving and len(time) > 1:
         lag = max(1, round(QUIET_S / max(float(np.median(np.diff(time))), 1e-9)))
     out = np.array([_spread(run, residual[:, c], rows.used[:, c], lag) for c in range(residual.shape[1])])
-    logged = isinstance(rows.constants, LogConstants)
-    regression = rows.log.regression if logged else np.full(len(out), np.inf)
-    lower = np.any((regression < out) & rows.used.any(axis=0))
-    return Floor(np.maximum(np.minimum(out, regression), 1e-12), "regression" if lower else "log")
+    known = np.full(len(out), np.inf) if rows.series.known_noise is None else rows.series.known_noise
+    lower = np.any((known < out) & rows.used.any(axis=0))
+    return Floor(np.maximum(np.minimum(out, known), 1e-12), rows.series.known_from if lower else "log")
 
 
 def _spread(run: Integers, residual: Array, used: Bools, lag: int) -> float:

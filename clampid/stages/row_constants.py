@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -56,10 +56,17 @@ class SeriesConstants(RowConstants):
     offset_keys
         ``(K, 2)``, (run or sweep, joint from 0): an unknown constant of that joint in that run, which no other run
         shares; in sweeps (sweep, n + motor): the friction that a motor keeps while it is held.
+    known_noise
+        ``(m,)``, SI: noise of each column as it is known without the model under test, inf where it is not; None: of
+        no column.
+    known_from
+        Where from: ``regression`` on rigid-body dynamics, or as the ``instrument``'s maker states it.
     """
 
     run: Integers = field(metadata=PER_ROW)
     offset_keys: Integers = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    known_noise: Array | None = None
+    known_from: Literal["regression", "instrument"] = "regression"
 
     def take(self, chosen: npt.NDArray[Any]) -> Self:
         """Those of the chosen rows, and the unknown constants of runs that are left."""
@@ -75,8 +82,6 @@ class LogConstants(SeriesConstants):
     ----------
     together
         How many neighbouring rows share their noise, because a filter has smoothed them.
-    regression
-        ``(n,)``, Nm: noise of each motor as a regression on rigid-body dynamics leaves it; inf where it says nothing.
     log_row
         ``(N,)``: the row in all logs joined, from 0.
     gravity_vector
@@ -86,7 +91,6 @@ class LogConstants(SeriesConstants):
     """
 
     together: int
-    regression: Array
     log_row: Integers = field(metadata=PER_ROW)
     gravity_vector: Array
     weight: Array

@@ -138,7 +138,7 @@ def torque_rows(
             time=time,
             run=run,
             together=facts.together,
-            regression=facts.regression,
+            known_noise=facts.regression,
             log_row=np.arange(len(run)),
             offset_keys=standing_joints(facts, layout.wrist),
             gravity_vector=np.array([campaign.gravity for campaign in campaigns], dtype=float),

@@ -85,7 +85,7 @@ def holdings(campaign: Campaign) -> dict[str, Any]:
         ``rows``, ``duration_s`` (None where times only count rows), ``joints_moved`` (from 1; in ``clamped`` those
         driven), ``temperatures``; for logs
         ``runs`` (or ``sweeps``) and ``velocities`` or ``fixture``; for poses ``poses``, ``visits``, ``replicates``,
-        ``targets``, ``orientation`` and ``directions``, for distances ``anchors``, too.
+        ``targets``, ``orientation`` and ``directions``, for distances ``anchors``, too; for inclinations ``bodies``.
     """
     return {
         "campaign": campaign.name,
@@ -113,6 +113,8 @@ def _table(campaign: Campaign, table: str) -> dict[str, Any]:
         "joints_moved": [i + 1 for i in moved_joints(campaign, table)],
         "temperatures": list(temperature_columns(map(str, frame.columns))),
     }
+    if table == "inclination":
+        return summary | {"bodies": sorted(frame["at"].unique())}
     if table == "clamped":
         return summary | {"sweeps": int(frame["sweep"].nunique()), "fixture": "fixture_x_m" in frame}
     if table in ("free_air", "wrist"):
