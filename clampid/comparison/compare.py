@@ -264,7 +264,7 @@ def _table(
             "outliers": test.row[wrong].tolist(),
             "rms_with_outliers": float(np.sqrt(np.mean(whole**2))),
         }
-    if not poses:
+    if rows.kind.moving or rows.kind.solved:
         entry["per_motor"] = [
             {
                 **_motor(rows, residual, shown, c),
