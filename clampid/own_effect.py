@@ -59,6 +59,8 @@ def check_own_effect(effect: Effect) -> None:
     if all(p.shape for p in effect.parameters):
         raise EffectError(f"effect {effect.name}: expected a parameter that is an amplitude, found shapes only")
     for stage in effect.stages:
+        if stage not in SHOWN:  # a stage that takes its effects over from another
+            raise EffectError(f"effect {effect.name}: expected stages among {', '.join(SHOWN)}, found {stage}")
         if not any(station in SHOWN[stage] for station in effect.acts):
             raise EffectError(
                 f"effect {effect.name}: nothing that {stage} measures shows {_listed(effect.acts)}; expected it to act "

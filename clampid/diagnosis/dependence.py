@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from clampid.effect import STAGES, EffectError, Stage, signal
+from clampid.effect import EffectError, Stage, signal
 from clampid.stages.stage_kind import kind_of
 
 __all__ = ["AXES", "Dependence", "Place", "Variable", "dependence"]
@@ -170,8 +170,8 @@ def dependence(depends_on: Sequence[str], at: str, stage: Stage | None = None, j
     EffectError
         A variable or the place does not exist in the stage; the message says what does.
     """
-    if stage is not None and stage not in STAGES:
-        raise EffectError(f"stage {stage!r} is not known; known: {', '.join(STAGES)}")
+    if stage is not None and stage not in _STATIONS:
+        raise EffectError(f"stage {stage!r} is not known; known: {', '.join(_STATIONS)}")
     if not depends_on:
         raise EffectError("expected at least one variable that the effect depends on, found none")
     for name in depends_on:

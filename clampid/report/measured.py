@@ -79,6 +79,8 @@ def _units(table: str, frame: pd.DataFrame) -> str:
         return f"{counted(poses, 'pose')}{again}, {counted(targets, 'target')}"
     if table == "clamped":
         return f"{frame['sweep'].nunique()} sweeps of {frame['joint'].nunique()} joints"
+    if "run" not in frame:
+        return counted(len(frame), "row")
     runs = frame["run"].nunique()
     return f"{runs} run{'s' if runs != 1 else ''}"
 
