@@ -129,6 +129,8 @@ def stage_data(opened: ModelOnCampaign) -> dict[Stage, StageData]:
             continue
         if kind_of(stage).points and "poses" not in tables:
             continue  # figures are of points
+        if kind_of(stage).effects_of:
+            continue  # nor are there any of what shows another stage's effects only
         rows = opened.rows(stage)
         verification = None
         if kind_of(stage).points:
