@@ -1,1 +1,1 @@
-"""The three experiments as the fit sees them: rows of signals, and what the chain predicts for them."""
+"""The stages as the fit sees them: rows of signals, and what the chain predicts for them."""
