@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clampid.diagnosis.limits import limit_rows, not_testable
-from clampid.display import scale_for, with_std
+from clampid.display import length, scale_for, with_std
 from clampid.exports.determined import determined_shifts
 from clampid.report.style import Table, as_table
 
@@ -33,13 +33,13 @@ def exported(shifts: Sequence[Json]) -> list[Table]:
     for p in shifts[:MOST_EXPORTED]:
         shift, std = float(p["shift"]), float(p["std"])
         value = with_std(shift, std, scale_for(str(p["unit"]), [shift, std]))
-        rows.append((str(p["row"]), str(p["parameter"]), value))
+        rows.append((str(p["row"]), str(p["parameter"]), value, length(p["at_flange_m"])))
     more = f" {len(shifts) - MOST_EXPORTED} more are not shown." if len(shifts) > MOST_EXPORTED else ""
     caption = (
         "What leaving it out had done to the exported DH table (Hayati's rows): the numbers without the effect less "
-        f"those with it, as far as they differ from zero, the most significant first.{more}"
+        f"those with it, as far as they differ from zero, the largest at the flange first.{more}"
     )
-    return [as_table(("Row", "Number", "Shift ± standard error#"), rows, caption)] if rows else []
+    return [as_table(("Row", "Number", "Shift ± standard error#", "At the flange#"), rows, caption)] if rows else []
 
 
 def detection_limits(testability: Sequence[Json]) -> list[Table]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,11 +15,12 @@ from offline_ik.cell.cell import Cell
 if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
 
-__all__ = ["assumptions", "moves_by", "notes_of", "time_effects"]
+__all__ = ["assumed_in_words", "assumptions", "moves_by", "notes_of", "time_effects"]
 
 Array = npt.NDArray[np.float64]
 
 SHIFT_SECONDS = 8 * 3600.0  # s
+_FIRST_NAMED = ("sample", "tool at the flange")  # what moves a detector position most
 
 
 def assumptions(detector: Detector) -> tuple[str, ...]:
@@ -36,6 +37,21 @@ def assumptions(detector: Detector) -> tuple[str, ...]:
         "base radius from the arm's reach": f"{base:.3g} m",
     }
     return tuple(f"{what}: {values[what]}" if what in values else what for what in cell.assumed)
+
+
+def assumed_in_words(assumed: Sequence[str]) -> str:
+    """How many quantities are assumed, in one sentence; those that matter most are named.
+
+    Parameters
+    ----------
+    assumed
+        Of :func:`assumptions`; not empty.
+    """
+    named = [name for name in _FIRST_NAMED if any(text.partition(":")[0] == name for text in assumed)]
+    such = f", such as {' and '.join(name.partition(' ')[0] for name in named)}," if named else ""
+    if len(assumed) == 1:
+        return f"1 quantity is assumed{such} because no cell file states it."
+    return f"{len(assumed)} quantities are assumed{such} because no cell file states them."
 
 
 def _listed(values: Iterable[float], digits: int = 3) -> str:

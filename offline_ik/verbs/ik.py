@@ -114,7 +114,7 @@ def ik(
     call += [f"{option}={value}" for option, value in given if value is not None]
     call += [*(["--roll", roll] if roll != "0" else []), *units.options]
     out.show(
-        ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], len(assumed), approach, units)
+        ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], assumed, approach, units)
     )
     out.result(data)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
+from clampid.verbs.options import EffectsFrom, ModelFile, Quiet, Verbose
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assumed
@@ -22,6 +22,7 @@ from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assum
 if TYPE_CHECKING:
     from offline_ik.beamline.options import Given
     from offline_ik.exchange.link import LinkedRobot
+    from offline_ik.inverse.detector import Detector
 
 __all__ = ["linked_robot", "serve"]
 
@@ -59,6 +60,7 @@ def serve(
     robot: Robot = None,
     running: Running = None,
     effects_from: EffectsFrom = None,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Answer detector positions over TCP: one request a line, one JSON answer a line, until interrupted."""
@@ -91,7 +93,7 @@ def serve(
             speaker = Speaker(detector, linked, token=token, answers_only=closed)
             detector.warm_up()
             _ = detector.twin  # the server's, warmed up as it is made
-        say_assumed(detector, out)
+        _say_ready(model, detector, linked is not None, verbose, out)
         for note in detector.notes:
             out.warn(note)
         if not is_loopback(host):
@@ -105,6 +107,18 @@ def serve(
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _say_ready(model: Path, detector: Detector, linked: bool, verbose: bool, out: Output) -> None:
+    """What answers, whether it moves a robot, and how much of its cell is assumed; stdout is left to the addresses."""
+    from offline_ik.inverse.assumed import assumed_in_words, assumptions
+
+    out.step(f"{model} answers for {detector.robot.name}{'' if linked else '; nothing moves: there is no --link'}.")
+    out.step("Ask one line at a time, such as: where gamma=0.3 delta=0.2 r=0.8 (m, rad). Ctrl-C stops.")
+    if verbose:
+        say_assumed(detector, out)
+    elif assumed := assumptions(detector):
+        out.warn(f"{assumed_in_words(assumed)} --verbose lists them.")
 
 
 def _refuse_taken(given: Given) -> None:
