@@ -33,8 +33,11 @@ class Balance:
     def words(self) -> str:
         """For people."""
         each = list(dict.fromkeys(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True)))
-        visits = f"{each[0]} for every joint" if len(each) == 1 else f"for joints 1 to {len(self.plus)}: " + ", ".join(
-            f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True)
+        visits = (
+            f"{each[0]} for every joint"
+            if len(each) == 1
+            else f"for joints 1 to {len(self.plus)}: "
+            + ", ".join(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True))
         )
         explained = f"{self.confounded.max():.0%}"
         return (

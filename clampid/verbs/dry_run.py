@@ -67,7 +67,7 @@ def _screen(plan: Plan, steps: Sequence[Motion], plan_file: Path, output: Path, 
     longest = max(steps, key=lambda step: step.travel)
     rows = [step.measured for step in steps if step.measured]
     tables = ", ".join(f"{name} after {rows.count(name)} motions" for name in dict.fromkeys(rows))
-    nearest: dict[str, Motion] = {}  # of each joint's range, or of the clamp's force or moment, the motion nearest to it
+    nearest: dict[str, Motion] = {}  # of each limit, the motion that comes nearest to it
     for step in sorted((step for step in steps if "%" in step.limit), key=_share, reverse=True):
         nearest.setdefault(step.limit.partition("% of ")[2], step)
     near = list(nearest.values())[:NEAREST]

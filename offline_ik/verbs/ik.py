@@ -113,9 +113,7 @@ def ik(
     given = (("--cell", cell), ("--robot", robot), ("--running", running), ("--near", near))
     call += [f"{option}={value}" for option, value in given if value is not None]
     call += [*(["--roll", roll] if roll != "0" else []), *units.options]
-    out.show(
-        ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], assumed, approach, units)
-    )
+    out.show(ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], assumed, approach, units))
     out.result(data)
 
 

@@ -114,7 +114,7 @@ def _say_ready(model: Path, detector: Detector, linked: bool, verbose: bool, out
     from offline_ik.inverse.assumed import assumed_in_words, assumptions
 
     out.step(f"{model} answers for {detector.robot.name}{'' if linked else '; nothing moves: there is no --link'}.")
-    out.step("Ask one line at a time, such as: where gamma=0.3 delta=0.2 r=0.8 (m, rad). Ctrl-C stops.")
+    out.step("Requests are lines in rad and m, such as: where gamma=0.3 delta=0.2 r=0.8")
     if verbose:
         say_assumed(detector, out)
     elif assumed := assumptions(detector):
