@@ -34,7 +34,7 @@ Posture = Annotated[
 
 @dataclass(frozen=True)
 class Measuring:
-    """What is measured at each visit, and how it is come to."""
+    """What is measured at each visit, and how the robot approaches it."""
 
     targets: Annotated[
         str | None,
