@@ -24,7 +24,7 @@ _FIRST_NAMED = ("sample", "tool at the flange")  # what moves a detector positio
 
 
 def assumptions(detector: Detector) -> tuple[str, ...]:
-    """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
+    """What a cell does not state, each with the value that is assumed."""
     cell, convention = detector.cell, detector.cell.convention
     base, radii = cell.world.radii(detector.robot)
     values = {
@@ -59,7 +59,7 @@ def _listed(values: Iterable[float], digits: int = 3) -> str:
 
 
 def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
-    """What a cell says and the model makes nothing of, and which time it leaves open that the model has effects of."""
+    """Notes on inputs that the model does not use, and on a running time that it needs and the cell does not state."""
     read = {signal for slot in arm.slots for signal in arm.effects[slot.effect].needs}
     given = {"link": cell.link_temperature, "motor": cell.motor_temperature}
     said = [
@@ -79,7 +79,7 @@ def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
 
 
 def time_effects(arm: IdentifiedArm) -> tuple[str, ...]:
-    """The model's effects that read for how long the robot has been running."""
+    """The model's effects that depend on the time for which the robot has been running."""
     return tuple(dict.fromkeys(s.effect for s in arm.slots if "elapsed" in arm.effects[s.effect].needs))
 
 

@@ -144,7 +144,7 @@ def _refuse_taken(given: Given) -> None:
 
 
 def _end_with_0(until_ready: contextlib.ExitStack) -> None:
-    """A stop while the server is made ready closes what is open, and is no failure; then its loop hears of signals."""
+    """SIGTERM while the server is made ready ends it with exit code 0; later its loop handles signals."""
     if threading.current_thread() is not threading.main_thread():  # signals are not this thread's
         return
 
@@ -155,7 +155,7 @@ def _end_with_0(until_ready: contextlib.ExitStack) -> None:
 
 
 def _token(path: Path, out: Output) -> str:
-    """What stands in a file, blanks at its ends aside."""
+    """The token in a file, stripped of blanks."""
     try:
         with open(
             os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb"
@@ -178,7 +178,7 @@ def _token(path: Path, out: Output) -> str:
 
 
 def linked_robot(address: str, out: Output) -> LinkedRobot:
-    """The robot; one that moves for a server or a client that is gone is stopped: nobody else could do so now."""
+    """The robot. If it still moves for a server or client that is gone, it is stopped: nobody else can."""
     from experiments.links.address import open_link
     from experiments.links.protocol import LinkError
     from offline_ik.exchange.link import LinkedRobot
