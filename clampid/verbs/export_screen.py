@@ -120,7 +120,6 @@ def _alone(kind: str, error: FormError, measured: Measured | None) -> str:
     if measured is None and error.position_max < EXACT:
         return f"The {kind} holds the whole model: nothing in it depends on posture, load or time."
     if measured is None:
-        return (
-            f"On its own the {kind} leaves {error_text(error.position_rms, 'm')} of the whole model over the workspace."
-        )
-    return f"On its own the {kind} leaves {error_text(measured.mean, 'm')} of the measured points."
+        rms = error_text(error.position_rms, "m")
+        return f"A controller that knows only this {kind} errs by {rms} (rms) over the workspace."
+    return f"A controller that knows only this {kind} misses the measured points by {error_text(measured.mean, 'm')}."
