@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from clampid.verbs.options import EffectsFrom, ModelFile, Quiet, Verbose
+from clampid.verbs.options import EffectsFrom, ModelFile, Quiet
 from clampid.verbs.output import Output
 from offline_ik.errors import DetectorError
 from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assumed
@@ -60,7 +60,7 @@ def serve(
     robot: Robot = None,
     running: Running = None,
     effects_from: EffectsFrom = None,
-    verbose: Verbose = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="List what is assumed.", show_default=False)] = False,
     quiet: Quiet = False,
 ) -> None:
     """Answer detector positions over TCP: one request a line, one JSON answer a line, until interrupted."""
