@@ -291,7 +291,7 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
 
 
 def _clearly_better(rows: int) -> float:
-    """Below which ratio of two fits' median distances, of so many points, the better one is no chance.
+    """Critical ratio of two fits' median distances: below it the better fit is significant.
 
     An F test of what both leave beyond the nine numbers that are fitted, shared out over about as many mistakes as are
     tried; zero where the points are too few to tell.
@@ -324,7 +324,7 @@ def _shifted_rows(
     good: float,
     share: float = 0.5,
 ) -> str | None:
-    """In words, that the joint angles of a row, or of a visit, stand beside the points of the next or the last one.
+    """Message: joint angles of a row or visit stand in the row of the next or previous one's points.
 
     ``share`` of the rows must then fit to within ``good``, m.
     """
