@@ -147,7 +147,7 @@ def _more_poses(campaign: Campaign, folder: Path, poses: int | None) -> tuple[Ne
     robot = str(campaign.header.get("robot", campaign.robot.name))
     own = folder / robot
     output = free_name(Path("plan.toml"))
-    like = ["--like", folder] if campaign.targets else []
+    like: list[str | Path] = ["--like", folder] if campaign.targets else []
     described = own if own.is_file() else robot
     call = typed("plan", "poses", "--robot", described, *like, "--poses", str(poses), "-o", output)
     return (Next("Next, plan as many poses as this fit needs:", call),)
