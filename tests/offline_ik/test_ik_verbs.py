@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from clampid.cli import app
 from clampid.display import number, readable
 from clampid.models.model import save_model
+from offline_ik.inverse.assumed import assumed_in_words
 from offline_ik.inverse.opening import open_detector
 
 CLAMPID = Path(sys.executable).parent / "clampid"
@@ -178,7 +179,7 @@ def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path
 
 def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> None:
     command = [str(CLAMPID), "serve", str(model_file), "--cell", str(cell_file), "--listen", "127.0.0.1:0"]
-    env = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    env = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as server:
         try:
             assert server.stdout is not None
@@ -196,6 +197,27 @@ def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> N
             finally:
                 server.kill()
     assert "Traceback" not in errors
+    lines = errors.splitlines()
+    assert len(lines) <= 8  # what is assumed is counted, not listed
+    assert max(map(len, lines)) <= 80
+    said = " ".join(errors.split())
+    assert "nothing moves: there is no --link" in said
+    assert re.search(r"[1-9]\d* quantit(y is|ies are) assumed.* because no cell file states", said)
+    assert said.endswith("--verbose lists them.")
+
+
+@pytest.mark.parametrize(
+    ("assumed", "says"),
+    [
+        (("convention: thesis", "sample: 1, 0, 0 m", "tool at the flange"),
+         "3 quantities are assumed, such as sample and tool, because no cell file states them."),
+        (("no obstacles", "tool at the flange"),
+         "2 quantities are assumed, such as tool, because no cell file states them."),
+        (("no obstacles",), "1 quantity is assumed because no cell file states it."),
+    ],
+)  # fmt: skip
+def test_what_is_assumed_is_counted_and_only_what_is_assumed_is_named(assumed: tuple[str, ...], says: str) -> None:
+    assert assumed_in_words(assumed) == says
 
 
 @pytest.mark.parametrize(
