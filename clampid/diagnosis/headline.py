@@ -227,5 +227,9 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
 
 
 def worth_naming(shifts: Sequence[Json]) -> list[Json]:
-    """Shifts of the exported table that move the flange measurably, the largest first."""
-    return sorted((s for s in shifts if s["at_flange_m"] >= MEASURABLE), key=lambda s: -float(s["at_flange_m"]))
+    """Shifts of the exported table that move the flange measurably, the largest first.
+
+    Diagnoses that an earlier version stored do not say what a shift does at the flange; of these none is named.
+    """
+    known = [s for s in shifts if s.get("at_flange_m", 0.0) >= MEASURABLE]
+    return sorted(known, key=lambda s: -float(s["at_flange_m"]))

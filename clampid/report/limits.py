@@ -35,7 +35,8 @@ def exported(shifts: Sequence[Json]) -> list[Table]:
     for p in shifts[:MOST_EXPORTED]:
         shift, std = float(p["shift"]), float(p["std"])
         value = with_std(shift, std, scale_for(str(p["unit"]), [shift, std]))
-        rows.append((str(p["row"]), str(p["parameter"]), value, length(p["at_flange_m"])))
+        at_flange = length(p["at_flange_m"]) if "at_flange_m" in p else "not known"  # of an earlier version's diagnosis
+        rows.append((str(p["row"]), str(p["parameter"]), value, at_flange))
     more = f" {len(shifts) - MOST_EXPORTED} more are not shown." if len(shifts) > MOST_EXPORTED else ""
     caption = (
         "Bias of the exported DH table (Hayati's rows) without the effect: the numbers without it less those with it, "

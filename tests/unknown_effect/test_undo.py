@@ -21,6 +21,7 @@ from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.loop.undo import undo
 from clampid.models.model import Model, ModelError, load_model, save_model
+from clampid.report.limits import exported
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 
@@ -129,6 +130,12 @@ def test_what_cannot_be_measured_at_the_flange_is_not_named():
         "poses: Without it the DH table is biased in 1 number: theta_offset of row 2 by 200 ± 50 µrad; 180 µm at the "
         "flange."
     ]
+
+
+def test_a_diagnosis_of_an_earlier_version_names_no_shift_and_is_reported():
+    old = {"row": "2", "parameter": "theta_offset", "shift": 2e-4, "std": 5e-5, "unit": "rad"}
+    assert shift_in_words([old]) == ""
+    assert exported([old])[0].rows == (("2", "theta_offset", "200 ± 50 µrad", "not known"),)
 
 
 def test_what_one_of_both_fits_does_not_determine_has_no_shift(arm: Campaign):
