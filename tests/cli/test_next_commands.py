@@ -90,6 +90,7 @@ def test_an_effect_file_that_is_not_there_is_said_to_be_missing(clampid: Clampid
     assert "found no such file" in clampid("effect", "trust", tmp_path / "none.py").complaint
 
 
+@pytest.mark.slow
 def test_a_dry_run_is_one_screen_and_lists_every_motion_on_demand(
     clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

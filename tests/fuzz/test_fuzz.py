@@ -86,6 +86,7 @@ def fuzzed(count: int | str, seed: int, *names: str, program: str = "readers.py"
     assert len(tried) == sum(shares)
 
 
+@pytest.mark.slow
 def test_compiled_readers_survive_spoilt_files() -> None:
     fuzzed(150, 7, "urdf")
 
@@ -104,6 +105,7 @@ def test_each_reader_reads_or_refuses_ten_thousand_spoilt_files() -> None:
     fuzzed("whole", 16)
 
 
+@pytest.mark.slow
 def test_verbs_answer_spoilt_inputs_in_one_line() -> None:
     fuzzed(6, 9, program="verbs.py")
 
@@ -119,6 +121,7 @@ def test_verbs_answer_a_thousand_spoilt_inputs_in_one_line() -> None:
     fuzzed(130, 17, program="verbs.py")
 
 
+@pytest.mark.slow
 def test_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
     fuzzed(2, 13, program="calls.py")
 

@@ -76,6 +76,7 @@ def test_undo_needs_the_campaign_of_the_model(arm: Campaign, first: Model, simul
         undo(once, other)
 
 
+@pytest.mark.slow
 def test_undo_of_torques_fits_the_poses_again(simulated):
     campaign = simulated("torque_offset@joint3", seed=4, poses=60, tables=("free_air", "wrist", "poses"))
     first = identify(campaign)
