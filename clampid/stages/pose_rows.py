@@ -151,12 +151,14 @@ def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, referen
         rotation = quaternion_to_rotation(frame[["qw", "qx", "qy", "qz"]].to_numpy(float))
         measured = np.c_[position, np.zeros((count, 3))]
         sigma = np.c_[sigma, np.full((count, 3), instrument.orientation_std or DEFAULT_ORIENTATION_STD)]
+    reference = _seen_base(campaign, points, position) if reference is None else reference
     return _Read(
         measured=measured,
         sigma=sigma,
         used=np.ones(measured.shape, dtype=bool),
-        reference=_seen_base(campaign, points, position) if reference is None else reference,
-        position=position,
+        reference=reference,
+        # Not where they were measured: what a fit leaves of such a column is the noise, which then explains itself.
+        position=points @ reference[:3, :3].T + reference[:3, 3],
         anchor_way=np.zeros((count, 3)),
         constants={"rotation": rotation, "oriented": np.full(count, rotated), "anchor": np.zeros((count, 3))},
         axes=axes,
