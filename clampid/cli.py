@@ -156,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         As typed; those of the process by default.
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # BLAS threads that fight cost a small fit a factor of ten
+        os.environ.setdefault(name, "1")  # several BLAS threads slow a small fit down tenfold
     any_encoding()
     given = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in given
@@ -231,12 +231,12 @@ def _fail(message: str, code: int) -> int:
         text = "\n".join(wrapped(text, shutil.get_terminal_size().columns, rest="  "))
     try:
         print(text, file=sys.stderr, flush=True)
-    except OSError:  # nobody can be told: the disk is full, say
+    except OSError:  # stderr itself cannot be written, such as on a full disk
         _give_up(sys.stderr)
     return code
 
 
 def _give_up(stream: TextIO) -> None:
-    """Let the interpreter not fail, with a code of its own, at what could not be written."""
+    """Keep the interpreter from ending with an exit code of its own when output cannot be written."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -52,7 +52,7 @@ _SCALES: dict[str, tuple[tuple[float, float, str], ...]] = {
     "Nm s/rad": ((1.0, 1.0, "Nm·s/rad"), (0.0, 1e3, "mNm·s/rad")),
 }
 AT_FLOOR = 1.05
-"""An error of so many noise floors is said to be at the noise floor: nobody reads a smaller difference."""
+"""Up to so many noise floors an error is reported as being at the noise floor."""
 _EXACT = 12  # significant digits of a number without an uncertainty; nobody reads more
 CONSTANT = 1e-8  # of its value: a standard error below that share is none
 _PLAIN = range(-4, 7)  # powers of ten that a number is printed without
@@ -106,7 +106,7 @@ def _place(std: float) -> int:
 
 
 def _has_error(value: float, std: float) -> bool:
-    """Whether there is a standard error: constants that a fit holds have a millionth of a millionth, or none."""
+    """Whether there is a standard error: fixed parameters have none, or one of the size of rounding."""
     return math.isfinite(std) and std > CONSTANT * abs(value)
 
 

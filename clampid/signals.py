@@ -74,7 +74,7 @@ SIGNALS: Mapping[str, Signal] = {
     "anchor_is": Signal(("a",), "", "1 for the anchor that the row's distance was measured from, else 0"),
     "anchor_way": Signal((3,), "", "unit vector from that anchor to the target, instrument's frame; of points zero"),
     "session_is": Signal(("s",), "", "1 for the session that the row belongs to, else 0"),
-    "position": Signal((3,), "m", "the measured point in the instrument's frame"),
+    "position": Signal((3,), "m", "the nominal robot's point in the instrument's frame"),
 }
 """What an effect may depend on, name by name; beside these every other recorded temperature, see :func:`signal`."""
 

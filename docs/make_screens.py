@@ -6,6 +6,7 @@ Without the folder the recordings of the real robot stay as they are.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -23,7 +24,14 @@ SIMULATED = (
     "clampid ik model.json --gamma 0.3 --delta 0.2 --r 0.8",
     "clampid robots kuka_kr20_r1810",
     "clampid robots staubli_tx40",
+    "clampid effects",
+    "clampid effects gear_eccentricity",
+    "clampid export dh model.json -o dh.csv",
+    "clampid plan iso9283 --cube 1.0,0,0.8,0.4 -o iso.toml",
+    "clampid plan line --from 1.0,-0.3,0.6 --to 1.0,0.3,0.6 -o line.toml",
+    "clampid run line.toml -o measured --dry-run",
 )
+SERVED = "clampid serve model.json"
 REAL = (
     "clampid check ur10_series_d",
     "clampid identify ur10_series_d -o ur10.json",
@@ -52,6 +60,7 @@ A Universal Robots UR10, measured by a laser tracker at 632 poses. See
 [What a real robot was missing](../explanation/real-robot.md).
 
 """
+UNTIL_INTERRUPTED = "\n<!-- not run: runs until interrupted -->\n"
 NOT_RUN = "<!-- not run: the campaign is not in the repository -->\n"
 
 
@@ -63,6 +72,20 @@ def recorded(command: str, folder: str) -> str:
     return f"```console\n$ {command}\n{done.stdout}```\n"
 
 
+def served(command: str, folder: str) -> str:
+    """The same of a server, which says what it is when it listens; progress is left out."""
+    words = [str(Path(sys.executable).parent / "clampid"), *command.split()[1:]]
+    env = {**os.environ, "COLUMNS": "80", "PYTHONUNBUFFERED": "1"}
+    said: list[str] = []
+    with subprocess.Popen(words, cwd=folder, env=env, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as p:
+        assert p.stdout is not None
+        for line in p.stdout:
+            said += [] if line.startswith("compiling") else [line]
+            if line.startswith("listening"):
+                p.send_signal(signal.SIGINT)
+    return f"```console\n$ {command}\n{''.join(said)}```\n"
+
+
 def main() -> None:
     """Write the page."""
     old = PAGE.read_text(encoding="utf-8") if PAGE.exists() else BETWEEN
@@ -72,6 +95,7 @@ def main() -> None:
             ["bash", "-c", f"export PATH={Path(sys.executable).parent}:$PATH; {MAKE}"], cwd=folder, check=True
         )
         simulated = "\n".join(recorded(command, folder) for command in SIMULATED)
+        simulated += UNTIL_INTERRUPTED + served(SERVED, folder)
     if len(sys.argv) > 1:
         with tempfile.TemporaryDirectory() as folder:
             os.symlink(Path(sys.argv[1]).resolve() / "ur10_series_d", Path(folder) / "ur10_series_d")

@@ -56,7 +56,7 @@ _TRACKER = {
 
 @dataclass(frozen=True)
 class Tool:
-    """What the controller was told of the tool, not necessarily the truth.
+    """The tool as declared to the controller, not necessarily the true one.
 
     Attributes
     ----------

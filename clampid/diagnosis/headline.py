@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from clampid.display import error_text, floor_text, places_text, with_error
+from clampid.display import error_text, floor_text, length, places_text, with_error
 from clampid.stages.stage_kind import kind_of
 
-__all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome"]
+__all__ = ["MOST_WORDS", "Outcome", "equally_good", "headline", "listed", "named", "notes", "outcome", "worth_naming"]
 
 Json = Mapping[str, Any]
 Outcome = Literal["good", "open"]
@@ -18,8 +18,8 @@ AS_GOOD = 1.5
 """An alternative explains the rest as well as another only if its held-out error is at most so many times as large."""
 PLACELESS = ("base", "instrument", "tool", "robot", "fixture")
 FEW = 3
-MATTERS = 1e-5
-"""m or rad: a smaller shift of the exported table is no example to give."""
+MEASURABLE = 1e-5
+"""m at the flange, about what a laser tracker resolves: a smaller shift of the exported table is not named."""
 OPEN = {
     "ambiguous": "several effects explain what is left equally well",
     "unknown": "no known effect explains the rest",
@@ -214,12 +214,23 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         out.append(f"Direction-dependent effects were not tested at {joints}: {why}.")
     if len(part.get("outliers") or ()) >= FEW:
         out.append(f"{len(part['outliers'])} rows were rejected as outliers.")
-    if shifts := part.get("exported_shift"):
-        p = max(shifts, key=lambda p: (abs(p["shift"]) > MATTERS, abs(p["shift"]) / (p["std"] or 1.0)))
+    if shifts := worth_naming(part.get("exported_shift") or ()):
+        p = shifts[0]
         row = p["row"] if str(p["row"]).isalpha() else f"row {p['row']}"
         much = with_error(p["shift"], p["std"], p["unit"])
         named_here = [c for c in part["candidates"] if not c["alternative"]]
         without = "Without these effects" if len(named_here) > 1 else "Without it"
         biased = "Without what was added the DH table was biased" if mended else f"{without} the DH table is biased"
-        out.append(f"{biased} in {len(shifts)} numbers, such as {p['parameter']} of {row}: {much}.")
+        count = "1 number:" if len(shifts) == 1 else f"{len(shifts)} numbers, such as"
+        at_flange = f"{length(p['at_flange_m'])} at the flange"
+        out.append(f"{biased} in {count} {p['parameter']} of {row} by {much}; {at_flange}.")
     return [f"{stage}: {text}" for text in out]
+
+
+def worth_naming(shifts: Sequence[Json]) -> list[Json]:
+    """Shifts of the exported table that move the flange measurably, the largest first.
+
+    Diagnoses that an earlier version stored do not say what a shift does at the flange; of these none is named.
+    """
+    known = [s for s in shifts if s.get("at_flange_m", 0.0) >= MEASURABLE]
+    return sorted(known, key=lambda s: -float(s["at_flange_m"]))

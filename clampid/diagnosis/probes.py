@@ -102,7 +102,7 @@ def _pose_probes(estimate: Estimate) -> list[Candidate]:
         found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in air]
         if name in ("base", "flange"):  # what turns or stops there moves them, and no joint's error can say it
             found += [_at(frame, range(6), name, what, variables, x) for what, variables, x in alone]
-    place = np.column_stack([_scaled(rows.measured[:, k]) for k in range(3)])
+    place = np.column_stack([_scaled(column) for column in rows.signals["position"].T])
     readings: list[Covariate] = [(f"position along {a}", (a,), place[:, k, None]) for k, a in enumerate("xyz")]
     for (i, a), (k, b) in combinations_with_replacement(enumerate("xyz"), 2):
         both = tuple(dict.fromkeys((a, b)))

@@ -32,10 +32,17 @@ class Balance:
     @property
     def words(self) -> str:
         """For people."""
-        each = ", ".join(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True))
+        each = list(dict.fromkeys(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True)))
+        visits = (
+            f"{each[0]} for every joint"
+            if len(each) == 1
+            else f"for joints 1 to {len(self.plus)}: "
+            + ", ".join(f"{a}/{b}" for a, b in zip(self.plus, self.minus, strict=True))
+        )
+        explained = f"{self.confounded.max():.0%}"
         return (
-            f"visits approached upwards/downwards, joint by joint: {each}; posture and order explain at most "
-            f"{self.confounded.max():.0%} of a joint's directions"
+            f"Visits approached towards larger/smaller angles: {visits}. Posture and order explain "
+            f"{'none' if explained == '0%' else f'at most {explained}'} of a joint's approach directions."
         )
 
     def to_json(self) -> dict[str, list[float]]:

@@ -1,4 +1,4 @@
-"""Errors of the joints' angles over a turn, with their band: where angles were visited, and where nobody was."""
+"""Errors of the joints' angles over a turn, with their band, and which angles the poses do not cover."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def angle_curves_section(
     poses
         The campaign's poses, whose residuals are drawn on the curve that joints share.
     diagnosis
-        INTERFACE's JSON of ``diagnose``: it says whether curves of single joints are one.
+        JSON of ``diagnose``: it says whether the joints share one curve.
     """
     stage = known_of(model.stages, "points")
     if stage is None:
@@ -90,7 +90,7 @@ def angle_curves_section(
 
 
 def _turns(one: SharedCurve) -> Table:
-    """How each joint stands on the shared curve."""
+    """Phase, sign and remainder of each joint on the shared curve."""
     rows = []
     for k, j in enumerate(one.joints):
         phase, std = np.degrees(one.phase[k]) % 360, np.degrees(one.phase_std[k])
@@ -105,7 +105,7 @@ def _turns(one: SharedCurve) -> Table:
 
 
 def points_on(one: SharedCurve, poses: StageData | None) -> list[tuple[int, Array, Array]]:
-    """Per joint what the poses say of the shared curve: angle on it and g there, rad, means over a degree.
+    """For each joint the shared curve as its poses show it: angle and g, rad, means over a degree.
 
     A pose's residual is given to one joint at a time: what the others leave scatters it, and averages out.
     """
@@ -154,7 +154,7 @@ def _one_curve(one: SharedCurve, points: list[tuple[int, Array, Array]]) -> Figu
 
 
 def _marks(found: AngleErrors, degrees: Array, j: int) -> tuple[Mark, ...]:
-    """The band, the curve, and the part of it that is not known, in µrad."""
+    """The band, the curve, and its part without poses, in µrad."""
     error, two = 1e6 * found.error[:, j], 2e6 * found.std[:, j]
     far = found.extrapolated[:, j]
     return (

@@ -31,7 +31,7 @@ class Share:
 
 
 def _without(data: StageData, slots: Collection[Slot]) -> Array:
-    """Values with the amplitudes of some slots at zero; shape parameters mean nothing then."""
+    """Values with the amplitudes of some slots at zero; the shape parameters then have no effect."""
     theta = data.model.theta.copy()
     for k, slot in enumerate(data.model.slots):
         if slot in slots and not find_parameter(slot, data.first.experiment.effects).shape:
@@ -40,7 +40,7 @@ def _without(data: StageData, slots: Collection[Slot]) -> Array:
 
 
 def _part_of(slot: Slot) -> str:
-    """The line of the budget that a slot belongs to; of the geometry, setup and robot apart."""
+    """The line of the budget that a slot belongs to; the geometry has one for the setup and one for the robot."""
     if not has_role(slot, *FRAMES):
         return slot.effect
     if has_role(slot, "base_frame", "target_point", "flange_frame"):
@@ -69,7 +69,7 @@ def pose_budget(data: StageData) -> list[Share]:
 
 
 def torque_budget(data: StageData) -> list[Share]:
-    """For each effect the RMS torque per motor that it stands for, Nm, largest first."""
+    """For each effect its RMS torque at each motor, Nm, largest first."""
     piece = data.first
     rows = piece.rows
     keep = thin(len(rows), MOST_ROWS) if data.kind.moving else np.arange(len(rows))

@@ -1,4 +1,4 @@
-"""The error budget as figures and tables, beside the noise floor."""
+"""The error budget as figures and tables, with the noise floor."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def budget_section(stages: Mapping[Stage, StageData]) -> Section | None:
 def _pose_blocks(data: StageData) -> list[Table | Figure]:
     shares = [s for s in pose_budget(data) if float(s.total[0]) > 0.0]
     floor = data.floor.norm
-    names = [s.name for s in shares]
+    names = [s.name.replace("_", " ") for s in shares]
     totals = [1e6 * float(s.total[0]) for s in shares]
     smallest = min([*totals, *(1e6 * v for s in shares for v in s.places.values() if v > 0), 1e6 * floor], default=1.0)
     low = 10.0 ** np.floor(np.log10(max(smallest, 1e-2)))
@@ -60,12 +60,17 @@ def _pose_blocks(data: StageData) -> list[Table | Figure]:
     )
     plot = Chart((panel,), 100 + 34 * len(names), left=230)
     rows = [
-        (s.name, error_text(float(s.total[0]), "m"), number(float(s.total[0]) / floor, 2), _largest(s)) for s in shares
+        (
+            s.name.replace("_", " "),
+            error_text(float(s.total[0]), "m"),
+            number(float(s.total[0]) / floor, 2),
+            _largest(s),
+        )
+        for s in shares
     ]
     caption = (
         f"RMS shift at the campaign's {int(data.first.good[:, 0].sum())} points. Base, targets and "
-        "flange belong to the setup; their shift is from the nominal robot aligned with the points, and depends on how "
-        "the geometry's freedom is shared out."
+        "flange belong to the setup. Their shift is relative to the nominal robot aligned with the points."
     )
     table = as_table(("Effect", "RMS shift#", "Times the noise#", "Largest single places"), rows)
     return [Figure("budget-poses", plot, caption), table]
@@ -87,7 +92,7 @@ def _torque_blocks(data: StageData) -> list[Table | Figure]:
     floor = data.floor.sigma[:motors]
     lines = [*shares, Share("noise floor", floor, {})]
     across = min(motors, 6)
-    named = tuple((float(k), s.name) for k, s in enumerate(lines))
+    named = tuple((float(k), s.name.replace("_", " ")) for k, s in enumerate(lines))
     colors = ["grey" if s.name in ("torque measured", "gravity as described") else "blue" for s in shares] + ["green"]
     panels = []
     for k in range(across):
@@ -100,12 +105,15 @@ def _torque_blocks(data: StageData) -> list[Table | Figure]:
         level = Level(float(floor[k]), "x", "noise floor")
         panels.append(Panel((bars, level), Axis("Nm", tiny, top, log=True), axis, f"motor {k + 1}"))
     plot = Chart(tuple(panels), 110 + 30 * len(lines), across, left=210)
-    rows = [(s.name, *(number(float(v)) if v > 1e-9 else "0" for v in s.total)) for s in lines]
+    rows = [(s.name.replace("_", " "), *(number(float(v)) if v > 1e-9 else "0" for v in s.total)) for s in lines]
     note = " The springs are left out: a clamped drive without them has no finite torque." if data.kind.solved else ""
     caption = f"RMS torque at each motor that an effect stands for, Nm.{note}"
     return [
         Figure(f"budget-{data.stage}", plot, caption),
         Table(
-            ("Nm, RMS", *(f"Motor {k + 1}#" for k in range(motors))), tuple(rows), "The same in numbers", folded=True
+            ("Nm, RMS", *(f"Motor {k + 1}#" for k in range(motors))),
+            tuple(rows),
+            "RMS torque at each motor by effect, in numbers",
+            folded=True,
         ),
     ]

@@ -62,7 +62,7 @@ def _choice(chart: Chart) -> Mapping[str, Any]:
 
 
 def _once(each: list[str]) -> list[str]:
-    """What all panels have alike, once."""
+    """What all panels share."""
     return each[:1] if len(set(each)) == 1 else each
 
 

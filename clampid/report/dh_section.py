@@ -68,7 +68,7 @@ def _tables(frame: Any, convention: str) -> list[Table]:
         if "d_m" in present and any(OPEN in row for row in rows):
             caption += (
                 " d is not determined where the next axis is nearly parallel: the common normal may lie anywhere along "
-                "the two, and the offsets cancel. Their numbers are in the export; Hayati rows have none of this."
+                "the two, and the offsets cancel. The export has these numbers. Hayati's rows do not have this problem."
             )
         out.append(as_table(heads, rows, caption))
     return out

@@ -1,4 +1,4 @@
-"""The drives as the clamped sweeps determine them: a table, the compliance matrix, and how the clamp moved."""
+"""The drives identified from clamped sweeps: a table, the compliance matrix, and the clamp's motion."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _matrix(d: Drives) -> Figure:
 
 
 def _fixture(data: StageData) -> Figure | None:
-    """How the clamp moved by its sensor, and by the model; None where nothing watched it."""
+    """The clamp's motion by its sensor and by the model; None without a sensor."""
     frame = data.frames.get("clamped")
     if frame is None or not any(name in frame.columns for name in WATCHED):
         return None
@@ -105,7 +105,7 @@ def _fixture(data: StageData) -> Figure | None:
         panels.append(Panel(tuple(marks), Axis(), Axis(unit), titles[k]))
     plot = Chart(tuple(panels), 480, below="row of the table clamped")
     caption = "Motion of the clamped flange by the sensor on its fixture, from the mean of each sweep, base axes" + (
-        ", and as the model has it." if model is not None else ". The model has a fixture that does not move."
+        ", and by the model." if model is not None else ". In the model the fixture does not move."
     )
     return Figure("fixture", plot, caption)
 

@@ -61,7 +61,7 @@ def evidence(found: Json, unit: str) -> list[Table]:
 
 
 def filled_table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Table:
-    """A table without the columns that hold nothing."""
+    """A table without its empty columns."""
     kept = [k for k in range(len(heads)) if any(row[k] not in ("", "–") for row in rows)]
     return as_table([heads[k] for k in kept], [[row[k] for k in kept] for row in rows], caption)
 
@@ -130,7 +130,7 @@ def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
         remarks.append(f"depends on {', '.join(map(str, c['depends_on']))}")
     if state != "testable":
         remarks.append(
-            f"{state}: the fitted parameters absorb all but {number(100 * float(c.get('retained') or 0.0), 2)} % of it"
+            f"{state}: the fitted parameters explain all but {number(100 * float(c.get('retained') or 0.0), 2)} % of it"
         )
     return (
         _name(c),
@@ -145,7 +145,7 @@ def _looked_at(c: Json, unit: str) -> tuple[str, ...]:
 
 
 def confusable_text(c: Json) -> str:
-    """What shares most of a candidate's columns; variants of one effect at one place once."""
+    """The effects that a candidate is most confusable with; variants of one effect at one place once."""
     return "; ".join(dict.fromkeys(_other(o) for o in c.get("confusable_with") or ())) or "–"
 
 
@@ -216,6 +216,8 @@ def comparison_table(tables: Json) -> Table:
             out = motor.get("heldout") or {}
             numbers = (motor.get("rms_Nm"), None, out.get("rms_Nm"), None, motor.get("noise_floor_Nm"))
             texts = [error_text(v, "Nm") for v in numbers]
+            if all(v is None for v in numbers[:4]):  # it stood still
+                continue
             r2 = f"R² {number(out['r2'], 4)} held out" if out.get("r2") is not None else ""
             rows.append((f"    motor {k}", *texts[:2], "", *texts[2:], r2))
     heads = (

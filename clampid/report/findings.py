@@ -115,7 +115,7 @@ def _steps(model: Model, first: Model | None) -> str:
 
 
 def _truth(truth: Sequence[Json] | None, model: Model) -> str:
-    """What a demonstration had hidden, and whether the model has it."""
+    """What the demo had hidden, and whether the model has it."""
     if truth is None:
         return ""
     hidden = [(str(t.get("effect", "")), str(t.get("where", ""))) for t in truth]
@@ -143,7 +143,7 @@ def _space(poses: StageData | None) -> str:
 
 
 def _budget(poses: StageData | None) -> str:
-    """Which effect of the robot, its geometry apart, moves the points most."""
+    """Which effect of the robot, other than its geometry, moves the points most."""
     if poses is None or not poses.good.any():
         return ""
     shares = [s for s in pose_budget(poses) if s.name != SETUP and float(s.total[0]) > 0.0]
@@ -172,7 +172,7 @@ def _model(model: Model) -> str:
 
 
 def _torque(model: Model, first: Model | None) -> str:
-    """The held-out error of motor torques beside their noise."""
+    """The held-out error of motor torques and the noise floor."""
     said = []
     for stage in in_order(model.stages):
         rounds = rounds_of(model, first, stage)

@@ -173,7 +173,7 @@ def _has(label: str, labels: set[str]) -> bool:
 
 def _open(model: Model, found: Json) -> list[str]:
     """What is still open, and what to measure."""
-    out = [] if found else ["Not known: no diagnosis was computed. Run `clampid diagnose`, then `clampid report`."]
+    out = [] if found else ["Not known: no diagnosis was computed. Run clampid diagnose, then clampid report."]
     now = _is_in(model, found)
     for name, part in found.items():
         for c in _not_in(model, name, part):
@@ -244,7 +244,7 @@ def _fall(rounds: Sequence[Round], nominal: float | None, unit: str) -> Fall | N
 
 
 def _label(entry: Round, index: int) -> str:
-    """A round's name, short enough to stand beside the picture."""
+    """A round's name, short enough for the picture."""
     if not entry.added:
         return "first model" if index == 0 else f"round {index + 1}"
     names = list(dict.fromkeys(label.partition("@")[0] for label in entry.added))

@@ -29,7 +29,7 @@ OUTER = 0.995  # of the points are inside the axes
 
 @dataclass(frozen=True)
 class _Cloud:
-    """Friction of one motor or joint, row by row: what the log leaves for it, Nm, at which speed, rad/s.
+    """Friction of one motor or joint, row by row: torque, Nm, and speed, rad/s.
 
     ``unit`` ``(N,)`` are the blocks of the log whose rows share their noise.
     """
@@ -77,9 +77,7 @@ def friction_figures(data: StageData) -> list[Figure]:
         caption += f" These data do not separate the two at {places}."
     found = [Figure("friction", plot, caption)]
     if proven:
-        caption = (
-            f"Of it, the friction on the arm's side of coupled joints, at the joint, where it differs from zero.{reach}"
-        )
+        caption = f"Arm-side friction of coupled joints, at the joint, where it differs significantly from zero.{reach}"
         plot = _drawn(data, at_arm, proven, [f"joint {j + 1}" for j in proven], "joint")
         found.append(Figure("friction-arm", plot, caption))
     return found
@@ -111,7 +109,7 @@ def _without(experiment: FitProblem, theta: Array, effects: Sequence[str]) -> Ar
 
 
 def _at_side(values: Array, rows: Rows, side: str) -> Array:
-    """Torques of the motors ``(N, n, …)``, or what they are at the joints."""
+    """Torques of the motors ``(N, n, …)``, or the same torques at the joints."""
     if side == "motor":
         return values
     return np.asarray(np.einsum("jm,nm...->nj...", np.linalg.inv(rows.robot.transmission), values))
@@ -128,7 +126,7 @@ def _alone(rows: Rows, place: int, side: str, speed: Array) -> Rows:
 
 
 def _cloud(data: StageData, effects: Sequence[str], place: int, side: str) -> _Cloud:
-    """Component plus residual: the model's friction of each row as if nothing else turned, and what is left there."""
+    """Component plus residual: the model's friction of each row as if nothing else turned, plus the residual."""
     piece = data.first
     usable = np.flatnonzero(piece.good.any(axis=1))
     rows = usable[thin(len(usable), 6 * MOST_POINTS)]

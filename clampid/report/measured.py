@@ -18,7 +18,7 @@ _WHAT = {
     "wrist": "motor torques, only the wrist moving",
     "clamped": "motor torques against motor angles, flange held",
     "poses": "a point of the arm, standing still",
-    "distances": "from an anchor to a point of the arm, standing still; fitted along, in no figure",
+    "distances": "distance from an anchor to a point of the arm, standing still; fitted, not drawn",
     "verification": "as poses; never used in any fit",
 }
 
@@ -67,7 +67,9 @@ def _fitted_on(model: Model, campaign: Campaign) -> str:
     names = [s.name for s in model.sessions if s.fingerprint != campaign.fingerprint]
     if len(names) < len(model.sessions):
         return " and ".join(["this campaign", *names])
-    return f"{', '.join(names)}; not on this campaign, which is all held out; its base was aligned with the poses"
+    return (
+        f"{', '.join(names)}; not on this campaign, all rows of which are held out; its base was aligned with the poses"
+    )
 
 
 def _units(table: str, frame: pd.DataFrame) -> str:

@@ -90,7 +90,7 @@ def page(
 
 
 def _headed(section: Section, heads: Mapping[str, str]) -> Section:
-    """With its finding as its heading; one that a section states itself stays."""
+    """The section with its finding as heading; a finding that it states itself is kept."""
     return section if section.finding else replace(section, finding=heads.get(section.key, ""))
 
 
@@ -122,7 +122,7 @@ def render(title: str, campaign: str, first: FirstScreen, sections: Sequence[Sec
 
 
 def _typeset(cell: str) -> str:
-    """A cell of numbers as a page has them, which nobody types again: a true minus, and groups of three from 10 000."""
+    """A cell of numbers as printed: a true minus sign, and groups of three digits from 10 000."""
     grouped = re.sub(r"(?<![\w.])\d{5,}", lambda digits: f"{int(digits[0]):,}".replace(",", "\u202f"), cell)
     return re.sub(r"(?<![\w.)])-(?=\d)", "−", grouped)
 

@@ -22,7 +22,7 @@ OPEN = "not identifiable"
 _ON_BOUND, _BEYOND = "limit", "below zero"
 SIGNIFICANT = 2.0  # standard errors from zero
 _PARTS: Mapping[Role, str] = {"base_frame": "base", "target_point": "targets", "flange_frame": "flange"}
-_MANY = 40  # parameters of an effect at a place, which nobody reads one by one
+_MANY = 40  # parameters of an effect at a place: more are not listed one by one
 _WIDE = 3  # an effect with more parameters at a place has a table of its own
 
 
@@ -54,20 +54,19 @@ def parameters_section(model: Model, effects: Mapping[str, Effect], robot: Robot
     )
     if open_ones:
         text += (
-            f" “{OPEN}” stands for: not identifiable from these data, that is, not known to within the size that it "
-            f"may reasonably have ({open_ones} parameters). Their values in the model file are one choice of many that "
-            "fit equally well."
+            f" “{OPEN}”: the data do not narrow the parameter's plausible range ({open_ones} parameters). Other values "
+            "than those in the model file fit equally well."
         )
     if any(_rests(s, effects, k) for s in model.stages.values() for k in range(len(s.slots))):
         text += (
-            f" “({_ON_BOUND})” stands for: the value is on its physical limit, such as a friction or a clearance of "
-            "zero. The data alone would have it at the limit or beyond, and the standard error is theirs: of the "
-            "interval only the side within the limit counts."
+            f" “({_ON_BOUND})”: the value is at its physical limit, such as a friction or a clearance of zero. Without "
+            "the limit, the data would put it there or beyond. Of its interval only the part within the limit is "
+            "possible."
         )
     if any(_outside(s, effects, k) for s in model.stages.values() for k in range(len(s.slots))):
         text += (
-            f" “({_BEYOND})”: this fit is not kept to zero, the physical limit of such as a friction, and has the "
-            "value past it; take the error for how badly these data know it."
+            f" “({_BEYOND})”: the fit gives a value below zero, which is not physical for a friction or a clearance. "
+            "The standard error says how poorly these data determine it."
         )
     return Section(
         "model",
@@ -94,7 +93,7 @@ def _correlated(stage: StageModel) -> list[Table]:
 
 
 def _base(stage: StageModel) -> Table:
-    """Base parameters: what the torques tell of masses, beside what the description says."""
+    """Base parameters: what the torques determine of the masses, with the description's values."""
     rows = []
     for p in stage.base:
         scale = scale_for(p.unit, [p.value])

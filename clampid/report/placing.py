@@ -19,7 +19,7 @@ _WHOSE = (("robot", "the robot as its controller has it"), ("compensated", "comp
 
 
 def placing_tables(tables: Json) -> list[Table]:
-    """All that a comparison has of this, table of poses by table of poses."""
+    """ISO 9283 and related figures of a comparison, for each table of poses."""
     out = []
     for name, table in tables.items():
         found = table.get("iso9283")
@@ -71,7 +71,7 @@ def _cells(metric: Json, unit: str) -> tuple[str, ...]:
 
 
 def _text(value: float | None, unit: str) -> str:
-    """As errors stand in a report; angles in µrad."""
+    """An error as the report prints it; angles in µrad."""
     return error_text(value, unit) if unit == "m" or value is None else f"{number(1e6 * value)} µrad"
 
 

@@ -1,4 +1,4 @@
-"""The error falling round by round, beside the noise floor."""
+"""The error, round by round, and the noise floor."""
 
 from __future__ import annotations
 

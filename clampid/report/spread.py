@@ -21,9 +21,9 @@ __all__ = ["HeldOut", "Spread", "held_out", "spread_of", "spread_sentences", "sp
 DRAWS = 2000
 MIN_UNITS = 10  # whole poses, runs or sweeps, below which a draw of them says little
 _CAPTION = (
-    "Root mean square errors on rows that no fit saw and that count both times, with 95 % intervals: {draws} draws of "
-    "whole poses (logs: runs, sweeps) with replacement, the same before and now. The models stay as they are, so that "
-    "the intervals hold what the choice of poses to verify at does, and not what another campaign to fit on would."
+    "Root mean square errors on held-out rows that both models use, with 95 % intervals from a bootstrap: {draws} "
+    "draws of whole poses (logs: runs, sweeps) with replacement, the same for both. The models are not fitted again: "
+    "the intervals include the choice of held-out poses, not that of fitted ones."
 )
 
 

@@ -27,10 +27,10 @@ _STEP_COLUMNS = (
 )
 _REJECTED = ("Step#", "Rejected", "At", "p, alone#", "p, family-wise#", "p, held out#", "Held out after#", "Why")
 _NOTE = (
-    "A step is chosen on top of those before it. Rejected are all other effects that stood out of the noise then, each "
-    "at its best place, and what was fitted and refused. Where a large effect is missing, others stand out "
-    "that share a part of its columns; they are gone once it is added. What was looked at after the last step stands "
-    "under the verdict."
+    "Each step is chosen with all earlier ones in the model. The second table lists every other effect that was "
+    "significant at that step, at its best place, and every effect that was fitted and refused. While a large effect "
+    "is missing, correlated effects are significant, too; they are no longer once it is added. Candidates after the "
+    "last step are listed under the verdict."
 )
 
 
@@ -51,7 +51,8 @@ def _tables(rounds: Sequence[Round], unit: str) -> list[Table]:
         filled_table(
             _STEP_COLUMNS,
             steps,
-            "What was added, step by step. First in folds: how often it is, without a fifth of the rows.",
+            "What was added, step by step. First in folds: share of the fits without a fifth of the rows in which it "
+            "ranks first.",
         )
     ]
     return [*tables, filled_table(_REJECTED, rejected, "What was rejected, and why.")] if rejected else tables

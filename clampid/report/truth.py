@@ -1,4 +1,4 @@
-"""The effects that a demonstration had hidden, beside the values that the model found."""
+"""The effects that a demo had hidden, and the values that the model found."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _UNITS = {
 }  # fmt: skip
 """How the virtual robot's names end, and the unit that this says; longer ends first."""
 _CAPTION = (
-    "Each side in its own order and by its own names: the virtual robot has formulas of its own, so that numbers of an "
-    "effect need not mean the same one by one. Standard errors are those of the fit."
+    "The virtual robot has formulas and parameters of its own, so hidden and fitted numbers of an effect cannot "
+    "always be compared one by one. Standard errors are those of the fit."
 )
 
 
 def truth_and_found(
     truth: Sequence[Json] | None, model: Model, effects: Mapping[str, Effect], robot: RobotDescription
 ) -> Section | None:
-    """Section "What had been hidden", each effect beside the model's; None where nothing is known of it."""
+    """Section "What had been hidden": each effect and the model's; None where the truth is not known."""
     section = truth_section(truth)
     if section is None or not truth:
         return section
@@ -61,7 +61,7 @@ def _hidden(name: str, value: Any) -> tuple[str, str]:
 def _found(
     effect: str, place: str, model: Model, effects: Mapping[str, Effect], robot: RobotDescription
 ) -> list[tuple[str, str]]:
-    """What the first stage that has the effect there makes of it."""
+    """The value in the first stage that has the effect there."""
     for stage in model.stages.values():
         own = [k for k, s in enumerate(stage.slots) if s.effect == effect and place in (s.place, "", "robot")]
         if own:

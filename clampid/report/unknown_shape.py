@@ -1,4 +1,4 @@
-"""The shape of what no known effect explains, as the diagnosis found it: curves with their bands, and what to type."""
+"""The shape of a residual that no known effect explains: curves with their bands, and the command."""
 
 from __future__ import annotations
 
@@ -32,9 +32,10 @@ def unknown_shape_section(diagnosis: Json | None) -> Section | None:
     if not blocks:
         return None
     text = (
-        "No effect of the catalogue explains what is left, but it depends on what the verdict names. This is how: the "
-        "part of it that the model's own parameters cannot take up, about its mean over the rows. The command writes "
-        "it as an effect with free factors, which fit, diagnosis and compensation then treat like any other."
+        "No effect of the catalogue explains the residual, which depends on the variables that the verdict names. The "
+        "curve shows how. It is the part that the model's own parameters cannot explain, less its mean over the rows. "
+        "The command writes an effect of this shape, with amplitudes to be fitted. Fit, diagnosis and compensation "
+        "then treat it like any other effect."
     )
     return Section("shape", "The shape of what is not known", (text,), tuple(blocks), tuple(notes), "What to type")
 
@@ -71,7 +72,7 @@ def _scale(curves: Sequence[Json]) -> Scale:
 
 
 def _scale_of_variable(name: str, unit: str) -> Scale:
-    """Degrees of joint angles, minutes of times, kelvin above 20 °C, and what the unit has of the rest."""
+    """The unit for people: degrees of joint angles, minutes of times, kelvin above 20 °C, else the unit itself."""
     if unit == "rad" and name.startswith("q"):
         return DEGREES
     if unit == "s":

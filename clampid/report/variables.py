@@ -103,7 +103,7 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
 
 
 def _rounded(variable: Variable) -> Variable:
-    """The variable without what arithmetic leaves: bins of it would be bins of rounding, and part rows by chance."""
+    """The variable without rounding errors, which would otherwise split rows into bins by chance."""
     finite = variable.values[np.isfinite(variable.values)]
     step = ROUNDING * max(1.0, float(np.abs(finite).max(initial=0.0)))
     return replace(variable, values=step * np.round(variable.values / step))

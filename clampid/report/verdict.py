@@ -42,7 +42,7 @@ def headline(model: Model, first: Model | None, comparison: Json | None, diagnos
 
 
 def _tells_error(said: str, found: Json, rounds: Sequence[Round]) -> bool:
-    """Whether a summary gives the held-out error already, and the model has not gone further since."""
+    """Whether a summary gives the held-out error already, and nothing was added since."""
     after = found.get("heldout_rms_after")
     further = len(rounds) > 1 and (after is None or abs(rounds[-1].heldout_rms / float(after) - 1.0) > 0.02)
     return "held-out" in said.lower() and not further

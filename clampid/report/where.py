@@ -1,4 +1,4 @@
-"""Where it fails: residuals against every recorded variable, and their size against what noise alone would give."""
+"""Where the model fails: residuals against every recorded variable, and their size compared with noise."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _finding(most: Sequence[tuple[str, str, float, float]]) -> str:
 
 
 def _beyond(shares: Sequence[float], chance: float) -> str:
-    """What the shares say, and what a structure beyond chance amounts to."""
+    """The explained shares in words, and how much of the error a significant one accounts for."""
     beyond, largest = sum(s > chance for s in shares), max(shares)
     text = (
         "Share of the residual's variance that a running mean along one variable explains: the "
@@ -135,10 +135,12 @@ def _against(data: StageData, variables: Sequence[Variable], order: Sequence[int
     counted, crossed = int(data.good.any(axis=1).sum()), len(drawn.rows) - drawn.kept
     thinned = f" {drawn.kept} of {counted} rows are drawn; medians are over all." if drawn.kept < counted else ""
     what = "1 row rejected as an outlier" if crossed == 1 else f"{crossed} rows rejected as outliers"
-    left_out = f" Crosses: {what}; those beyond the axis stand at its edge. No line counts them." if crossed else ""
+    left_out = (
+        f" Crosses: {what}; those beyond the axis are drawn at its edge. Medians are without them." if crossed else ""
+    )
     caption = (
-        "Measured less predicted, against the variable chosen above the figure (sorted by what "
-        f"it explains). Dashed: ± 1 σ of what noise alone leaves.{left_out}{thinned}"
+        "Measured less predicted, against the variable that explains most; on a screen, others can be chosen above. "
+        f"Dashed: ± 1 σ of noise alone.{left_out}{thinned}"
     )
     return Figure(f"against-{data.stage}", charts[0], caption, selector([v.title for v in listed], charts))
 

@@ -154,18 +154,25 @@ def _read_points(campaign: Campaign, frame: pd.DataFrame, points: Array, referen
         rotation = quaternion_to_rotation(frame[["qw", "qx", "qy", "qz"]].to_numpy(float))
         measured = np.c_[position, np.zeros((count, 3))]
         sigma = np.c_[sigma, np.full((count, 3), instrument.orientation_std or DEFAULT_ORIENTATION_STD)]
+    reference = _seen_base(campaign, points, position) if reference is None else reference
     return _Read(
         measured=measured,
         sigma=sigma,
         used=np.ones(measured.shape, dtype=bool),
-        reference=_seen_base(campaign, points, position) if reference is None else reference,
-        position=position,
+        reference=reference,
+        # Not where they were measured: what a fit leaves of such a column is the noise, which then explains itself.
+        position=_in_instrument(points, reference),
         anchor_way=np.zeros((count, 3)),
         rotation=rotation,
         oriented=np.full(count, rotated),
         anchor=np.zeros((count, 3)),
         axes=axes,
     )
+
+
+def _in_instrument(points: Array, base: Array) -> Array:
+    """Points ``(N, 3)`` of the base frame in the instrument's, m, which sees the base at ``base`` ``(4, 4)``."""
+    return np.asarray(points @ base[:3, :3].T + base[:3, 3])
 
 
 def _seen_base(campaign: Campaign, points: Array, position: Array) -> Array:
@@ -184,7 +191,7 @@ def _read_distances(
     """Distances from anchors; the columns of positions have the nominal robot's points, which do not count."""
     count, instrument = len(frame), campaign.instrument
     reference = np.eye(4) if reference is None else reference
-    points = points @ reference[:3, :3].T + reference[:3, 3]
+    points = _in_instrument(points, reference)
     names, distance = frame["anchor"].astype(str).to_numpy(), frame["distance_m"].to_numpy(float)
     anchor = np.zeros((count, 3))
     for name in dict.fromkeys(names):

@@ -67,7 +67,7 @@ def add(
 
 
 def _risen(data: Mapping[str, Any], stages: Sequence[str]) -> str:
-    """That the error has risen, by stage, and how to go on all the same."""
+    """Error message: the error has risen, by stage, and the option that accepts it."""
     from clampid.display import change_text, error_text
 
     said = []

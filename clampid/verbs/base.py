@@ -139,7 +139,7 @@ def _show(found: BaseFrame, campaign: Path, rigid: bool, out: Output) -> None:
 
 
 def _frame(base: Array, std: Array, bias: Array, rigid: bool) -> list[tuple[str, str]]:
-    """A frame with its standard errors and what it would be off by if nothing were put back; both (w, v)."""
+    """A frame with its standard errors, and its bias without the correction; both (w, v)."""
     from kinematics.fixed_angles import roll_pitch_yaw
 
     position, angles = base[:3, 3], roll_pitch_yaw(base[:3, :3])

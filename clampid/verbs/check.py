@@ -96,7 +96,7 @@ def _repeated(campaign: Campaign, out: Output) -> dict[str, Any]:
 
 
 def _iso9283(campaign: Campaign, out: Output) -> dict[str, Any]:
-    """Metrics of the robot as its controller has it, of each table of poses."""
+    """Metrics of the uncorrected robot, for each table of poses."""
     import numpy as np
 
     from clampid.catalogue import catalogue
@@ -142,7 +142,7 @@ def _stated(campaign: Campaign) -> Iterator[str]:
 
 
 def _only_asked(effect: Effect, campaign: Campaign) -> bool:
-    """Whether diagnosis does not look for it on this robot, and in these tables."""
+    """Whether diagnosis leaves this effect out on this robot and these tables."""
     kinds = {joint.kind for joint in campaign.robot.joints}
     ranged = "distances" in campaign.tables or "anchor_way" not in effect.needs
     return effect.search.opt_in or effect.search.joint_kind not in (None, *kinds) or not ranged

@@ -44,13 +44,14 @@ def check_screen(
         facts.append(("distances, one line", _along_a_line(measured["along_a_line"])))
     counts = {kind: sum(f["severity"] == kind for f in findings) for kind in ("error", "warning", "note")}
     said = [_finding(f) for f in findings]
-    for stage, part in stages.items():
+    for stage, part in stages.items() if not counts["error"] else ():  # nothing is fitted to what is refused
         standard = ", ".join(label.replace("_", " ") for label in part["standard"])
         others = len(set(part["known"]) - set(part["standard"]) - set(part["only_asked"]))
         said.append(f"{stage}: identify fits {standard}; diagnose tests {others} more effects.")
     verdict, tone = _verdict(counts, bool(stages))
     model = free_name(Path("model.json"))
     fit = Next("Next, fit a model:", shlex.join(["clampid", "identify", str(campaign), "-o", str(model)]))
+    again = Next("Mend the tables, then check again:", shlex.join(["clampid", "check", str(campaign)]))
     return Screen(
         f"Checked {campaign}: {holds['robot']}, {holds['joints']} joints, instrument: {holds['instrument']}.",
         None,
@@ -59,7 +60,7 @@ def check_screen(
         tone,
         tuple(said),
         "All effects and findings: --verbose, --json FILE.",
-        (fit,) if stages and not counts["error"] else (),
+        (again,) if counts["error"] else (fit,) if stages else (),
     )
 
 

@@ -71,7 +71,7 @@ def diagnose(
     wanted = None if target is None else names_of(plan_for) or ()
     loaded = load_model(model)
     with out.working("reading"):
-        # Every fold is fitted again: poses too few for a geometry would leave "structure" that is the lack of rows.
+        # Every fold is fitted again: with too few poses its residuals would show a structure that is overfitting.
         stage = loaded.stages.get("poses")
         fits = stage is not None and any_of_role(stage.slots, "link_frame")
         read = read_checked(campaigns, out, fits=fits)
@@ -91,7 +91,7 @@ def diagnose(
 
 
 def _write_plans(found: Diagnosis, campaigns: int, target: Path) -> list[str]:
-    """Write what to measure next, a file for each stage that has a plan, and say so, or why there is none."""
+    """Write the plans of what to measure next, a file for each stage; say so, or why there is none."""
     from experiments.plans.write import write_plan
 
     if campaigns > 1:

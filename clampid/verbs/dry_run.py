@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["dry_run"]
 
-NEAREST = 3  # motions that come nearest to a limit are named
+NEAREST = 3  # limits that motions come nearest to are named
 HEADS = ("motion", "measured", "at s", "takes s", "speed", "turns deg", "nearest limit")
 
 
@@ -59,15 +59,18 @@ def _row(step: Motion) -> tuple[str, ...]:
 
 
 def _screen(plan: Plan, steps: Sequence[Motion], plan_file: Path, output: Path, svg: Path) -> Screen:
-    """The motions in numbers: how many, how fast, how far, and which come nearest to a limit."""
+    """The motions in numbers: how many, how fast, how far, and which limits they come nearest to."""
     from experiments.runs.dry import hours_or_minutes
 
     time = hours_or_minutes(steps[-1].start + steps[-1].duration)
     fastest = max(steps, key=lambda step: step.share)
     longest = max(steps, key=lambda step: step.travel)
     rows = [step.measured for step in steps if step.measured]
-    tables = ", ".join(f"{name} after {rows.count(name)}" for name in dict.fromkeys(rows))
-    near = sorted((step for step in steps if "%" in step.limit), key=_share, reverse=True)[:NEAREST]
+    tables = ", ".join(f"{name} after {rows.count(name)} motions" for name in dict.fromkeys(rows))
+    nearest: dict[str, Motion] = {}  # of each limit, the motion that comes nearest to it
+    for step in sorted((step for step in steps if "%" in step.limit), key=_share, reverse=True):
+        nearest.setdefault(step.limit.partition("% of ")[2], step)
+    near = list(nearest.values())[:NEAREST]
     facts = [
         ("measured", tables or "nothing"),
         ("fastest", f"{fastest.share:.0%} of the top speeds ({fastest.name})"),

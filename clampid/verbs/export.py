@@ -289,7 +289,7 @@ def _after(form: str, model: Path, output: Path, campaign: Path | None, name: st
 
 
 def _by_convention(model: Model, out: Output) -> None:
-    """Say of which numbers the standard errors are none, because nothing but a convention says where the flange is."""
+    """Say which numbers have no standard error because the flange is fixed by convention."""
     from clampid.role_slots import any_of_role
 
     if not any_of_role(model.stages["poses"].slots, "flange_frame"):
@@ -300,7 +300,7 @@ def _by_convention(model: Model, out: Output) -> None:
 
 
 def _extrapolating(model: Model, temperature: float, out: Output) -> None:
-    """Say of which links the file's temperature is beyond those that their expansion was identified on."""
+    """Say for which links the file's temperature is outside the range in which expansion was identified."""
     from clampid.role_slots import any_of_role
     from clampid.verbs.findings import extrapolating_text
 
@@ -313,7 +313,7 @@ def _extrapolating(model: Model, temperature: float, out: Output) -> None:
 
 
 def _consistent_arm(found: Mapping[str, Any]) -> list[str]:
-    """What the consistent arm is and what it costs, in a few lines; none where it was not asked for."""
+    """The consistent arm and its chi-square, in a few lines; none where it was not asked for."""
     if "links" not in found:
         return []
     lines = [
@@ -343,7 +343,7 @@ def _robot(path: Path | None) -> RobotDescription | None:
 
 
 def _written(text: str, path: Path | None) -> bool:
-    """Write to a file, or to stdout where there is none, where nothing else is to be said."""
+    """Write to a file; without one to stdout, which then carries nothing else."""
     from experiments.outputs import write_text
 
     if path is None:

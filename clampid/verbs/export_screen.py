@@ -25,7 +25,7 @@ SEEN = 5e-6  # m: effects that are worth less are not named; the file and --json
 
 
 def export_screen(kind: str, found: Exported, output: Path, next_steps: tuple[Next, ...] = ()) -> Screen:
-    """What an export wrote, and what a controller that knows nothing else would err.
+    """What an export wrote, and the error of a controller that knows nothing else.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def export_screen(kind: str, found: Exported, output: Path, next_steps: tuple[Ne
 
 
 def kuka_screen(found: KukaExport, temperature: float, output: Path, next_steps: tuple[Next, ...] = ()) -> Screen:
-    """What machine data hold of the geometry, and what they leave of the whole model on their own."""
+    """How much of the geometry machine data can hold, and the error of a controller that knows only them."""
     form, nominal = (error_text(error.position_rms, "m") for error in (found.left, found.nominal))
     held = f"{form} rms that this form cannot hold; nominal machine data leave {nominal}"
     return Screen(
@@ -97,7 +97,7 @@ def use_next(model: Path) -> tuple[Next, ...]:
 
 
 def _left(left: LeftOut, measured: Measured | None) -> list[tuple[str, str]]:
-    """What a form leaves over the workspace and on measured points, and which effects it does not hold."""
+    """The error with this file alone, over the workspace and on measured points, and the effects that it lacks."""
     error = left.error
     over = (
         f"{error_text(error.position_rms, 'm')} rms, {error_text(error.position_max, 'm')} at most; "
@@ -116,11 +116,10 @@ def _left(left: LeftOut, measured: Measured | None) -> list[tuple[str, str]]:
 
 
 def _alone(kind: str, error: FormError, measured: Measured | None) -> str:
-    """One sentence: what a controller errs that knows this file and nothing else."""
+    """One sentence: the error of a controller that knows only this file."""
     if measured is None and error.position_max < EXACT:
         return f"The {kind} holds the whole model: nothing in it depends on posture, load or time."
     if measured is None:
-        return (
-            f"On its own the {kind} leaves {error_text(error.position_rms, 'm')} of the whole model over the workspace."
-        )
-    return f"On its own the {kind} leaves {error_text(measured.mean, 'm')} of the measured points."
+        rms = error_text(error.position_rms, "m")
+        return f"A controller that knows only this {kind} errs by {rms} (rms) over the workspace."
+    return f"A controller that knows only this {kind} misses the measured points by {error_text(measured.mean, 'm')}."

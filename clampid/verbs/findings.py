@@ -16,7 +16,7 @@ from clampid.verbs.placing import show_placing
 __all__ = ["extrapolating_text", "show_addition", "show_comparison", "show_diagnosis", "where_text"]
 
 MOST_LISTED_PARAMETERS = 40  # parameters of one effect at one place, beyond which nobody reads them one by one
-FIXED = 1e-6  # of its value: a standard error below that share is none, the fit holds the parameter
+FIXED = 1e-6  # of its value: a smaller standard error is rounding; the parameter is fixed
 WORDS = {
     "adequate": "nothing is missing",
     "missing": "an effect is missing",
@@ -78,7 +78,7 @@ def show_comparison(data: Mapping[str, Any], out: Output) -> None:
 
 
 def extrapolating_text(quantities: Sequence[Mapping[str, Any]]) -> str:
-    """Joint by joint, what of it a model is asked for and how far it was identified on that."""
+    """Joint by joint: the range that is asked for, and the range on which the model was identified."""
     parts: dict[str, list[str]] = {}
     for found in quantities:
         value, unit = found["value"], found["unit"]
@@ -96,7 +96,7 @@ def _place(at: str) -> str:
 
 
 def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
-    """What a missing effect had put wrong: by how much, and in standard errors of the mended value."""
+    """Bias of each parameter without the missing effect, and the same in standard errors."""
     rows = []
     for p in determined_shifts(shifted):
         off = with_error(p["shift"], p["std"], p["unit"])
@@ -106,7 +106,7 @@ def _show_omission(shifted: Sequence[Mapping[str, Any]], out: Output) -> None:
 
 
 def _show_agreement(data: Mapping[str, Any], out: Output) -> None:
-    """Springs and clearances as the clamped sweeps have them and as the poses want them."""
+    """Springs and clearances from clamped sweeps and from poses, where these contradict each other."""
     rows = []
     for p in data["parameters"]:
         both = (with_error(p[stage], _nan(p[f"{stage}_std"]), p["unit"]) for stage in ("clamped", "poses"))
@@ -183,7 +183,7 @@ def show_addition(data: Mapping[str, Any], out: Output) -> None:
 
 
 def _show_caveats(entries: Sequence[Mapping[str, Any]], out: Output) -> None:
-    """What the standard errors of some effects leave out."""
+    """What the standard errors of some effects do not include."""
     for said in dict.fromkeys(entry["caveat"] for entry in entries if "caveat" in entry):
         out.say(f"  {said}")
 

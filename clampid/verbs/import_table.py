@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["import_table"]
 
-MAX_REASONS = 5  # shown why stops are left out
+MAX_REASONS = 5  # reasons shown for stops that are left out
 
 
 def import_table(
@@ -93,7 +93,7 @@ def _json(table: Imported) -> dict[str, Any]:
 
 
 def _pairing_facts(pairing: Pairing) -> list[tuple[str, str]]:
-    """What a person should see of two paired logs."""
+    """The result of pairing two logs, in a few lines."""
     clock, (ours, theirs) = pairing.clock, pairing.stops
     offset = f"{clock.offset_s:.3f} ± {clock.offset_std_s:.2g} s at {clock.middle_s:.0f} s of the instrument's clock"
     facts = [
@@ -135,7 +135,7 @@ def _campaign(header: dict[str, Any], tables: tuple[Imported, ...]) -> Campaign:
 
 
 def _look_at(campaign: Campaign, mapping: Path, tables: tuple[Imported, ...], out: Output) -> None:
-    """Print warnings; refuse numbers that cannot mean what the mapping says. Rows are those of the files."""
+    """Print warnings; refuse numbers that contradict the mapping's units. Rows are those of the files."""
     from experiments.campaign import CampaignError
     from experiments.checks.check import check_campaign
 

@@ -78,7 +78,7 @@ def _cells(effect: str, stage: StageModel, effects: Mapping[str, Effect], robot:
 
 
 def _side(effect: str, effects: Mapping[str, Effect], robot: RobotDescription) -> str:
-    """At which side of the gears numbers count that are not the same on both."""
+    """The side of the gears, motor or joint, on which a number is stated that differs between them."""
     import numpy as np
 
     if not any(p.gearing for p in effects[effect].parameters):

@@ -32,7 +32,7 @@ ALONE = "what the returns' scatter alone would show"
 
 
 def show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:
-    """What a comparison says of one table of poses: the robot as its controller has it, and with the model's help."""
+    """ISO 9283 of one table of poses: the uncorrected robot, and the robot corrected by the model."""
     found = table.get("iso9283")
     if found is not None:
         _show_both(name, found, out)
@@ -52,7 +52,7 @@ def show_placing(name: str, table: Mapping[str, Any], out: Output) -> None:
 
 
 def show_iso9283(name: str, data: Mapping[str, Any], out: Output) -> None:
-    """The metrics of the robot as its controller has it, with all that says how far they can be trusted."""
+    """The metrics of the uncorrected robot, with their intervals and the share of scatter."""
     rows = [
         (label, f"{m['poses']}", _to(m["returns"]), *_sizes(m, unit), _alone(m, unit))
         for label, m, unit in _metrics(data)

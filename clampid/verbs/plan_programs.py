@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from clampid.display import length
 from clampid.verbs.errors import CallError
 from clampid.verbs.inputs import numbers_of
 from clampid.verbs.options import Json, Quiet, Verbose
@@ -33,7 +34,7 @@ Posture = Annotated[
 
 @dataclass(frozen=True)
 class Measuring:
-    """What is measured at each visit, and how it is come to."""
+    """What is measured at each visit, and how the robot approaches it."""
 
     targets: Annotated[
         str | None,
@@ -128,8 +129,8 @@ def line(
         )
         between, travelled = off_line(made, wanted.targets[0])
         notes = (
-            f"from stop to stop {wanted.targets[0]} leaves the line by at most {where.units.distance(between)}",
-            f"in the last moves (--approach), by at most {where.units.distance(travelled)}",
+            f"Between stops, {wanted.targets[0]} leaves the line by at most {length(between)}.",
+            f"In the last moves (--approach) it leaves the line by at most {length(travelled)}.",
         )
         finish(
             made, output, out, f"{stops} stops, {repetitions} times out and back", notes,

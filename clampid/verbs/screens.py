@@ -145,14 +145,18 @@ def fit_screen(
 
 
 def _more_poses(campaign: Campaign, folder: Path, poses: int | None) -> tuple[Next, ...]:
-    """The command that plans as many poses as a fit needs; none where no number is known, or no target to plan for."""
-    if poses is None or not campaign.targets:
+    """The command that plans as many poses as a fit needs; none where no number is known.
+
+    A campaign without targets measured the flange itself, with its orientation: the plan then assumes a tool.
+    """
+    if poses is None:
         return ()
     robot = str(campaign.header.get("robot", campaign.robot.name))
     own = folder / robot
     output = free_name(Path("plan.toml"))
-    call = typed("plan", "poses", "--robot", own if own.is_file() else robot, "--like", folder,
-                 "--poses", str(poses), "-o", output)  # fmt: skip
+    like: list[str | Path] = ["--like", folder] if campaign.targets else []
+    described = own if own.is_file() else robot
+    call = typed("plan", "poses", "--robot", described, *like, "--poses", str(poses), "-o", output)
     return (Next("Next, plan as many poses as this fit needs:", call),)
 
 

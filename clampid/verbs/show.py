@@ -265,7 +265,7 @@ def show_rounds(rounds: Iterable[Round], out: Output) -> None:
 
 
 def evidence_words(entry: Round) -> list[str]:
-    """What these data hardly tell a round's effect from, and what was fitted instead of it and refused."""
+    """The effects that these data hardly distinguish from a round's, and those that were fitted instead and refused."""
     alike: dict[str, Mapping[str, Any]] = {}
     for c in entry.evidence.get("confusable_with", ()):
         alike.setdefault(c["effect"], c)  # the closest place of each comes first
@@ -281,7 +281,7 @@ def evidence_words(entry: Round) -> list[str]:
 
 
 def weights_text(weights: Mapping[str, Any] | None) -> str:
-    """That a log was fitted with equal weights, and what they are worth; nothing where it was not."""
+    """Note on a log that was fitted with equal weights; empty where it was not."""
     if not weights or not weights["equal"]:
         return ""
     gain, error = (f"{100.0 * weights[key]:.2g}" for key in ("gain", "std"))

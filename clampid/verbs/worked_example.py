@@ -58,12 +58,12 @@ def _screen(result: WorkedExample, kept: Path | None) -> Screen:
     facts = []
     for j, printed in enumerate(result.printed_spring):
         found, error, _ = quantity(float(result.drives.stiffness[j]), float(result.drives.stiffness_std[j]), "")
-        facts.append((f"spring {j + 1}", f"printed {printed:g}, found {found} ± {error} Nm/rad at the motor"))
+        facts.append((f"spring {j + 1}", f"thesis {printed:g}, found {found} ± {error} Nm/rad at the motor"))
     for what, printed, (value, std) in (
         ("spring 5 alone", result.printed_alone, result.alone),
         ("whole matrix", result.printed_full, result.full),
     ):
-        facts.append((what, f"printed {1e6 * printed:.2f}, found {1e6 * value:.2f} ± {1e6 * std:.2f} µm"))
+        facts.append((what, f"thesis {1e6 * printed:.2f}, found {1e6 * value:.2f} ± {1e6 * std:.2f} µm"))
     again = shlex.join(["clampid", "worked-example", "--out", str(free_name(Path("thesis")))])
     look = shlex.join(["clampid", "check", str(kept)])
     return Screen(

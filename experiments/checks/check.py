@@ -1,4 +1,4 @@
-"""Looks at a campaign that follows the contract for what is improbable or cannot be identified from it.
+"""Checks a campaign that follows the contract: what is improbable, and what cannot be identified from it.
 
 What breaks the contract never gets here: `experiments.campaign.read_campaign` refuses it.
 """

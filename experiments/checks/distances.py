@@ -21,10 +21,10 @@ __all__ = ["distance_findings"]
 
 FloatArray = npt.NDArray[np.float64]
 
-# A place takes three distances; with one more they say something of the robot for the first time.
+# A place takes three distances; the fourth is the first that depends on the robot's errors.
 FEWEST_POSES = 4
 TABLE = "distances"
-CLEARLY = 0.2  # of an error: what explains it leaves less
+CLEARLY = 0.2  # of an error: a correct explanation leaves less
 
 
 def distance_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool = False) -> Iterator[Finding]:
@@ -91,7 +91,7 @@ def _wrong_unit(names: npt.NDArray[np.object_], points: FloatArray, distances: F
 def _mistaken(
     campaign: Campaign, names: npt.NDArray[np.object_], q: FloatArray, targets: FloatArray, distances: FloatArray
 ) -> Finding | None:
-    """Which joint's sign, which two joints or which targets' names must be others to make the distances fit.
+    """The sign, exchange of joints or exchange of target names with which the distances fit.
 
     Anchors may be anywhere, so that more than one mistake may nearly fit: one is named only if it fits far better.
     """
@@ -168,7 +168,7 @@ def _anchor(
 
 
 def _unlocated(name: str, points: FloatArray, found: Located) -> Iterator[Finding]:
-    """Whether the directions to the points leave where the anchor is open."""
+    """Whether the directions to the points do not determine the anchor's place."""
     off = points - points.mean(axis=0)
     extent = np.linalg.svd(off, compute_uv=False) / np.sqrt(len(off))
     if found.spread[0] < FLAT:

@@ -1,4 +1,4 @@
-"""What a look at a campaign found: one frozen value per thing, for people and for programs."""
+"""One finding of a check as a frozen value, for people and for programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Finding", "joint_list"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a campaign's user should know.
+    """One finding that a campaign's user should know.
 
     Attributes
     ----------

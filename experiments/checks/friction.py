@@ -23,7 +23,7 @@ __all__ = ["friction_findings"]
 # One sound motor in a thousand, at most, is called unsound: moves are independent of each other, rows are not.
 FALSE_ALARMS = 1e-3
 MOVES = 8
-LEFT = 1e-6  # of a column's square that must be its own for its factor to be told
+LEFT = 1e-6  # share of a column's square that the others must not explain, so that its factor is identifiable
 
 
 def friction_findings(campaign: Campaign, logs: Mapping[str, MovingLog]) -> Iterator[Finding]:
@@ -72,7 +72,7 @@ def _rubbing(speed: Array) -> Array:
 
 
 def _drag(log: MovingLog, held: Array, motor: int, speed: Array) -> tuple[float, float]:
-    """Torque against the motion at the speed's median, Nm, and its standard error by moves; (0, 1) where untold."""
+    """Torque against the motion at the median speed, Nm, and its standard error by moves; (0, 1) if not determined."""
     used, move = clear_moves(speed, log.run)
     found = _estimated(log, held, motor, used, move, _rubbing(speed))
     if found is None:
@@ -84,7 +84,7 @@ def _drag(log: MovingLog, held: Array, motor: int, speed: Array) -> tuple[float,
 def _estimated(
     log: MovingLog, held: Array, motor: int, used: Bools, move: Integers, columns: Array
 ) -> tuple[Array, Array] | None:
-    """Factors ``(p,)`` of columns ``(N, p)`` in a motor's torque, and their covariance by moves; None where untold."""
+    """Factors ``(p,)`` of columns ``(N, p)`` in a motor's torque, and their covariance by moves; None if open."""
     moves, member = np.unique(move[used], return_inverse=True)
     if len(moves) < MOVES or used.sum() < 3 * (held.shape[1] + columns.shape[1]):
         return None

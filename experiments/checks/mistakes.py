@@ -1,4 +1,4 @@
-"""What is most often mistaken when a robot's tables are written: a joint's sign, two joints, the targets' names."""
+"""Frequent mistakes in a robot's tables: a joint's sign, two joints exchanged, targets' names exchanged."""
 
 from __future__ import annotations
 

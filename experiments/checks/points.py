@@ -135,15 +135,18 @@ def _enough(campaign: Campaign, fits: bool) -> Iterator[Finding]:
     shown = _shown(frame)
     unknown = sum(4 if joint.kind == "revolute" else 2 for joint in robot.joints) + (6 if oriented else 3 * count)
     least = -(-(unknown - shown[1]) // shown[0])
-    if poses < 2 * least:  # seven poses of a UR10 with orientations: 0.1 mm fitted, 1 to 50 mm on others
-        few = "fewer than" if poses < least else "hardly more than"
+    enough = enough_poses(frame, unknown)
+    if poses < enough:  # seven poses of a UR10 with orientations: 0.1 mm fitted, 1 to 50 mm on others
         what = "the flange" if oriented else f"{count} target{'s' if count > 1 else ''}"
+        few = f"fewer than the {least}" if poses < least else f"hardly more than the {least}"
+        geometry = f"the geometry of {robot.n} joints and {what}"
+        says = f"{few} that {geometry} needs ({unknown} parameters): a model fitted to them does not predict others"
+        if poses >= 2 * least:
+            says = f"few for {geometry} ({unknown} parameters): a model fitted to them may predict others badly"
         known = bool(campaign.stated.targets_std) or campaign.stated.base is not None  # then fewer poses may do
         yield Finding(
-            "error" if fits and not known else "warning", "poses", "pose", None,
-            f"{poses} pose{'s are' if poses > 1 else ' is'} {few} the {least} that the geometry of {robot.n} joints "
-            f"and {what} needs ({unknown} parameters): a model fitted to them does not predict other poses; measure "
-            f"{enough_poses(frame, unknown)} or more",
+            "error" if fits and not known and poses < 2 * least else "warning", "poses", "pose", None,
+            f"{poses} pose{'s are' if poses > 1 else ' is'} {says}; measure {enough} or more",
         )  # fmt: skip
     if oriented:
         return
@@ -288,7 +291,7 @@ def _rigid_fit(campaign: Campaign, table: str, poses: FloatArray, measured: Floa
 
 
 def _clearly_better(rows: int) -> float:
-    """Below which ratio of two fits' median distances, of so many points, the better one is no chance.
+    """Critical ratio of two fits' median distances: below it the better fit is significant.
 
     An F test of what both leave beyond the nine numbers that are fitted, shared out over about as many mistakes as are
     tried; zero where the points are too few to tell.
@@ -321,7 +324,7 @@ def _shifted_rows(
     good: float,
     share: float = 0.5,
 ) -> str | None:
-    """In words, that the joint angles of a row, or of a visit, stand beside the points of the next or the last one.
+    """Message: joint angles of a row or visit stand in the row of the next or previous one's points.
 
     ``share`` of the rows must then fit to within ``good``, m.
     """

@@ -1,4 +1,4 @@
-"""The frame and the targets that points seen of the nominal arm lie best in, in the sum of absolute residuals."""
+"""Fits base frame and targets so that nominal points lie on measured ones, by the sum of absolute residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ FLAT = 0.05
 
 
 def near_points(measured: FloatArray) -> npt.NDArray[np.bool_]:
-    """Which points (rows, 3) count for what all of them say: all but a few that are far off the rest."""
+    """The points (rows, 3) that are used: all but a few that are far from the rest."""
     off = np.linalg.norm(measured - np.median(measured, axis=0), axis=1)
     near = np.asarray(off <= FAR_OFF * np.median(off))
     return near if np.mean(near) >= 1.0 - FEW_ROWS else np.ones(len(near), dtype=bool)

@@ -30,7 +30,7 @@ CLEAR_ERRORS, MAX_SHARE = 5.0, 0.5
 # The middle one of the motors asked is rejected when such a one is seen once in a million sound logs (a factor of 7),
 # and believed when it is not rare among those of its kind.
 REJECTED, BELIEVED = 1e-6, 1e-2
-# A shift counts where one like it is seen in one of ten thousand logs without, and it is more than a quarter of the
+# A shift is reported if its p-value is below 1e-4 and it is more than a quarter of the
 # sample step: drives read position and current at different instants of their own cycle.
 FALSE_ALARMS, SHIFT_STEPS = 1e-4, 0.25
 MOVES = 6
@@ -172,7 +172,7 @@ def _units(campaign: Campaign, table: str, log: MovingLog, regressor: Array) -> 
 
 
 def _asked(factors: Array) -> list[int]:
-    """Motors whose factors ``(n, 4)`` say something."""
+    """Motors whose factors ``(n, 4)`` are determined."""
     size, error, share = np.abs(factors[:, 0]), factors[:, 1], factors[:, 2]
     return [int(m) for m in np.flatnonzero((size > CLEAR_ERRORS * error) & (share > MAX_SHARE))]
 

@@ -1,4 +1,4 @@
-"""Where an anchor is, from its distances to points whose places are known well enough to begin with."""
+"""Locates an anchor from its distances to points of roughly known places."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRIED = 4  # of the starts, those that fit best
 
 @dataclass(frozen=True)
 class Located:
-    """An anchor as the distances have it.
+    """An anchor located from distances.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def _search(points: FloatArray, distances: FloatArray, start: FloatArray) -> tup
 
 
 def _with_constant(points: FloatArray, distances: FloatArray, place: FloatArray) -> tuple[float, FloatArray]:
-    """Constant and place with it, where no errors as large as those that are left could make it; else 0."""
+    """Constant and place with it, if the constant is significant against the residuals; else 0."""
     if len(points) < FEWEST_POINTS:
         return 0.0, place
     _, found = _search(points, distances, np.r_[place, 0.0])

@@ -1,4 +1,4 @@
-"""A measurement plan as frozen values: what a robot is to do, within which limits, and what that will tell."""
+"""A measurement plan as frozen values: the motions, their limits, and what they will identify."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ KINDS: tuple[Kind, ...] = ("free_air", "wrist", "clamping", "poses")
 
 @dataclass(frozen=True)
 class Cell:
-    """The robot and what stands around it, as the campaign's header will say.
+    """The robot and its surroundings, as the campaign's header will state them.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class ExpectedParameter:
 
 @dataclass(frozen=True)
 class Expected:
-    """What the plan will tell, if the noise is what was assumed.
+    """What the plan will identify, for the assumed noise.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ class LeastTorque:
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan: the cell, the limits, the steps in their order, and what they will tell.
+    """A plan: the cell, the limits, the steps in their order, and what they will identify.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Compares the places of the clamp: a spring that looks softer in one of them says that the block yields there."""
+"""Compares the places of the clamp: a drive that seems softer in one of them shows that the block yields there."""
 
 from __future__ import annotations
 

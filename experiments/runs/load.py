@@ -1,4 +1,4 @@
-"""What a reading says of the load on motors and clamp, held against the plan's limits."""
+"""The load on motors and clamp from a reading, compared with the plan's limits."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def slope_of(motor: Array, torque: Array) -> tuple[float, float]:
 
 
 def loaded(motor: Array, torque: Array, stiffness: float) -> bool | None:
-    """Whether a driven motor's spring winds up while it is driven one way; None: too little to tell.
+    """Whether a driven motor's spring winds up while it is driven one way; None: too few data.
 
     The later two thirds are judged: friction turns and a clearance is crossed first.
     """

@@ -93,7 +93,7 @@ def local_polynomial(
     values = np.asfortranarray(values)  # all that follows goes down the columns
     out = np.zeros_like(values)
     step = typical_step(time, run) if step is None else step
-    # A polynomial does not reach across more than half its window: what is there need not be on it.
+    # A polynomial is not used across a gap of more than half its window.
     reach = (half + 0.5) * step
     for rows in _stretches(time, run, reach):
         own, stamps = values[rows], time[rows]

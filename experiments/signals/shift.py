@@ -130,7 +130,7 @@ def _linearised(
         values.append(spline(at[chosen]))
         rates.append(spline(at[chosen], 1))
         targets.append(log[rows[chosen]])
-        # Nuisances need no derivative: a straight line between rows is as good as what is known of them.
+        # Nuisances need no derivative: linear interpolation between rows is accurate enough.
         part = ((at[chosen] - time[before[good]]) / (time[after[good]] - time[before[good]]))[:, None]
         others.append((1.0 - part) * nuisances[before[good]] + part * nuisances[after[good]])
         group.append(move[before[good]])
@@ -141,7 +141,7 @@ def _linearised(
         return None
     shape = np.hstack([x[:, :p], z])
     factors = _factors(shape, y)
-    # Carriers that explain less than they leave are no clock: their factors would be fitted to what is wrong elsewhere.
+    # Carriers that explain less than half say nothing of the shift: their factors would follow other errors.
     bare = y - z @ _factors(z, y)
     if np.sum(bare**2) < 2.0 * np.sum((y - shape @ factors) ** 2):
         return None

@@ -1,4 +1,4 @@
-"""A robot controller that is not there: it plays a virtual robot over the sockets that a real one would have.
+"""A virtual robot controller: it plays a virtual robot over the sockets that a real one would have.
 
 It reads the config files that are shipped for EthernetKRL, and nothing of the client that speaks to it.
 """

@@ -1,4 +1,4 @@
-"""The truth, for those who judge: what was hidden, and every program with what really became of it.
+"""The truth, for evaluation: what was hidden, and what became of every program.
 
 ``FILE.json`` says what is hidden. ``FILE.journal.jsonl`` beside it has a line for every event, each written whole with
 one call, so that a process that is killed leaves no half of one. A controller that is started again with the same file

@@ -42,7 +42,7 @@ MOST_POSES = 100_000  # a robot visits as many in a year
 
 @dataclass(frozen=True)
 class Truth:
-    """What nobody can know of a real robot; for tests and benchmarks.
+    """The truth, which is unknown for a real robot; for tests and benchmarks.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Outside:
-    """What of a posture is beyond the ranges that an arm's model was identified on.
+    """What of a posture is outside the ranges on which the arm's model was identified.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class Outside:
         return (*self.ranges.beyond(values), *self.mass)
 
     def widens(self, beyond: tuple[Beyond, ...]) -> bool:
-        """Whether any of it is what an empirical effect of the model is known within."""
+        """Whether an empirical effect of the model is extrapolated."""
         return any((one.quantity, one.at) in self.doubtful for one in beyond)
 
     def widening(self, J: Array, q: Array, link_temperature: Array) -> Array:
-        """What doubt about empirical forms adds to a covariance ``(6, 6)``: zeros inside.
+        """Covariance ``(6, 6)`` that extrapolation of empirical effects adds; zero inside the range.
 
         Parameters
         ----------

@@ -45,7 +45,7 @@ _AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 @dataclass(frozen=True)
 class Conditions:
-    """What beside the posture decides where the arm stands.
+    """What the arm's position depends on, other than the posture.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class IdentifiedArm:
         return evaluated()[0], pressing
 
     def _pressing(self, level: Any, q: Any) -> Any:
-        """What presses on the flanks ``(n,)``, Nm, of the robot as it leans; ``level`` if it did not."""
+        """Torques on the flanks ``(n,)``, Nm, with the base's tilt; ``level``: without it."""
         pressing = ca.SX(level)
         lean = np.zeros((self.n, 3)) if self.lean is None else self.lean
         for i in np.flatnonzero(lean.any(axis=1)).tolist():
@@ -303,7 +303,7 @@ def arm_of(
 
 
 def nominal_arm(robot: RobotDescription) -> IdentifiedArm:
-    """The robot as its description has it: no effects."""
+    """The described robot, without effects."""
     nothing = np.zeros(0)
     return IdentifiedArm(
         robot, Layout(robot.n), catalogue(), (), nothing, np.zeros((0, 0)),

@@ -29,7 +29,7 @@ DAMPING = 1e-12  # of J'J, whose entries are of the order of one: keeps a singul
 def newton(
     arm: IdentifiedArm, mount: Array, q: Any, R: Any, p: Any, conditions: Any, chords: int
 ) -> tuple[Any, Any, Any]:
-    """Newton's method and chords from ``q``: the end, its error, and what presses there."""
+    """Newton's method and chord steps from ``q``: the end, its error, and the flanks' torques there."""
     evaluate = _evaluation(arm, mount)
     factor, J = None, ca.SX(0, 0)
     for k in range(FRESH + chords):
@@ -43,7 +43,7 @@ def newton(
 
 
 def whole_jacobian(arm: IdentifiedArm, mount: Array) -> Any:
-    """What is left to a pose and how it changes, as a function of q ``(n,)`` and (R by rows, p, conditions).
+    """Residual to a pose and its Jacobian, as a function of q ``(n,)`` and (R by rows, p, conditions).
 
     Outputs: the error ``(6,)``, position m and rotation vector rad; d (position, rotation vector) / d q ``(6, n)`` with
     the loads' change with the posture in it, which near a singularity is all that is left of it; what presses ``(n,)``.
@@ -92,7 +92,7 @@ def _damped_step(n: int, state: Any, given: Any, begin: Any) -> Any:
 
 
 def _evaluation(arm: IdentifiedArm, mount: Array) -> Any:
-    """What is left to the wanted pose, its Jacobian, and what presses, as a function of expressions."""
+    """Residual to the wanted pose, its Jacobian, and the flanks' torques, as a function of expressions."""
     n = arm.n
     q, R, p, conditions = (ca.SX.sym("q", n), ca.SX.sym("R", 3, 3), ca.SX.sym("p", 3), ca.SX.sym("c", 3 * n + 1))
     position, rotation, J, pressing = arm.expression(q, conditions, mount)

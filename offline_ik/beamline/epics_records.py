@@ -70,7 +70,7 @@ async def _serve(server: Server, locked: str, prefix: str, host: str, unit: str)
 
 
 def _bound_messages() -> None:
-    """Hang up on who announces a message that no record takes: caproto would keep all of it, up to 4 GB."""
+    """Close connections that announce a message larger than any record takes: caproto would store up to 4 GB."""
     from caproto import RemoteProtocolError, VirtualCircuit
 
     recv = VirtualCircuit.recv
@@ -266,7 +266,7 @@ def _records() -> Any:
                 await self.holder.write(said[:TEXT], verify_value=False)
 
         async def alarm(self, severity: Any, status: Any) -> None:
-            """Whether the readbacks are to be believed."""
+            """Whether the readbacks are valid."""
             for axis in self.axes:
                 await axis.motor.field_inst.user_readback_value.alarm.write(severity=severity, status=status)
 

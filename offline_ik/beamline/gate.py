@@ -1,4 +1,4 @@
-"""The door of the Tango side: whole messages only go on to the device's server, from a bounded number of connections.
+"""Gate before the Tango server: only whole messages pass, from a bounded number of connections.
 
 The server of Tango (omniORB) gives a thread to each connection whose message has begun, for as long as it is not
 complete: hundreds of connections that send four bytes and wait leave no thread for anybody else. Behind this door a

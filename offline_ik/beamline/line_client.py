@@ -130,7 +130,7 @@ class Line:
         with self._lock:
             if self._socket is not None:
                 try:
-                    self._ask(self.server.greeting, ANSWER)  # is there still somebody at the other end?
+                    self._ask(self.server.greeting, ANSWER)  # is the server still there?
                 except LostError:
                     self._greeted()
             return self._ask(line, timeout)

@@ -88,7 +88,7 @@ def ended(speaker: Speaker, number: int) -> dict[str, Any]:
 
 
 def status_of(speaker: Speaker) -> dict[str, Any]:
-    """All that a beamline wants to see of the robot."""
+    """The robot's state for a beamline."""
     robot = _linked(speaker, "robot", "there is none to see")
     moving = robot.refresh()
     here, place, told = robot.place(speaker.detector)
@@ -154,7 +154,7 @@ def _confirm(speaker: Speaker, given: Given, session: Session) -> Later:
 
 
 def _after(speaker: Speaker, robot: LinkedRobot) -> Told:
-    """What the link says of itself, and where the robot is, where that is known."""
+    """The link's state, and the robot's position if known."""
     told: dict[str, Any] = {"link": finite(dict(robot.link.state()))}
     with suppress(CallError):  # a stop is answered all the same
         told["at"] = robot.place(speaker.detector)[2]

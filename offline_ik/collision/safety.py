@@ -51,7 +51,7 @@ class PathReport:
 
     @property
     def safe(self) -> bool:
-        """Whether nothing speaks against it."""
+        """Whether the move is safe."""
         return not self.reasons
 
     def to_json(self) -> dict[str, Any]:

@@ -38,5 +38,5 @@ def _world_of(parts: DetectorParts) -> World:
 
 
 def sheets_of(cell: Cell) -> list[str]:
-    """What to say of meshes that are flat."""
+    """Notes on meshes that are flat."""
     return sheets_among(cell.obstacles)

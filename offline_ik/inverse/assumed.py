@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,15 +15,16 @@ from offline_ik.cell.cell import Cell
 if TYPE_CHECKING:
     from offline_ik.inverse.detector import Detector
 
-__all__ = ["assumptions", "moves_by", "notes_of", "time_effects"]
+__all__ = ["assumed_in_words", "assumptions", "moves_by", "notes_of", "time_effects"]
 
 Array = npt.NDArray[np.float64]
 
 SHIFT_SECONDS = 8 * 3600.0  # s
+_FIRST_NAMED = ("sample", "tool at the flange")  # what moves a detector position most
 
 
 def assumptions(detector: Detector) -> tuple[str, ...]:
-    """What a cell leaves open, each with the value that is taken for it where its name does not say that."""
+    """What a cell does not state, each with the value that is assumed."""
     cell, convention = detector.cell, detector.cell.convention
     base, radii = cell.world.radii(detector.robot)
     values = {
@@ -38,12 +39,27 @@ def assumptions(detector: Detector) -> tuple[str, ...]:
     return tuple(f"{what}: {values[what]}" if what in values else what for what in cell.assumed)
 
 
+def assumed_in_words(assumed: Sequence[str]) -> str:
+    """How many quantities are assumed, in one sentence; those that matter most are named.
+
+    Parameters
+    ----------
+    assumed
+        Of :func:`assumptions`; not empty.
+    """
+    named = [name for name in _FIRST_NAMED if any(text.partition(":")[0] == name for text in assumed)]
+    such = f", such as {' and '.join(name.partition(' ')[0] for name in named)}," if named else ""
+    if len(assumed) == 1:
+        return f"1 quantity is assumed{such} because no cell file states it."
+    return f"{len(assumed)} quantities are assumed{such} because no cell file states them."
+
+
 def _listed(values: Iterable[float], digits: int = 3) -> str:
     return ", ".join(f"{value:.{digits}g}" for value in values)
 
 
 def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
-    """What a cell says and the model makes nothing of, and which time it leaves open that the model has effects of."""
+    """Notes on inputs that the model does not use, and on a running time that it needs and the cell does not state."""
     read = {signal for slot in arm.slots for signal in arm.effects[slot.effect].needs}
     given = {"link": cell.link_temperature, "motor": cell.motor_temperature}
     said = [
@@ -63,7 +79,7 @@ def notes_of(arm: IdentifiedArm, cell: Cell) -> tuple[str, ...]:
 
 
 def time_effects(arm: IdentifiedArm) -> tuple[str, ...]:
-    """The model's effects that read for how long the robot has been running."""
+    """The model's effects that depend on the time for which the robot has been running."""
     return tuple(dict.fromkeys(s.effect for s in arm.slots if "elapsed" in arm.effects[s.effect].needs))
 
 

@@ -98,7 +98,7 @@ class Detector:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What the cell says and the model makes nothing of, and which meshes are flat."""
+        """What the cell states and the model does not use, and which meshes are flat."""
         return (*notes_of(self.arm, self.cell), *sheets_of(self.cell))
 
     def at_temperature(self, link: Array | None = None, motor: Array | None = None) -> Detector:
@@ -222,7 +222,7 @@ class Detector:
         branch: Choice | str = "nearest",
         direction: Direction = None,
     ) -> Answer | None:
-        """As :meth:`locate`, where one call of a kernel has the answer; None where that takes more.
+        """As :meth:`locate`, if one call of a kernel has the answer; else None.
 
         Raises
         ------
@@ -348,7 +348,7 @@ class Detector:
         return self._solution(found[0], base, first.roll, here, replace(conditions, direction=found[1]))
 
     def _told_outside(self, nearest: Nearest, solution: Solution) -> Solution:
-        """The solution that was just located by a kernel that knows no ranges; inside these as it came."""
+        """The solution that was just located, with doubt added where it is outside the identified ranges."""
         outside, beyond = self.propagation.outside, self._extrapolating(solution.q)
         if outside is None or not beyond:
             return solution

@@ -1,4 +1,4 @@
-"""What a detector on an arm consists of, whatever the temperatures: solver, searches and kernels, each made once."""
+"""The parts of a detector that do not depend on temperatures: solver, searches and kernels, each made once."""
 
 from __future__ import annotations
 

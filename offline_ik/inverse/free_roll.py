@@ -74,7 +74,7 @@ def rolls_to_try(
         yield from grid.tolist()
         return
     yield from along.best()
-    # What the nominal arm just misses the identified one may reach.
+    # The identified arm may reach what the nominal arm just misses.
     yield from (float(grid[k]) for k in detector.search.order(along.bases(grid), here))
 
 

@@ -1,4 +1,4 @@
-"""The compiled functions that inverse kinematics is made of: all branches at once, and one calibrated solution.
+"""The compiled functions of the inverse kinematics: all branches at once, and one calibrated solution.
 
 Each is one casadi function of one row, so that the same source runs compiled (see :mod:`clampid.chain.compiled`), over
 whole blocks of rows, or, without a compiler, in casadi's own machine.
@@ -123,7 +123,7 @@ def _sensitivity(arm: IdentifiedArm, mount: Array, q: Any, conditions: Any) -> t
 
 
 def looking_kernel(arm: IdentifiedArm, mount: Array, convention: Convention) -> Kernel:
-    """Where a posture has the detector, and by what it does not look at the sample, with their derivatives.
+    """Position of the detector at a posture, and by how much its normal misses the sample, with derivatives.
 
     Rows are (q, roll, conditions). Outputs: the position ``(3,)`` in the convention's frame, m; its derivative by q
     ``(3 n,)`` by rows; the sample's direction along the detector's x and y and the sine by which the roll is another
@@ -204,7 +204,7 @@ def locate_kernel(
     given = ca.vertcat(direction, conditions[n:])
     q, error = newton(arm, mount, start, R, p, given, CHORDS + 1)[:2]
     motor = ca.DM(np.linalg.inv(np.asarray(arm.robot.transmission)).T) @ q
-    # The derivatives as a function of their own: what they need of the posture is its end, not how it was found.
+    # The derivatives are a function of their own: they depend on the solution only, not on the iterations.
     at, there = ca.SX.sym("q", n), ca.SX.sym("c", 3 * n + 1)
     rotation, J, spread = _sensitivity(arm, mount, at, there)
     depends = np.asarray(of_mount.any(axis=0))
@@ -220,7 +220,7 @@ def locate_kernel(
     J = ca.vertcat(towards @ J[:3, :], towards @ J[3:, :])
     unknown = 0.5 * (direction == 0)
     half = ca.vertcat(towards @ spread[:3, :], towards @ spread[3:, :]) * ca.repmat(unknown.T, 6, 1)
-    ok = ca.mmax(ca.fabs(error)) <= 0.1 * CONVERGED  # as the solver has it: what is left goes to its searches
+    ok = ca.mmax(ca.fabs(error)) <= 0.1 * CONVERGED  # as in the solver: what is not solved goes to its searches
     for i in range(n):
         ok = ca.logic_and(ok, ca.logic_and(q[i] >= float(lower[i]), q[i] <= float(upper[i])))
     branch = ca.if_else(ok, told[0], -1)

@@ -79,7 +79,7 @@ class MountedArm:
         return poses_of(R, p)
 
     def residual(self, pose: Array, q: Array, conditions: Conditions) -> Array:
-        """What is left ``(6,)`` to a pose ``(4, 4)`` at ``q`` ``(n,)``: position m, rotation vector rad."""
+        """Residual ``(6,)`` to a pose ``(4, 4)`` at ``q`` ``(n,)``: position m, rotation vector rad."""
         p, R, _, _ = self.forward.one(np.concatenate([q, conditions.vector]))
         return np.concatenate([pose[:3, 3] - p, log_so3(pose[:3, :3] @ R.reshape(3, 3).T)])
 

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Nearest:
-    """What locates the nearest posture of one detector.
+    """Locates the nearest posture of one detector.
 
     Views of the kernel's memory and the place for a product are made once: a request does little else than to
     call the kernel and to multiply by the covariance.
@@ -53,7 +53,7 @@ class Nearest:
     def locate(
         self, asked: tuple[float, float, float, float], here: Array, direction: Direction, still: Array
     ) -> tuple[Array, Solution] | None:
-        """Target ``(4, 4)`` in the convention's frame and its solution; None where that is not the whole story.
+        """Target ``(4, 4)`` in the convention's frame and its solution; None if a search is needed.
 
         Parameters
         ----------

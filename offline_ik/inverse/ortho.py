@@ -38,7 +38,7 @@ _SQUARE = 1e-9  # how far axes may be from parallel or perpendicular, and from m
 
 @dataclass(frozen=True, eq=False)
 class OrthoArm:
-    """What the analytic solution needs to know of an arm; base frame at the zero pose, m.
+    """The geometry that the analytic solution uses; base frame at the zero pose, m.
 
     Attributes
     ----------

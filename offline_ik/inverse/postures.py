@@ -1,4 +1,4 @@
-"""The postures of an arm that put the detector somewhere: every branch, in the turns that its limits allow.
+"""The postures that reach a detector position: every branch, in the turns that the limits allow.
 
 Also what is said of them: why a branch leads nowhere, and which singularity a posture is near.
 """
@@ -32,8 +32,8 @@ WRIST_SINGULAR = STRAIGHT
 ELBOW_SINGULAR = 0.02  # |sin| of the elbow's angle
 SHOULDER_SINGULAR = 0.02  # m: the wrist this near to axis 1
 SAME_TURN_WITHIN = 1e-9  # rad: not another turn
-STAYED = 0.1  # rad: joints 1 and 4 this near to where they are leave nothing to look for
-LIMIT_MARGIN = 0.05  # rad: by which the nominal arm may be beyond its limits and the identified one still be tried
+STAYED = 0.1  # rad: if joints 1 and 4 move less than this, no nearer posture is searched
+LIMIT_MARGIN = 0.05  # rad: so far beyond a limit of the nominal arm the identified one is still tried
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class PostureSearch:
     def _approached(
         self, base: Array, q: Array, here: Array, direction: Direction, conditions: Conditions
     ) -> tuple[Array, Array] | None:
-        """A solution as its own directions of approach have it, which may be others than those it was found with."""
+        """A solution for its own directions of approach, which may differ from those it was solved for."""
         given = conditions.direction if direction is None else directions_of(direction, q, here)
         if (given == conditions.direction).all():
             return q, given
@@ -191,7 +191,7 @@ class PostureSearch:
         return out
 
     def _beyond(self, q: Array) -> str:
-        """The joints whose limits no turn keeps."""
+        """The joints that are beyond their limits in every turn."""
         beyond = []
         for i, joint in enumerate(self.solver.arm.robot.joints):
             one = slice(i, i + 1)
@@ -228,7 +228,7 @@ def _nearer(q: Array, than: Array, here: Array) -> bool:
 
 
 def directions_of(direction: Direction, start: Array, here: Array) -> Array:
-    """The directions of approach ``(n,)``, ±1 and 0, of a posture ``start`` gone to from ``here``."""
+    """The directions of approach ``(n,)``, ±1 and 0, of a move from ``here`` to ``start``."""
     if direction is None:
         return np.zeros(len(start))
     if isinstance(direction, str):

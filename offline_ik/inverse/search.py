@@ -28,14 +28,14 @@ Bools = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
 
 AROUND = 3e-3  # m: what calibrated arms differ from nominal ones by
-AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what is left after everything else
+AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what nothing else has solved
 ALONG, ALONG_STEPS = 0.05, 250  # rad: twice round, if a joint turns as fast as the step
 STARTS = 40  # of an arm without an analytic solution
 LM_STEPS = 80
 LONG_STEPS = 1500
-MAX_JOINT_CHANGE = np.pi + 0.1  # rad: what Newton's method has moved a joint by went astray
+MAX_JOINT_CHANGE = np.pi + 0.1  # rad: if Newton's method moves a joint further, it has failed
 DAMPING, GROWTH = 1e-3, 2.0  # at first
-SAME_VALLEY_COST = 1e-3  # m and rad: what is further off after a search lies in another valley
+SAME_VALLEY_COST = 1e-3  # m and rad: a search that ends further off is in another valley
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Solved:
 
     @property
     def cost(self) -> Array:
-        """``(N,)``: the largest entry of what is left."""
+        """``(N,)``: the largest entry of the residual."""
         return np.asarray(np.abs(self.error).max(axis=1))
 
     @property
@@ -67,7 +67,7 @@ class Solved:
         return np.asarray(self.cost <= CONVERGED)
 
     def keep(self, rows: Rows, found: Solved) -> None:
-        """Take what is better of other solutions of some rows."""
+        """Take over other solutions of some rows where they are better."""
         self.put(rows, found, found.cost < self.cost[rows])
 
     def put(self, rows: Rows, found: Solved, which: Bools) -> None:
@@ -139,7 +139,7 @@ class Search:
             self._last(best, rows, wanted)
         q = wanted.near + wrapped(best.q - wanted.near)
         rows = np.flatnonzero(np.abs(q - best.q).max(axis=1) > 1e-6)
-        if len(rows):  # what counts turns (a wrong ratio) wants the last word
+        if len(rows):  # effects that count turns (a wrong ratio) need a last refinement
             last = self.refine(wanted.poses[rows], q[rows], wanted.conditions)
             best.put(rows, last, last.cost <= np.maximum(best.cost[rows], 0.1 * CONVERGED))
         return best
@@ -218,13 +218,13 @@ class Search:
         for turn in np.linspace(0, 2 * np.pi, 12, endpoint=False)[1:]:
             yield partial(self._traded, turn)
         for turn in np.linspace(0, 2 * np.pi, 16, endpoint=False):
-            # The wrist on axis 1: joint 1 is as good as free. Postures for places around give all its values.
+            # The wrist is on axis 1: joint 1 is nearly free. Postures for places around it cover its values.
             yield partial(self._beside, AROUND, turn)
         for other in SIGNS:  # near a border branches meet
             yield partial(self._on, other)
 
     def _corrected(self, some: Wanted) -> Array:
-        """The nominal arm's posture for a pose that is off by what the identified arm does there."""
+        """The nominal arm's posture for a pose that is corrected by the identified arm's error there."""
         seed = self._seed(some)
         off = self._nominal(seed) @ np.linalg.inv(self.mounted.pose(seed, some.conditions))
         return self._seed(replace(some, poses=off @ some.poses))

@@ -1,4 +1,4 @@
-"""At a singular pose, postures beside the one that was found: along its valley, for the nearest to the one at hand.
+"""At a singular pose: other postures along its valley, to find the one nearest to the present posture.
 
 With axes 4 and 6 in line, joints 4 and 6 trade places; with the wrist's centre on axis 1, joint 1 turns the arm about
 it and the wrist turns back. The nominal arm reaches such a pose all along that valley, the identified one in a few
@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 AROUND = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)  # rad: all along a valley
 STRAIGHT = 0.02  # |sin| of the wrist's angle below which joints 4 and 6 trade places: none is quite straight
-FREE = 1e-7  # |sin| of the wrist's angle below which joint 4 is rounding's
+FREE = 1e-7  # |sin| of the wrist's angle below which joint 4 is only rounding
 
 
 def along_valleys(

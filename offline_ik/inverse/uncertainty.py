@@ -1,4 +1,4 @@
-"""How far off the detector may be: the model's covariance, and what an unknown approach leaves open.
+"""Uncertainty of the detector's position: the model's covariance, and unknown directions of approach.
 
 Radial is along the line from the sample, tangential along the sphere. With the parameters' covariance S and the
 derivative J of the detector's pose by them, cov = J S J'. A joint whose direction of approach is not known may stand on
@@ -46,7 +46,7 @@ class Uncertainty(NamedTuple):
     pixel: float
 
     def stated(self) -> dict[str, float]:
-        """All that is said of it, m, rad and pixels, by the names that answers have.
+        """The stated uncertainties, m, rad and pixels, by the names that answers use.
 
         ``std_m`` and ``std_rad`` are of the norm of the position's and of the rotation's error: roots of the traces.
         ``tangential`` is along the sphere (two directions together), ``radial`` along the line of sight. Within
@@ -105,7 +105,7 @@ class Uncertainty(NamedTuple):
 
 
 class Propagation:
-    """What is the same for all poses: the parameters' covariance and what the mount depends on.
+    """The part that is the same for all poses: the parameters' covariance and the mount's derivatives.
 
     Parameters
     ----------
@@ -167,5 +167,5 @@ class Propagation:
 
 
 def _variances(covariance: Array) -> list[float]:
-    """The diagonal, what rounding has made negative as zero."""
+    """The diagonal; entries that rounding made negative are zero."""
     return [v if v > 0.0 else 0.0 for v in covariance.diagonal().tolist()]

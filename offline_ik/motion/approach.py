@@ -122,7 +122,7 @@ def approach_through(
 
 
 def _refuse_beyond(detector: Detector, q: Array, asked: Array, back: float) -> None:
-    """Refuse to come from where a limit leaves no room."""
+    """Refuse a direction of approach for which a limit leaves no room."""
     room = np.where(asked > 0, q - detector.lower, detector.upper - q)
     for i in np.flatnonzero((asked != 0) & (room < back)).tolist():
         raise TargetError(

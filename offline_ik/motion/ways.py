@@ -92,7 +92,7 @@ class Ways:
 
     @property
     def instead(self) -> str | None:
-        """What to say where the posture at the head is not the nearest, or no other one is safe either."""
+        """Note if the first posture is not the nearest, or if no posture is safe."""
         if not self.refused:
             return None
         if self.chosen[0].path.safe:
@@ -102,7 +102,7 @@ class Ways:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What must be said beside the posture at the head."""
+        """Notes on the first posture."""
         said = [] if self.instead is None else [self.instead]
         if self.against:
             said.append(

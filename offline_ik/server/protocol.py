@@ -45,7 +45,7 @@ __all__ = ["Job", "RobotLink", "Session", "Speaker"]
 
 Array = npt.NDArray[np.float64]
 
-TICK = 1.0  # s, by which a running time goes on: short of any warm-up
+TICK = 1.0  # s, steps of a running time: short compared with any warm-up
 
 
 @dataclass
@@ -280,7 +280,7 @@ class Speaker:
         }
 
     def _at(self, given: Mapping[str, str], session: Session) -> Told:
-        """The other way round than ``where``: what a posture means on the sphere."""
+        """The inverse of ``where``: the detector position of a posture."""
         q = numbers(given, "q")
         there = self.detector.check_posture(self.posture(session, "q") if q is None else q, "q")
         place = place_of(self.detector, there, numbers(given, "near"))
@@ -310,7 +310,7 @@ class Speaker:
         return Told(state)
 
     def _hello(self, given: Mapping[str, str], session: Session) -> Told:
-        """Say that one means this server: a browser, which speaks HTTP, cannot."""
+        """The client greets this server on purpose: a browser, which speaks HTTP, cannot."""
         if self.token is not None and not hmac.compare_digest(given.get("token", "").encode(), self.token.encode()):
             session.done = True  # one attempt a connection
             raise RequestError(f"hello: expected token=…, found {'another' if 'token' in given else 'none'}")

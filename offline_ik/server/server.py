@@ -231,7 +231,7 @@ def _reached(at: tuple[str, int]) -> str:
 
 
 def settle() -> None:
-    """Take what there is now out of the garbage collector's rounds: it stays, and looking at it again costs answers."""
+    """Exclude present objects from garbage collection: they stay, and scanning them again delays answers."""
     gc.collect()
     gc.freeze()
 

@@ -113,9 +113,7 @@ def ik(
     given = (("--cell", cell), ("--robot", robot), ("--running", running), ("--near", near))
     call += [f"{option}={value}" for option, value in given if value is not None]
     call += [*(["--roll", roll] if roll != "0" else []), *units.options]
-    out.show(
-        ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], len(assumed), approach, units)
-    )
+    out.show(ik_screen(detector, ways, position, [*call, *own], [*found, *data["notes"]], assumed, approach, units))
     out.result(data)
 
 
@@ -127,7 +125,7 @@ def _roll(text: str) -> float:
 
 
 def _later(detector: Detector, ways: Ways) -> tuple[str, ...]:
-    """How much time matters, where nobody said how much of it passed."""
+    """How far the detector drifts in 8 h, if no running time was given."""
     from offline_ik.inverse.assumed import moves_by, time_effects
 
     if detector.cell.running is not None or not ways.answer.reachable or not time_effects(detector.arm):
@@ -137,7 +135,7 @@ def _later(detector: Detector, ways: Ways) -> tuple[str, ...]:
 
 
 def _data(ways: Ways, branch: str, notes: tuple[str, ...]) -> dict[str, Any]:
-    """The JSON; where all postures were asked for, each with the check of the way there."""
+    """The JSON; if all postures were asked for, each has the check of its move."""
     data = ways.answer.to_json() | ways.to_json()
     data["notes"] = [*notes, *data.get("notes", ())]
     if branch == "all":

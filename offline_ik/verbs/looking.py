@@ -1,4 +1,4 @@
-"""What ``ik`` looks at beside the posture: a picture of the move, what a pixel sees, a file for pyFAI."""
+"""Further results of ``ik``: a picture of the move, what a pixel sees, a file for pyFAI."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def opened(
 
 
 def say_assumed(detector: Detector, out: Output) -> None:
-    """What nobody said, with the values that are taken for it."""
+    """List what no cell file states, with the assumed values."""
     from offline_ik.inverse.assumed import assumptions
 
     assumed = assumptions(detector)

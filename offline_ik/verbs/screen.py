@@ -26,7 +26,7 @@ def ik_screen(
     asked: str,
     call: Sequence[str | Path],
     notes: Sequence[str],
-    assumed: int,
+    assumed: Sequence[str],
     approach: bool,
     units: Units,
 ) -> Screen:
@@ -41,16 +41,18 @@ def ik_screen(
     notes
         What the solver remarked.
     assumed
-        How many things no cell says.
+        What no cell file states, with the values that are taken.
     approach
         Whether an intermediate point was asked for.
     units
         Of what is printed; joint angles come in both.
     """
+    from offline_ik.inverse.assumed import assumed_in_words
+
     done = f"{detector.robot.name}: {asked}, convention {ways.answer.convention['name']}."
     said = list(notes)
     if assumed:
-        said.append(f"{assumed} quantities are assumed, such as sample and tool, because no cell file states them.")
+        said.append(assumed_in_words(assumed))
     again = shlex.join(["clampid", "ik", *map(str, call)])
     if not ways.answer.reachable:
         return Screen(

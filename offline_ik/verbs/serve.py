@@ -22,6 +22,7 @@ from offline_ik.verbs.options import CellFile, Robot, Running, opened, say_assum
 if TYPE_CHECKING:
     from offline_ik.beamline.options import Given
     from offline_ik.exchange.link import LinkedRobot
+    from offline_ik.inverse.detector import Detector
 
 __all__ = ["linked_robot", "serve"]
 
@@ -59,6 +60,7 @@ def serve(
     robot: Robot = None,
     running: Running = None,
     effects_from: EffectsFrom = None,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="List what is assumed.", show_default=False)] = False,
     quiet: Quiet = False,
 ) -> None:
     """Answer detector positions over TCP: one request a line, one JSON answer a line, until interrupted."""
@@ -91,7 +93,7 @@ def serve(
             speaker = Speaker(detector, linked, token=token, answers_only=closed)
             detector.warm_up()
             _ = detector.twin  # the server's, warmed up as it is made
-        say_assumed(detector, out)
+        _say_ready(model, detector, linked is not None, verbose, out)
         for note in detector.notes:
             out.warn(note)
         if not is_loopback(host):
@@ -105,6 +107,18 @@ def serve(
         # The interpreter would wait for the computation to end. Nothing is written here that could be lost.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _say_ready(model: Path, detector: Detector, linked: bool, verbose: bool, out: Output) -> None:
+    """What answers, whether it moves a robot, and how much of its cell is assumed; stdout is left to the addresses."""
+    from offline_ik.inverse.assumed import assumed_in_words, assumptions
+
+    out.step(f"{model} answers for {detector.robot.name}{'' if linked else '; nothing moves: there is no --link'}.")
+    out.step("Requests are lines in rad and m, such as: where gamma=0.3 delta=0.2 r=0.8")
+    if verbose:
+        say_assumed(detector, out)
+    elif assumed := assumptions(detector):
+        out.warn(f"{assumed_in_words(assumed)} --verbose lists them.")
 
 
 def _refuse_taken(given: Given) -> None:
@@ -130,7 +144,7 @@ def _refuse_taken(given: Given) -> None:
 
 
 def _end_with_0(until_ready: contextlib.ExitStack) -> None:
-    """A stop while the server is made ready closes what is open, and is no failure; then its loop hears of signals."""
+    """SIGTERM while the server is made ready ends it with exit code 0; later its loop handles signals."""
     if threading.current_thread() is not threading.main_thread():  # signals are not this thread's
         return
 
@@ -141,7 +155,7 @@ def _end_with_0(until_ready: contextlib.ExitStack) -> None:
 
 
 def _token(path: Path, out: Output) -> str:
-    """What stands in a file, blanks at its ends aside."""
+    """The token in a file, stripped of blanks."""
     try:
         with open(
             os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb"
@@ -164,7 +178,7 @@ def _token(path: Path, out: Output) -> str:
 
 
 def linked_robot(address: str, out: Output) -> LinkedRobot:
-    """The robot; one that moves for a server or a client that is gone is stopped: nobody else could do so now."""
+    """The robot. If it still moves for a server or client that is gone, it is stopped: nobody else can."""
     from experiments.links.address import open_link
     from experiments.links.protocol import LinkError
     from offline_ik.exchange.link import LinkedRobot

@@ -201,6 +201,7 @@ class Out:
         self.said.append(text)
 
 
+@pytest.mark.slow
 def test_kill_9_of_the_server_while_the_robot_moves_and_the_next_ones(
     controller: Controller, served: Served, detector: Detector, model_file: Path, cell_file: Path
 ) -> None:

@@ -152,6 +152,7 @@ def test_a_mistake_that_explains_all_distances_is_named(
     assert [(f.column, f.message.partition("they fit with ")[2]) for f in found] == [(column, words)]
 
 
+@pytest.mark.slow
 def test_an_anchor_moved_or_misnamed_is_said(campaign: Campaign) -> None:
     table = campaign.tables["distances"].copy()
     table.loc[table["pose"] % 2 == 0, "anchor"] = "A1"

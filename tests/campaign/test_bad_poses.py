@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.campaign import Campaign, read_campaign
 from experiments.checks.check import Finding, check_campaign
+from experiments.checks.points import enough_poses
 from experiments.simulate import simulate
 from kinematics.poe import forward
 
@@ -121,7 +122,12 @@ def test_too_few_poses(campaign: Campaign, poses: int, words: str) -> None:
     table = campaign.tables["poses"]
     found = told(campaign, table[table["pose"] <= poses])
     assert any(words in f.message and f.severity == "warning" for f in found), found
-    assert not any("that the geometry of" in f.message for f in told(campaign, table[table["pose"] <= 10]))
+    between = told(campaign, table[table["pose"] <= 10])
+    assert not any("that the geometry of" in f.message for f in between)
+    said = "10 poses are few for the geometry of 6 joints and 3 targets (33 parameters): a model fitted to them may"
+    assert [f.severity for f in between if f.message.startswith(said)] == ["warning"], between
+    enough = enough_poses(table, 33)
+    assert not any("for the geometry of" in f.message for f in told(campaign, table[table["pose"] <= enough]))
 
 
 def test_a_target_on_the_last_joints_axis(campaign: Campaign) -> None:

@@ -134,6 +134,7 @@ class TestShift:
         assert shift is not None
         assert abs(shift.seconds - 0.1 * rows) < 4.0 * shift.std_error
 
+    @pytest.mark.slow
     def test_errors_are_honest(self, tmp_path: Path) -> None:
         # Of sound logs: scores of this and that robot are normal with a standard deviation near one.
         scores = []

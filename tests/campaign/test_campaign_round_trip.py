@@ -70,6 +70,7 @@ _scalar = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(st.dictionaries(_text, st.one_of(_scalar, st.lists(_scalar, max_size=3), st.dictionaries(_text, _scalar))))
 def test_toml_survives(raw: dict[str, object]) -> None:
     assert tomllib.loads(toml_text(raw)) == raw

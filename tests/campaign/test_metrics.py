@@ -139,6 +139,7 @@ def _returned(rng: np.random.Generator, poses: int, returns: int, apart: float, 
     return pose_metrics(error, place, place, side, np.arange(float(len(place))))
 
 
+@pytest.mark.slow
 def test_two_returns_tell_what_thirty_would_show_within_the_interval() -> None:
     std = np.array([3e-5, 1e-5, 1e-5])
     truth, rng = expected_repeatability(np.diag(std**2)), np.random.default_rng(0)

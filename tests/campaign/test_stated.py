@@ -76,6 +76,7 @@ def test_nothing_stated_is_nothing_known(tmp_path: Path) -> None:
     assert stated.to_json() == {}
 
 
+@pytest.mark.slow
 def test_what_was_stated_is_reported(tmp_path: Path) -> None:
     campaign = read(tmp_path, **STATED)
     found = holdings(campaign)["stated"]
@@ -138,6 +139,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path, wrong: dict[str, Any], 
         assert part in str(caught.value), str(caught.value)
 
 
+@pytest.mark.slow
 def test_an_unknown_section_ends_the_program_with_2(tmp_path: Path) -> None:
     found = clampid("check", write(tmp_path / "c", poses(), HEADER | {"bases": BASE}))
     assert found.returncode == 2

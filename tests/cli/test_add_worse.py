@@ -12,6 +12,7 @@ from cli_runner import Clampid
 from clampid.loop.change import Change, paired_change
 
 
+@pytest.mark.slow
 def test_an_effect_that_makes_the_held_out_error_worse_is_not_added_silently(
     poses_only: Path, tmp_path: Path, clampid: Clampid
 ) -> None:
@@ -31,6 +32,7 @@ def test_an_effect_that_makes_the_held_out_error_worse_is_not_added_silently(
     assert part["heldout_rms_after"] > part["heldout_rms_before"]
 
 
+@pytest.mark.slow
 def test_a_change_within_its_standard_error_is_said_and_written(
     poses_only: Path, tmp_path: Path, clampid: Clampid
 ) -> None:

@@ -36,6 +36,7 @@ def circles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_campaign(tmp_path_factory.mktemp("campaigns") / "circles", header, {"poses": table})
 
 
+@pytest.mark.slow
 def test_base_of_a_rigid_robot(clampid: Clampid, circles: Path, tmp_path: Path) -> None:
     ran = clampid("base", circles, "--rigid", "--json", "-", "-q")
     assert ran.code == 0, ran.err
@@ -46,6 +47,7 @@ def test_base_of_a_rigid_robot(clampid: Clampid, circles: Path, tmp_path: Path) 
     assert "biased by deflection" in shown.out
 
 
+@pytest.mark.slow
 def test_base_refuses_what_it_cannot_do(clampid: Clampid, circles: Path, poses_only: Path, model: Path) -> None:
     for arguments, words in (
         ((circles,), "ur10 has no springs or no masses"),

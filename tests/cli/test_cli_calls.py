@@ -48,6 +48,7 @@ def test_version(clampid: Clampid) -> None:
     assert clampid("--version").out.startswith("clampid ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -133,6 +134,7 @@ def test_an_error_of_the_program_is_one_line_with_its_kind(
     assert "Traceback" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_degrees_are_refused_by_identify_and_by_check(clampid: Clampid, poses_only: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(poses_only, tmp_path / "degrees")
     table = pd.read_parquet(folder / "poses.parquet")

@@ -65,6 +65,7 @@ def frozen(log: pd.DataFrame) -> pd.DataFrame:
     return log.iloc[:2000].assign(**{c: log[c].iloc[0] for c in Q}, **dict.fromkeys(QD, 0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
@@ -85,6 +86,7 @@ def test_torques_in_another_unit_are_named_and_refused(
     assert not (tmp_path / "model.json").exists()
 
 
+@pytest.mark.slow
 def test_a_joint_that_never_reverses_is_reported(clampid: Clampid, edited: Callable[[Edit], Path], tmp_path: Path):
     done = clampid("identify", edited(forwards_only), "-q", "-o", tmp_path / "model.json")
     assert done.code == 0
@@ -108,6 +110,7 @@ def test_one_speed_is_reported_and_its_frictions_are_not_identified(
         assert told[effect, "joint1"]
 
 
+@pytest.mark.slow
 def test_standstill_only_is_refused(clampid: Clampid, edited: Callable[[Edit], Path], tmp_path: Path):
     campaign = edited(frozen)
     checked = clampid("check", campaign)
@@ -119,6 +122,7 @@ def test_standstill_only_is_refused(clampid: Clampid, edited: Callable[[Edit], P
     assert not (tmp_path / "model.json").exists()
 
 
+@pytest.mark.slow
 def test_a_tool_other_than_declared_is_diagnosed_as_payload(clampid: Clampid, heavier: Path, tmp_path: Path):
     model, report = tmp_path / "model.json", tmp_path / "diagnosis.json"
     assert clampid("identify", heavier, "-q", "-o", model).code == 0

@@ -73,6 +73,7 @@ def test_json_has_no_numbers_that_json_lacks() -> None:
     assert finite(data) == {"a": None, "b": [1, 2.5], "c": 3.0, "d": [1.0, None], "e": True, "f": None}
 
 
+@pytest.mark.slow
 def test_a_point_in_millimetres_is_the_same_point(poses_only: Path, tmp_path: Path, clampid: Clampid) -> None:
     model = tmp_path / "m.json"
     assert clampid("identify", poses_only, "-o", model, "--effects", "geometry", "-q").code == 0

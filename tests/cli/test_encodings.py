@@ -30,6 +30,7 @@ def ran(place: dict[str, str], *arguments: str | Path) -> subprocess.CompletedPr
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: "-".join(place.values()))
 def test_every_encoding_gives_results(place: dict[str, str], poses_only: Path, model: Path, tmp_path: Path) -> None:
     told = ran(place, "compare", model, poses_only)
@@ -41,6 +42,7 @@ def test_every_encoding_gives_results(place: dict[str, str], poses_only: Path, m
     assert table.stdout.decode("utf-8").startswith("row,")
 
 
+@pytest.mark.slow
 def test_signs_that_are_missing_are_spelt(poses_only: Path, tmp_path: Path) -> None:
     told = ran({"PYTHONIOENCODING": "ascii"}, "identify", poses_only, "-o", tmp_path / "m.json")
     assert told.returncode == 0, told.stderr
@@ -56,6 +58,7 @@ def test_an_encoding_that_takes_no_text_loses_none(encoding: str) -> None:
     assert "robots are bundled" in text
 
 
+@pytest.mark.slow
 def test_a_complaint_in_another_encoding_is_one_line(tmp_path: Path) -> None:
     told = ran({"PYTHONIOENCODING": "ascii"}, "check", tmp_path / "Prüfstand")
     assert told.returncode == 2
@@ -72,6 +75,7 @@ def test_spelling(signs: str, plain: str) -> None:
     assert spelt(signs) == plain
 
 
+@pytest.mark.slow
 def test_every_sign_that_the_program_prints_is_spelt() -> None:
     """In all its texts; what nobody may see is refused or escaped before it is printed."""
     signs: set[str] = set()
@@ -86,6 +90,7 @@ def test_every_sign_that_the_program_prints_is_spelt() -> None:
     assert not {sign for sign in kept - {"?"} if "?" in spelt(sign)}
 
 
+@pytest.mark.slow
 def test_a_table_keeps_its_rules(poses_only: Path, tmp_path: Path) -> None:
     told = ran({"PYTHONIOENCODING": "ascii"}, "identify", poses_only, "-o", tmp_path / "m.json", "--verbose")
     assert told.returncode == 0, told.stderr
@@ -93,6 +98,7 @@ def test_a_table_keeps_its_rules(poses_only: Path, tmp_path: Path) -> None:
     assert b"?" not in told.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stream", ["2>&-", "2>/dev/full", ">&- 2>&-"])
 def test_a_complaint_that_cannot_be_printed_is_a_code_all_the_same(stream: str, tmp_path: Path) -> None:
     if "full" in stream and not Path("/dev/full").exists():
@@ -102,6 +108,7 @@ def test_a_complaint_that_cannot_be_printed_is_a_code_all_the_same(stream: str, 
     assert subprocess.run(["sh", "-c", called], check=False, timeout=60).returncode == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", ["0", "-5", "1", "wide", "9" * 30, "\u0667"])
 def test_a_width_that_is_none_is_not_used(columns: str, poses_only: Path) -> None:
     told = ran({"COLUMNS": columns}, "check", poses_only)

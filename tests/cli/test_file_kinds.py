@@ -32,6 +32,7 @@ CALLS = {
 """Calls that write a file, and of which kind it is."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", CALLS)
 def test_an_older_file_of_its_kind_is_replaced_and_no_other(
     call: str, poses_only: Path, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys

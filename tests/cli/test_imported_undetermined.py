@@ -110,6 +110,7 @@ def test_open_directions_are_marked_and_what_is_known_has_a_value(found: tuple[P
         assert not re.search(rf"{re.escape(name)} +[-\d]", text)
 
 
+@pytest.mark.slow
 def test_nothing_of_it_is_exported(found: tuple[Path, str, dict[str, Any]], clampid: Clampid) -> None:
     """Springs are asked for by name: those that nothing bends stay near zero, and the table near the nominal one."""
     folder, _, _ = found

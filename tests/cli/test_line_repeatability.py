@@ -53,6 +53,7 @@ def test_places_measured_once_say_nothing() -> None:
     assert line_repeatability(distances((1, -1), visits=2)) is None
 
 
+@pytest.mark.slow
 def test_check_says_it_in_a_campaign_of_distances_only(tmp_path: Path, clampid: Callable[..., Ran]) -> None:
     header = header_of(cell_of("kuka_kr20_r1810")[0], tmp_path / "C")
     for sides, words in (((1,), "from one side"), ((1, -1), "from both; the sides differ by up to 4")):

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import pandas as pd
 import pytest
 from cli_runner import Clampid, Ran
 
 from clampid.screen import HEIGHT, WIDTH
+from clampid.verbs.screens import fit_screen
 from experiments.simulate import simulate
 
 
@@ -86,6 +90,7 @@ def test_an_effect_file_that_is_not_there_is_said_to_be_missing(clampid: Clampid
     assert "found no such file" in clampid("effect", "trust", tmp_path / "none.py").complaint
 
 
+@pytest.mark.slow
 def test_a_dry_run_is_one_screen_and_lists_every_motion_on_demand(
     clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -96,3 +101,39 @@ def test_a_dry_run_is_one_screen_and_lists_every_motion_on_demand(
     assert next_command(short)[:2] == ["run", "fixed.toml"]
     assert "reading" not in short.err
     assert len(whole.out.splitlines()) > len(short.out.splitlines()) + 20
+
+
+@pytest.mark.parametrize(("targets", "like"), [({}, ""), ({"T1": [0.0, 0.0, 0.1]}, "--like few ")])
+def test_too_few_poses_of_the_flange_itself_offer_a_plan_too(
+    targets: dict[str, Any], like: str, clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A campaign of the flange with its orientation names no target: a plan like it has none to measure."""
+    part = {"unit": "m", "heldout_rms": 1.2e-3, "rms": 1.5e-4, "noise_floor": 1.7e-5, "effects": ["geometry"],
+            "parameters": 30, "not_identifiable": [], "enough_poses": 25}  # fmt: skip
+    few: Any = SimpleNamespace(header={"robot": "ur10"}, robot=SimpleNamespace(name="ur10"), targets=targets)
+    screen = fit_screen({"model": "m.json", "stages": {"poses": part}}, {}, {}, [few], [Path("few")], None)
+    assert [step.command for step in screen.next] == [f"clampid plan poses --robot ur10 {like}--poses 25 -o plan.toml"]
+    if not targets:
+        monkeypatch.chdir(tmp_path)
+        ran = clampid(*shlex.split(screen.next[0].command)[1:], "-q")
+        assert ran.code == 0, ran.err
+        assert (tmp_path / "plan.toml").is_file()
+
+
+def test_check_of_what_it_refuses_does_not_say_what_identify_fits(
+    clampid: Clampid, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(WIDTH))
+    monkeypatch.chdir(tmp_path)
+    simulate(tmp_path / "arm", seed=1, poses=40, tables=("poses",))
+    assert "identify fits geometry" in " ".join(clampid("check", "arm").out.split())
+    file = tmp_path / "arm" / "poses.parquet"
+    table = pd.read_parquet(file)
+    angles = [f"q{j}_rad" for j in range(1, 7)]
+    table[angles] = table.groupby(["pose", "visit"])[angles].transform("first").shift(3).bfill()
+    table.to_parquet(file, index=False)
+    ran = clampid("check", "arm")
+    assert ran.code == 2
+    assert "The campaign cannot be used" in ran.out
+    assert "identify fits" not in " ".join(ran.out.split())
+    assert ran.out.endswith("Mend the tables, then check again:\n  clampid check arm\n")

@@ -181,6 +181,7 @@ FOLDERS = {
 """Verbs that make a folder; of those that read, no input is there, so that work would be refused otherwise."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["mounted", "file", "file/below", "full"])
 @pytest.mark.parametrize("verb", FOLDERS)
 def test_a_folder_that_cannot_be_made_is_said_before_the_work(

@@ -80,6 +80,7 @@ def test_a_drawing_is_whole_and_to_scale() -> None:
     assert [labels.count(str(k)) for k in range(1, 7)] == [2] * 6
 
 
+@pytest.mark.slow
 def test_a_drawing_is_written_where_it_is_asked_for(tmp_path: Path, clampid: Clampid) -> None:
     for _ in range(2):  # the second time over the first drawing
         ran = clampid("robots", "ur10", "--svg", tmp_path / "ur10.svg")

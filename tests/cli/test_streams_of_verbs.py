@@ -160,6 +160,7 @@ def test_every_verb_is_among_these() -> None:
     assert leaves() == set(CALLS) | set(LONG)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "encoding"), [(verb, one) for verb in CALLS for one in ENCODINGS[: 1 if verb in SECONDS else 2]]
 )

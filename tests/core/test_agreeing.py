@@ -99,6 +99,7 @@ def check(campaign: Campaign, joint: str) -> StageDiagnosis:
     return found
 
 
+@pytest.mark.slow
 def test_a_damaged_tooth_is_named_and_its_rows_are_no_outliers(simulated):
     """Without it, 28 to 32 rows of these were rejected, and the verdict was that nothing is missing."""
     campaign = simulated(seed=1, poses=200, tables=TABLES, hidden=("damaged_tooth@joint3",))

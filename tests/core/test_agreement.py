@@ -65,6 +65,7 @@ def test_what_the_poses_do_not_determine_is_not_tested():
     assert len(agreement_of(clamped, only)[0]) == 2
 
 
+@pytest.mark.slow
 def test_compare_shows_it_on_the_virtual_robot(simulated: Simulated, capsys: pytest.CaptureFixture[str]):
     campaign = simulated(seed=3, poses=100, tables=("clamped", "poses", "verification"))
     effects = {"poses": ["geometry", "joint_compliance", "backlash"]}

@@ -155,6 +155,7 @@ def test_a_shared_disc_is_found_from_the_poses_alone(one_disc: Campaign, one_cur
     assert far[1] <= far[0]
 
 
+@pytest.mark.slow
 def test_one_curve_carries_further_than_several(one_disc: Campaign, one_curve: Model):
     """To poses of the same robot where a joint had never been: another joint has."""
     rows = one_disc.tables["poses"]
@@ -181,6 +182,7 @@ def test_the_model_is_fitted_again_as_it_was(one_disc: Campaign, one_curve: Mode
     np.testing.assert_allclose(again.model.theta, one_curve.stages["poses"].theta, atol=0.2 * again.model.std.max())
 
 
+@pytest.mark.slow
 def test_adding_it_takes_the_place_of_the_curves(one_disc: Campaign):
     model = identify(one_disc, OWN, holdout=0.05)
     mended, addition = add(model, one_disc, ["shared_angle_curve"])
@@ -196,6 +198,7 @@ def test_adding_it_takes_the_place_of_the_curves(one_disc: Campaign):
     assert back.ledger == model.ledger
 
 
+@pytest.mark.slow
 def test_different_discs_keep_their_own_curves(simulated: Simulated):
     campaign = simulated(seed=2, poses=200, tables=("poses",), hidden=(SEVERAL,), robot="ur10")
     model = identify(campaign, OWN, holdout=0.05)

@@ -53,6 +53,7 @@ def test_noise_along_z_is_learned_and_none_of_its_rows_is_wrong(campaign: Campai
     assert np.mean(deep.noise.sigma[0, :3] ** 2) == pytest.approx(np.mean(deep.residual[used, :3] ** 2), rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_the_others_say_is_not_lost_in_the_noise_of_z(campaign: Campaign):
     """Errors of the fit's parameters, by its own account and by those of the fit without that noise."""
     alike, deep = estimate_of(campaign), estimate_of(seen_deep(campaign, 2))

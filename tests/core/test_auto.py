@@ -124,6 +124,7 @@ def test_what_was_fitted_and_refused_comes_first_and_once(arm: Campaign, first: 
     assert not mine & {(r["name"], p) for r in rejected for p in r["where"]}
 
 
+@pytest.mark.slow
 def test_limits_are_those_of_what_is_not_in_the_model_in_the_end(arm: Campaign, mended: tuple[Model, Diagnosis]):
     model, found = mended
     listed = found.stages["poses"].testability

@@ -105,6 +105,7 @@ def test_a_point_on_no_circle_is_left_out_and_listed() -> None:
     assert np.linalg.norm(log_se3(inverse(WHERE) @ found.base)[3:]) < 5e-5
 
 
+@pytest.mark.slow
 def test_deflection_lowers_the_base_and_the_correction_puts_it_back() -> None:
     """Half a millimetre and more without, within its interval with: the virtual robot's physics against the model's."""
     pulls, inside, low = [], [], []

@@ -194,6 +194,7 @@ def test_they_survive_the_model_file(still, tmp_path):
     assert load_model(tmp_path / "m.json").stages["free_air"].base == still.model.base
 
 
+@pytest.mark.slow
 def test_recovered_within_their_standard_errors(tmp_path):
     """Over eight robots, truth and estimate differ by as much as the standard errors say."""
     robot = load_robot("kuka_kr20_r1810")

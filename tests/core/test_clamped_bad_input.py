@@ -102,6 +102,7 @@ def fitted(campaign: Campaign) -> StageModel:
     return fit_stage(rows, catalogue(), terms, {}).model
 
 
+@pytest.mark.slow
 def test_of_a_sweep_cut_off_the_rest_is_used(sweeps: Campaign) -> None:
     frame = sweeps.tables["clamped"]
     rows, joint = rows_of(frame, 4)

@@ -30,6 +30,7 @@ def test_intervals_hold_the_truth():
         assert np.all(t.std[:6] < 0.02 * t.true[:6])
 
 
+@pytest.mark.slow
 def test_cross_terms_are_right_in_sign_and_size():
     for t, _ in pairs(FEW):
         assert np.all(np.sign(t.found[18:]) == np.sign(t.true[18:]))

@@ -292,6 +292,7 @@ def test_a_hidden_effect_is_found_from_distances(simulated: Simulated):
     assert found["heldout_rms_after"] < 0.6 * found["heldout_rms_before"]
 
 
+@pytest.mark.slow
 def test_repeatability_beside_a_fine_instrument_is_nothing_unknown(simulated: Simulated):
     """Distances to 10 um of a robot that repeats within 20: no return says so, and "unknown" would be a false alarm."""
     campaign = simulated(seed=0, poses=90, tables=("distances",))

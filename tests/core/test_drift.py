@@ -44,6 +44,7 @@ def test_wandering_noise_is_warned_of(simulated, seed: int):
     assert verdict.summary.endswith(verdict.warnings[0])
 
 
+@pytest.mark.slow
 def test_independent_noise_is_not(simulated):
     """Of forty fits one in a hundred may: at most three."""
     warned = 0

@@ -152,6 +152,7 @@ def test_is_visible(name: str, stage: Stage, few_rows: dict[Stage, Rows]):
     assert np.any(seen[~np.array(effect_of)] > 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "stage"), ACTING)
 def test_derivative_is_the_difference(name: str, stage: Stage, few_rows: dict[Stage, Rows]):
     trial, own = _trial(EFFECTS[name], few_rows[stage])

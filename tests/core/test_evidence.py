@@ -90,6 +90,7 @@ def weak(simulated: Simulated) -> Campaign:
     return simulated(seed=2, poses=200, tables=("poses", "verification"), hidden=(WEAK_DISC,))
 
 
+@pytest.mark.slow
 def test_a_fit_finds_how_large_the_curves_are(weak: Campaign):
     model = identify(weak, (*STANDARD, "joint_angle_curve"))
     found = model.stages["poses"].values()[Slot("joint_angle_curve", "rms", "robot")]

@@ -33,6 +33,7 @@ def truth_of(campaign_seed: int, tables: tuple[str, ...], poses: int = 60) -> Tr
     return measure(load_robot("kuka_kr20_r1810"), seed=campaign_seed, poses=poses, tables=tables).truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_clamped_recovers_springs_gaps_and_friction(simulated: Simulated, seed: int):
     campaign = simulated(seed=seed, tables=("clamped",))
@@ -59,6 +60,7 @@ def test_poses_of_a_clean_robot_come_down_to_the_noise(simulated: Simulated, see
     assert line.rms <= line.heldout_rms * 1.02
 
 
+@pytest.mark.slow
 def test_outliers_are_found_and_listed(simulated: Simulated):
     campaign = simulated(seed=1, poses=150, tables=POSES, outliers=0.02)
     truth = measure(load_robot("kuka_kr20_r1810"), seed=1, poses=150, tables=POSES, outliers=0.02).truth
@@ -70,6 +72,7 @@ def test_outliers_are_found_and_listed(simulated: Simulated):
     assert len(found - spoilt) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [(), pytest.param(("gear_eccentricity@joint2",), marks=pytest.mark.slow)])
 def test_outliers_change_no_verdict(simulated: Simulated, hidden: tuple[str, ...]):
     verdicts = []
@@ -82,6 +85,7 @@ def test_outliers_change_no_verdict(simulated: Simulated, hidden: tuple[str, ...
     assert verdicts[0] == verdicts[1]
 
 
+@pytest.mark.slow
 def test_the_same_twice(simulated: Simulated):
     campaign = simulated(seed=1, poses=60, tables=POSES)
     one, two = (identify(campaign, {"poses": STANDARD}, holdout=0.2, seed=5) for _ in range(2))

@@ -116,6 +116,7 @@ def test_a_spring_and_a_friction_below_zero_are_a_mirror_image(poses: FitProblem
     np.testing.assert_array_equal(np.delete(image, [friction, spring]), np.delete(theta, [friction, spring]))
 
 
+@pytest.mark.slow
 def test_a_search_that_began_on_the_wrong_side_ends_on_the_right_one(simulated: Simulated):
     """The torques give this robot's joint 6 a friction below zero to begin with, by their error."""
     campaign = simulated(seed=11, poses=100, tables=("free_air", "wrist", "clamped", "poses"))

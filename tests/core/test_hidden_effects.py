@@ -181,6 +181,7 @@ def test_hidden_effect_is_named_and_mended(effect: str, seed: int, simulated: Si
     check(CASES[effect], seed, simulated, table)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["gear_eccentricity", "base_settling", "torque_offset", "time_lag"])
 def test_hidden_effect_quickly(effect: str, simulated: Simulated, table: list[str]):
     check(CASES[effect], 4, simulated, table)

@@ -106,6 +106,7 @@ def test_accelerated_rows_temperatures_and_loads(free_air: Campaign) -> None:
     assert_same(by_windows([free_air], names, window=4000), fitted, errors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("window", "kept", "holdout"), [(1 << 14, 1 << 28, 0.0), (1700, 0, 0.3)])
 def test_log_denser_than_its_design_can_follow(free_air: Campaign, window: int, kept: int, holdout: float) -> None:
     """Three rows are one number to the noise, of which windows, folds and outliers begin and end anywhere."""
@@ -178,6 +179,7 @@ def test_every_row_is_of_one_window_and_has_its_neighbours() -> None:
     assert cut <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("holdout", [0.0, 0.3])
 @pytest.mark.parametrize(("window", "kept"), [(1 << 14, 1 << 28), (1700, 0)])
 def test_shape_parameters_are_those_of_the_log_held(both: Campaign, holdout: float, window: int, kept: int) -> None:

@@ -56,6 +56,7 @@ CAMERAS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], dict[str, float]]] 
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", CAMERAS)
 def test_what_errs_in_depth_is_named(effect: str, simulated: Simulated):
     error, truth = CAMERAS[effect]

@@ -94,6 +94,7 @@ def test_held_out_rows_are_not_worse(apart: Model, joint: Model):
         assert new.heldout_rms < 1.02 * old.heldout_rms
 
 
+@pytest.mark.slow
 def test_an_unloaded_joint_whose_friction_comes_out_negative_keeps_its_flanks(simulated: Simulated):
     """Nothing loads joint 1 of this robot; its friction is known to 2 Nm, and comes out below zero by 1.5 errors."""
     campaign = simulated(seed=4, poses=100, tables=("free_air", "wrist", "clamped", "poses"))
@@ -135,6 +136,7 @@ def test_the_comparison_reads_it(joint: Model, campaign: Campaign):
     assert any(abs(a.z) > 0.01 for a in found.drives)
 
 
+@pytest.mark.slow
 def test_one_stage_alone_is_the_same_fit(simulated: Simulated):
     campaign = simulated(seed=5, poses=12, tables=("clamped",))
     apart, joint = identify(campaign), identify(campaign, joint=True)
@@ -143,6 +145,7 @@ def test_one_stage_alone_is_the_same_fit(simulated: Simulated):
     np.testing.assert_allclose(a.std, b.std, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_contradicted_springs_are_not_shared(simulated: Simulated):
     """Where the poses contradict the sweeps, each stage keeps springs of its own, and the ledger says so."""
     campaign = simulated(seed=1, poses=100, hidden=("fixture_compliance",))
@@ -154,6 +157,7 @@ def test_contradicted_springs_are_not_shared(simulated: Simulated):
     assert joint.ledger[-1].heldout_rms < 1.02 * apart.ledger[-1].heldout_rms
 
 
+@pytest.mark.slow
 def test_on_the_command_line(campaign: Campaign, tmp_path: Path):
     target, data = tmp_path / "joint.json", tmp_path / "out.json"
     call = ["identify", str(campaign.path), "-o", str(target), "--joint", "-q", "--json", str(data)]

@@ -19,6 +19,7 @@ from kinematics.description import load_robot
 SEEDS = range(1, 5)
 
 
+@pytest.mark.slow
 def test_without_a_slip_nothing_is_added():
     robot = load_robot("kuka_kr20_r1810")
     campaign = measured_campaign(measure(robot, seed=3, tables=("clamped",)), robot)

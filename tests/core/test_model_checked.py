@@ -160,6 +160,7 @@ def test_a_device_is_no_model() -> None:
         load_model("/dev/zero")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [False, True])
 def test_models_of_every_stage_are_read_as_they_were_written(tmp_path: Path, joint: bool) -> None:
     simulate(tmp_path / "arm", "kuka_kr20_r1810", seed=3, poses=40, tables=("free_air", "wrist", "clamped", "poses"))

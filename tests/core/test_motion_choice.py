@@ -88,6 +88,7 @@ def test_accelerated_logs_get_the_inertia_of_rotors_and_links(log: Campaign) -> 
     assert {"inertia", "link_inertia"} <= names
 
 
+@pytest.mark.slow
 def test_the_floor_has_no_part_of_the_model_in_it(log: Campaign) -> None:
     """Torques of acceleration that a model lacks last for seconds: taken from its residual, they would be noise."""
     poor = identify(log, {"free_air": ["gravity", "coulomb_friction", "inertia@joint1"]})

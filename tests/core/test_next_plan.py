@@ -121,6 +121,7 @@ def _left_beside(campaigns: list[Campaign], there: str, asked: str) -> float:
     return next(s for s in scored if s.candidate.label == asked).explained
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_runs_part_a_dress_pack_from_a_balancer(tmp_path: Path, seed: int):
     hidden, labels = ("dress_pack@joint4",), ("dress_pack@joint4", "gravity_compensator@joint4")
@@ -168,6 +169,7 @@ def _gentle_sweeps(folder: Path, seed: int) -> Campaign:
     return read_campaign(run_virtually(replace(blank, sweeps=sweeps, duration=600.0), folder, seed=seed))
 
 
+@pytest.mark.slow
 def test_sweeps_show_a_spring_that_hardens(tmp_path: Path):
     campaign = _gentle_sweeps(tmp_path / "gentle", seed=4)
     estimate, space, (s,) = _seen([campaign], "clamped", "nonlinear_stiffness@joint2")

@@ -69,6 +69,7 @@ def test_a_lean_turns_gravity() -> None:
     np.testing.assert_allclose(lean_torque(campaign, q) @ lean, change, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_clearance_of_a_leaning_joint_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 1.5 mrad its weight decides wherever the arm is not folded; the direction alone tells half the clearance."""
     campaign = leaning(3, 1.5e-3)
@@ -83,6 +84,7 @@ def test_an_upright_joint_keeps_its_flanks(monkeypatch: pytest.MonkeyPatch) -> N
     assert np.abs((mean.theta - without.theta) / without.std).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_leaning_robot_is_predicted_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """On poses of which none was fitted, the flanks that the lean says, and not the direction alone."""
     campaign = leaning(5, 1.2e-3)
@@ -91,6 +93,7 @@ def test_a_leaning_robot_is_predicted_elsewhere(monkeypatch: pytest.MonkeyPatch)
     assert mean < 0.9 * without
 
 
+@pytest.mark.slow
 def test_the_lean_is_kept_in_the_file_and_in_commands(tmp_path: Path) -> None:
     """The kernel of inverse kinematics presses on the same flanks as the fit does."""
     campaign = leaning(3, 1.5e-3)

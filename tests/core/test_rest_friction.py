@@ -44,6 +44,7 @@ def test_frictions_and_clearances_of_an_uncoupled_wrist():
     assert abs(errors["wrist_coupling_friction.F@joint5"]) < 3.5
 
 
+@pytest.mark.slow
 def test_a_fit_again_holds_the_frictions_where_they_were(monkeypatch: pytest.MonkeyPatch):
     campaign, model = robot_and_model()
     monkeypatch.setattr(clampid.fitting.rest_friction, "_solved", None)  # nothing is sought

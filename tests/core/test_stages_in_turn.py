@@ -54,12 +54,14 @@ def test_what_is_added_has_one_value(mended: tuple[Model, Diagnosis]):
         assert values["poses"][slot] == pytest.approx(values["free_air"][slot], abs=4 * std)
 
 
+@pytest.mark.slow
 def test_poses_alone_know_nothing_of_the_log(campaign: Campaign, mended: tuple[Model, Diagnosis]):
     """Asked for the poses only, of a model without it, they call what they see by the name that they have."""
     poses = diagnose(identify(campaign), campaign, stages=["poses"]).stages["poses"]
     assert BALANCER not in {c["effect"] for c in poses.candidates}
 
 
+@pytest.mark.slow
 def test_what_a_log_leaves_open_is_no_gear_in_poses(simulated: Callable[..., Campaign]):
     """An offset of joint 2's torque is one of three names by the log alone, so that none of them is added.
 
@@ -75,6 +77,7 @@ def test_what_a_log_leaves_open_is_no_gear_in_poses(simulated: Callable[..., Cam
     assert found["poses"].after < 1.15 * found["poses"].noise_floor
 
 
+@pytest.mark.slow
 def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable[..., Campaign]):
     """An offset of the torque and an asymmetric friction are the same columns; a cable pulls at the poses, too."""
     tables = ("free_air", "wrist", "poses", "verification")
@@ -91,6 +94,7 @@ def test_two_names_of_one_model_are_alike_and_a_third_is_not(simulated: Callable
     assert not Undecided([offset, friction, cable], kept).alike(opened.effects, ["poses"])
 
 
+@pytest.mark.slow
 def test_the_model_of_a_log_alone_takes_the_name_that_moves_no_flange(simulated: Callable[..., Campaign]):
     """By a log alone an offset of joint 2's torque may be a cable, too, which would bend the arm in poses.
 
@@ -108,6 +112,7 @@ def test_the_model_of_a_log_alone_takes_the_name_that_moves_no_flange(simulated:
     assert log.after == pytest.approx(1.0, abs=0.1)  # in units of the noise
 
 
+@pytest.mark.slow
 def test_a_drift_is_named_only_if_it_is_seen(simulated: Callable[..., Campaign]):
     """Beside a constant offset at joint 4 a drift with a room that hardly warmed explains what chance explains."""
     campaign = simulated(seed=2, poses=60, tables=("free_air", "wrist"), hidden=("torque_offset@joint4",))

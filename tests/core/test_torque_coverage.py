@@ -24,6 +24,7 @@ def errors(seeds: range) -> np.ndarray:
     return np.array([[t.errors[name] for name in names] for t in trials(seeds)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seeds", "least"), [(FOUR, 0.89), pytest.param(FEW, 0.905, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth(seeds: range, least: float):
     """95 % should be inside. Fewer than ``least`` would be, were the numbers independent, one case in 100.

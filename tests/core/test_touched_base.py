@@ -71,6 +71,7 @@ def test_a_stiff_arm_gives_its_base_exactly_from_anywhere(kinds: tuple[str, ...]
     assert found.freedom == sum(3 if kind == "point" else 1 for kind in kinds) - 6
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_repeated_touches() -> None:
     clean = touched_of(("point", "plane", "sphere", "plane", "point", "sphere", "plane"))
     rng, off = np.random.default_rng(0), []

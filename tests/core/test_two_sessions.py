@@ -47,6 +47,7 @@ def model(sessions: tuple[Campaign, Campaign]) -> Model:
     return identify(sessions, EFFECTS)
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_reported_from_both_sessions(sessions: tuple[Campaign, Campaign], model: Model):
     found = diagnose(model, sessions).stages["poses"]
     assert found.verdict == "missing"

@@ -68,6 +68,7 @@ def test_a_described_arm_has_no_such_error(measured: Measured):
     assert stage.std[k] < 0.05 * stage.theta[k]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", [1e-4, 2e-4])
 def test_clearances_that_follow_the_approach_alone_are_named(gap: float):
     """Loads that nobody said decide on no flank: the fit takes those of a usual arm, and both sides stand apart."""
@@ -92,6 +93,7 @@ def test_clearances_that_follow_the_approach_alone_are_named(gap: float):
     assert diagnose(mended, campaign).stages["poses"].verdict == "adequate"
 
 
+@pytest.mark.slow
 def test_friction_that_winds_up_springs_is_named_as_the_cause(simulated: Simulated):
     """Where loads are known, what both sides stand apart is told as well by arm-side friction, which says why."""
     campaign = simulated(seed=3, poses=120, tables=("poses", "verification"))

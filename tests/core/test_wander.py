@@ -126,6 +126,7 @@ def test_poses_that_a_wandering_tracker_measured_lack_nothing(tmp_path: Path) ->
     assert not {s.candidate.name for s in scores.standing_out()} & {"base_settling", "base_creep", "instrument_scale"}
 
 
+@pytest.mark.slow
 def test_a_smooth_swing_of_the_instrument_is_no_wandering(tmp_path: Path) -> None:
     robot = draw_robot("seven7", 11, mounting="wall")
     hidden = [("time_of_day", "instrument", 0.94)]

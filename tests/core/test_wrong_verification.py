@@ -30,6 +30,7 @@ def spoilt(campaign: Campaign) -> tuple[Campaign, list[int]]:
     return replace(campaign, tables={**campaign.tables, "verification": table}), [int(k) + 1 for k in rows]
 
 
+@pytest.mark.slow
 def test_wrong_rows_change_no_verdict_and_are_listed(campaign: Campaign):
     bad, rows = spoilt(campaign)
     model = identify([campaign])

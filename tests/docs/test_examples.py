@@ -95,6 +95,16 @@ def near(shown: str, is_now: str) -> bool:
 
 
 LONG = (
+    "plan-measurements.md",
+    "point-the-detector.md",
+    "repeat-and-warm-up.md",
+    "locate-the-sample.md",
+    "bring-your-own-robot.md",
+    "fit-special-cases.md",
+    "what-positions-are-worth.md",
+    "use-from-python.md",
+    "add-an-effect.md",
+    "import-tables.md",
     "README.md",
     "screens.md",
     "export.md",

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.campaign import read_campaign
@@ -49,6 +50,7 @@ def test_the_mapping_of_the_public_file_gives_poses_in_si(tmp_path: Path) -> Non
     assert difference.max() < 1e-7
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_and_acts_on_its_own_verdict(capsys) -> None:
     """Poses alone leave two explanations; the notebook adds neither, measures what decides, and then finds the one."""
     found = runpy.run_path(str(TUTORIAL.with_name("the_loop.py")))

@@ -86,6 +86,7 @@ def test_a_short_lever_serves_position_and_a_long_one_orientation(make_model: Ma
     assert long.orientation_rms < short.orientation_rms
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_a_drawn_sample(make_model: Make) -> None:
     std = 1e-6
     model = make_model("kuka_kr20_r1810", std=std, size=3e-4)

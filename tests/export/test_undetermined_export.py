@@ -44,6 +44,7 @@ def test_what_is_not_determined_is_held_and_what_is_known_stays(loose):
     assert fixed.model.stages["poses"].std[a] < 1e-5
 
 
+@pytest.mark.slow
 def test_a_determined_model_is_left_alone(make_model):
     model = make_model("ur10")
     assert fix_undetermined(model).model is model
@@ -115,6 +116,7 @@ def test_the_best_table_leaves_no_more_than_a_geometric_fit(series_d):
     assert best.said[0].startswith("fitted to the whole model at the 632 poses of ur10_series_d")
 
 
+@pytest.mark.slow
 def test_the_best_table_has_standard_errors_of_the_whole_model(make_model):
     """Half a play in either direction shifts no table; the rest follows the geometry one to one.
 

@@ -86,6 +86,7 @@ def fuzzed(count: int | str, seed: int, *names: str, program: str = "readers.py"
     assert len(tried) == sum(shares)
 
 
+@pytest.mark.slow
 def test_compiled_readers_survive_spoilt_files() -> None:
     fuzzed(150, 7, "urdf")
 
@@ -94,7 +95,7 @@ def test_compiled_readers_survive_spoilt_files() -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("seed", [8, 12], ids=["first half", "second half"])
 def test_each_reader_reads_or_refuses_its_share_of_spoilt_files(seed: int) -> None:
-    """10 000 of each reader in two halves, which two workers share; 100 of what goes on to work with a file."""
+    """5000 of each reader in two halves, which two workers share; 50 of what goes on to work with a file."""
     fuzzed("share", seed)
 
 
@@ -104,15 +105,23 @@ def test_each_reader_reads_or_refuses_ten_thousand_spoilt_files() -> None:
     fuzzed("whole", 16)
 
 
+@pytest.mark.slow
 def test_verbs_answer_spoilt_inputs_in_one_line() -> None:
     fuzzed(6, 9, program="verbs.py")
 
 
 @pytest.mark.slow
+def test_verbs_answer_hundreds_of_spoilt_inputs_in_one_line() -> None:
+    fuzzed(70, 10, program="verbs.py")
+
+
+@pytest.mark.study
+@pytest.mark.timeout(7200)
 def test_verbs_answer_a_thousand_spoilt_inputs_in_one_line() -> None:
-    fuzzed(130, 10, program="verbs.py")
+    fuzzed(130, 17, program="verbs.py")
 
 
+@pytest.mark.slow
 def test_calls_that_cannot_be_meant_are_refused_in_one_line() -> None:
     fuzzed(2, 13, program="calls.py")
 

@@ -52,9 +52,10 @@ class Channel:
         self.server = socket.create_server(("127.0.0.1", self.port))
 
     def drop(self) -> None:
-        if self.client is not None:
-            self.client.close()
-        self.client = None
+        """End the connection; from any thread: the next client may be accepted before this returns."""
+        client, self.client = self.client, None
+        if client is not None:
+            client.close()
 
     def read(self) -> list:
         """Documents; ends the connection after the bytes that `cut_in` allows, once they are taken."""

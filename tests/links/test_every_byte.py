@@ -59,6 +59,7 @@ def test_cut_at_every_byte_of_a_command(controller: FakeController, link: EkiLin
     assert found[Phase.FINISHED, 1] >= 1
 
 
+@pytest.mark.slow
 def test_cut_at_every_byte_of_its_reply(controller: FakeController, link: EkiLink) -> None:
     found = cut_each(controller, link, "motion", "cut_out", range(1, 430), 2)
     # Where the next program went out before the link had noticed the cut of the last one, it was not executed.

@@ -52,6 +52,7 @@ def opened(ranges: Ranges | None, cell: Path) -> Detector:
     return open_detector(on(ranges), cell)
 
 
+@pytest.mark.slow
 def test_inside_nothing_is_said_and_nothing_changes(detector: Detector, cell_file: Path) -> None:
     inside = opened(wide(), cell_file)
     for place in SOMEWHERE:
@@ -64,6 +65,7 @@ def test_inside_nothing_is_said_and_nothing_changes(detector: Detector, cell_fil
                 assert (mine.uncertainty.covariance == other.uncertainty.covariance).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("branch", ["nearest", "all"])
 def test_an_angle_beyond_is_said(detector: Detector, cell_file: Path, branch: str) -> None:
     q = detector.locate(*HERE).solutions[0].q
@@ -80,6 +82,7 @@ def test_an_angle_beyond_is_said(detector: Detector, cell_file: Path, branch: st
     assert edge.locate(*HERE, branch=branch).solutions[0].extrapolating == ()
 
 
+@pytest.mark.slow
 def test_a_torque_and_a_tool_beyond_are_said(detector: Detector, cell_file: Path) -> None:
     q = detector.locate(*HERE).solutions[0].q
     torque = gravity_signals(campaign_of(detector.arm), q[None])["gravity_torque"][0, 1]
@@ -90,6 +93,7 @@ def test_a_torque_and_a_tool_beyond_are_said(detector: Detector, cell_file: Path
     assert (second.quantity, second.at, second.value, second.upper) == ("tool mass", "tool", 12.0, 5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("branch", ["nearest", "all"])
 def test_the_uncertainty_grows_by_an_empirical_effects_own_size(cell_file: Path, branch: str) -> None:
     """Links that expand: of the model's effects the one whose form is known inside its temperatures alone."""
@@ -112,6 +116,7 @@ def test_the_uncertainty_grows_by_an_empirical_effects_own_size(cell_file: Path,
         assert [b.at for b in first.extrapolating] == ([] if above == 0 else ["link2"])
 
 
+@pytest.mark.slow
 def test_an_approach_gains_beyond_as_well(cell_file: Path) -> None:
     detector = opened(wide(), cell_file).at_temperature(np.full(6, 45.0))
     way = approach_through(detector, detector.locate(*HERE))
@@ -179,6 +184,7 @@ def run_ik(model: Path, cell: Path) -> str:
     return " ".join(done.stdout.split())
 
 
+@pytest.mark.slow
 def test_a_server_and_a_person_are_warned(detector: Detector, cell_file: Path, tmp_path: Path) -> None:
     q = detector.locate(*HERE).solutions[0].q
     ranges = within(0, 1, q[1] - 1.0, q[1] - 0.1)

@@ -104,6 +104,7 @@ def test_out_of_reach_is_said_with_the_nearest_position(detector: Detector) -> N
     assert not detector.locate(at.gamma, at.delta, at.r).reachable
 
 
+@pytest.mark.slow
 def test_a_limit_is_named(detector: Detector) -> None:
     near = detector.locate(*HERE).solutions[0].q
     lowers = [j.lower for j in detector.robot.joints]
@@ -120,6 +121,7 @@ def test_a_limit_is_named(detector: Detector) -> None:
     assert any(f"beyond the limits of {joints[1].name}" in r or joints[1].name in r for r in answer.reasons)
 
 
+@pytest.mark.slow
 def test_a_singular_wrist_is_reported(detector: Detector) -> None:
     q = np.array([0.2, -1.2, 1.3, 0.4, 1e-4, 0.3])
     at = detector_angles(detector.cell.convention, detector.pose(q[None])[0])

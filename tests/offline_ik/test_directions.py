@@ -116,6 +116,7 @@ def test_the_server_takes_directions(detector: Detector) -> None:
     assert "expected 6 numbers 1, -1 or 0" in refused["error"]
 
 
+@pytest.mark.slow
 def test_the_command_says_from_which_side(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
     out, sides = tmp_path / "ik.json", ",".join(f"{s:.0f}" for s in SIDES)
     given = ["ik", str(model_file), "--cell", str(cell_file), "--gamma", "0.3", "--delta", "0.2", "--r", "0.8"]

@@ -55,6 +55,7 @@ def smooth(cell_file: Path) -> Detector:
     return open_detector(drawn_model(effects=("geometry", "joint_compliance", "gravity")), cell_file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arm", "jumps"), [("smooth", 0.0), ("detector", PLAY)])
 def test_no_roll_of_a_ten_times_finer_grid_is_better(arm: str, jumps: float, request: pytest.FixtureRequest) -> None:
     detector: Detector = request.getfixturevalue(arm)

@@ -31,6 +31,7 @@ POST = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sent",
     [

@@ -22,6 +22,7 @@ from offline_ik.inverse.solver import Solver
 POSES = sorted(name for name, effect in catalogue().items() if "poses" in effect.stages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POSES)
 def test_the_kernel_is_clampids_own_prediction(name: str) -> None:
     effects = tuple(dict.fromkeys(("geometry", "gravity", "joint_compliance", name)))
@@ -42,6 +43,7 @@ def test_the_kernel_is_clampids_own_prediction_with_a_linkage() -> None:
     assert np.abs(mine[:, :3, 3] - position).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_the_sensitivity_is_clampids_own() -> None:
     """That of its prediction: a fit's own derivative holds the loads while the parameters move."""
     arm, given_ = drawn_arm(), conditions()

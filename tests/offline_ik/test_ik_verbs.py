@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from clampid.cli import app
 from clampid.display import number, readable
 from clampid.models.model import save_model
+from offline_ik.inverse.assumed import assumed_in_words
 from offline_ik.inverse.opening import open_detector
 
 CLAMPID = Path(sys.executable).parent / "clampid"
@@ -29,6 +30,7 @@ def run(*args: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run([str(CLAMPID), *map(str, args)], capture_output=True, text=True, check=False, timeout=300)
 
 
+@pytest.mark.slow
 def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "ik.json"
     near = "0.1,-1.2,1.2,0.1,0.4,0"
@@ -65,6 +67,7 @@ def test_ik_gives_angles_for_people_and_for_programs(model_file: Path, cell_file
     assert data["notes"] == []
 
 
+@pytest.mark.slow
 def test_ik_says_how_far_off_in_every_direction_and_what_of_the_way_was_checked(
     model_file: Path, cell_file: Path, tmp_path: Path
 ) -> None:
@@ -109,6 +112,7 @@ def test_ik_says_what_the_model_makes_nothing_of(cell_file: Path, tmp_path: Path
     assert json.loads(out.read_text(encoding="utf-8"))["notes"] == [note]
 
 
+@pytest.mark.slow
 def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
     model_file: Path, cell_file: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +133,7 @@ def test_ik_checks_every_way_and_says_where_the_nearest_is_refused(
     assert done.stdout.count("path: ") == len(solutions)
 
 
+@pytest.mark.slow
 def test_ik_without_a_cell_says_what_it_assumes(model_file: Path) -> None:
     done = run("ik", model_file, *PLACE, "--json", "-")
     assert done.returncode == 0, done.stderr
@@ -168,6 +173,7 @@ def test_a_model_that_is_none_is_refused(tmp_path: Path) -> None:
     assert str(path) in done.stderr
 
 
+@pytest.mark.slow
 def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path) -> None:
     done = run("ik", model_file, "--gamma", "0.3", "--delta", "0.2", "--r", "3", "--cell", cell_file)
     assert done.returncode == 0
@@ -176,9 +182,10 @@ def test_out_of_reach_is_said_with_the_nearest(model_file: Path, cell_file: Path
     assert "nearest  gamma" in done.stdout
 
 
+@pytest.mark.slow
 def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> None:
     command = [str(CLAMPID), "serve", str(model_file), "--cell", str(cell_file), "--listen", "127.0.0.1:0"]
-    env = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    env = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "80"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env) as server:
         try:
             assert server.stdout is not None
@@ -196,8 +203,30 @@ def test_serve_answers_until_interrupted(model_file: Path, cell_file: Path) -> N
             finally:
                 server.kill()
     assert "Traceback" not in errors
+    lines = errors.splitlines()
+    assert len(lines) <= 8  # what is assumed is counted, not listed
+    assert max(map(len, lines)) <= 80
+    said = " ".join(errors.split())
+    assert "nothing moves: there is no --link" in said
+    assert re.search(r"[1-9]\d* quantit(y is|ies are) assumed.* because no cell file states", said)
+    assert said.endswith("--verbose lists them.")
 
 
+@pytest.mark.parametrize(
+    ("assumed", "says"),
+    [
+        (("convention: thesis", "sample: 1, 0, 0 m", "tool at the flange"),
+         "3 quantities are assumed, such as sample and tool, because no cell file states them."),
+        (("no obstacles", "tool at the flange"),
+         "2 quantities are assumed, such as tool, because no cell file states them."),
+        (("no obstacles",), "1 quantity is assumed because no cell file states it."),
+    ],
+)  # fmt: skip
+def test_what_is_assumed_is_counted_and_only_what_is_assumed_is_named(assumed: tuple[str, ...], says: str) -> None:
+    assert assumed_in_words(assumed) == says
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("args", "says"),
     [
@@ -212,6 +241,7 @@ def test_serve_refuses_what_it_cannot_do(model_file: Path, args: tuple[str, ...]
     assert says in done.stderr
 
 
+@pytest.mark.slow
 def test_degrees_and_millimetres_are_the_same_position(model_file: Path, cell_file: Path, tmp_path: Path) -> None:
     """Given and printed in them; what programs get stays in radians and metres."""
     found = []
@@ -236,6 +266,7 @@ def test_degrees_and_millimetres_are_the_same_position(model_file: Path, cell_fi
     assert "--deg --mm" in " ".join(again.split())
 
 
+@pytest.mark.slow
 def test_out_of_reach_in_degrees_and_millimetres(model_file: Path, cell_file: Path) -> None:
     done = run("ik", model_file, "--gamma", 17, "--delta", 11, "--r", 9000, "--deg", "--mm", "--cell", cell_file)
     assert re.search(r"nearest\s+gamma -?[\d.]+ deg, delta -?[\d.]+ deg, r [\d.]+ mm", " ".join(done.stdout.split()))

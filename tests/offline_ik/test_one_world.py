@@ -79,6 +79,7 @@ def postures(detector: Detector, seed: int, count: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(detector.lower, detector.upper, (count, detector.robot.n))
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(world=worlds(), seed=st.integers(0, 2**32 - 1))
 def test_a_posture_or_move_is_clear_for_a_plan_just_where_it_is_for_the_server(
@@ -146,6 +147,7 @@ def test_every_move_of_a_plan_of_poses_is_one_that_the_server_makes(tmp_path: Pa
         before = visit.q
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "seconds"), [(plan_free_air, 60.0), (plan_wrist, 300.0)])
 def test_every_move_of_a_log_is_one_that_the_server_makes(
     tmp_path: Path, make: Callable[..., Plan], seconds: float

@@ -75,6 +75,7 @@ def test_with_the_roll_free_any_roll_will_do(detector: Detector) -> None:
     assert fixed["roll_rad"] == 0.0
 
 
+@pytest.mark.slow
 def test_where_a_limit_and_not_the_reach_is_in_the_way(detector: Detector) -> None:
     q = detector.locate(0.3, 0.2, 0.8).solutions[0].q
     joints = tuple(
@@ -85,6 +86,7 @@ def test_where_a_limit_and_not_the_reach_is_in_the_way(detector: Detector) -> No
     check(tight, (0.3, 1.0, 0.8), 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["gamma_outer", "delta_outer"])
 def test_in_the_instruments_frame_and_in_either_order(detector: Detector, order: str) -> None:
     convention = detector.cell.convention
@@ -123,6 +125,7 @@ def linked() -> Detector:
     return open_detector(drawn_model("abb_irb2400_12_155"))
 
 
+@pytest.mark.slow
 def test_an_arm_with_a_linkage(linked: Detector) -> None:
     check(linked, (0.3, 0.2, 0.4), 0.0, 16)
 

@@ -188,6 +188,7 @@ def test_a_linked_robot_that_is_another_is_refused(detector: Detector) -> None:
         Speaker(detector, Arm())
 
 
+@pytest.mark.slow
 def test_the_command_takes_the_time_and_names_the_robot(warming_file: Path, cell_file: Path, tmp_path: Path) -> None:
     out, ik = tmp_path / "ik.json", ["ik", str(warming_file), *PLACE]
     done = CliRunner().invoke(

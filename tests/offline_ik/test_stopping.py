@@ -41,6 +41,7 @@ def served(*args: str | Path) -> Iterator[tuple[subprocess.Popen[str], tuple[str
             server.kill()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_stop_with_clients_is_reported_and_ends_with_0_within_two_seconds(
     number: signal.Signals, model_file: Path, cell_file: Path
@@ -65,6 +66,7 @@ def test_a_stop_with_clients_is_reported_and_ends_with_0_within_two_seconds(
         assert told[-1] == {"ok": False, "error": "the server stops"}
 
 
+@pytest.mark.slow
 def test_a_stop_while_the_server_is_made_ready_ends_with_0(model_file: Path, cell_file: Path) -> None:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))

@@ -201,6 +201,7 @@ def test_wrong_wishes_are_refused(cell: Cell, held: Limits, options: dict, words
         plan_clamping(cell, held, torque_noise_of(cell, None, None)[0], press_of(cell), ClampingWishes(**options))
 
 
+@pytest.mark.slow
 def test_a_time_that_is_too_short_is_told_the_least_that_is_not(cell: Cell, held: Limits) -> None:
     """All six joints take two clampings here; what one would take is above none of it."""
     noise, press = torque_noise_of(cell, None, None)[0], press_of(cell)

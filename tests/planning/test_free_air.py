@@ -95,6 +95,7 @@ def test_what_cannot_be_known_is_said(free_air: Plan) -> None:
     assert "coulomb_friction.Fc@joint1" not in open_
 
 
+@pytest.mark.slow
 def test_what_is_asked_decides_what_is_told(cell: Cell, limits: Limits) -> None:
     noise, _ = torque_noise_of(cell, 0.02, None)
     plan = plan_free_air(

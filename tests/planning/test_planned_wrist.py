@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import planned_wrist
+import pytest
 
 from experiments.plans import write_plan
 
 ARM = [k for k, name in enumerate(planned_wrist.ASKED) if name.startswith("F ")]
 
 
+@pytest.mark.slow
 def test_a_planned_program_tells_the_two_sides_apart(tmp_path: Path) -> None:
     plan, path = planned_wrist.planned(), tmp_path / "wrist.toml"
     write_plan(plan, path)

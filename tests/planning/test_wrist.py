@@ -112,6 +112,7 @@ def test_a_robot_without_coupling_has_no_wrist_program(name: str) -> None:
         plan_wrist(cell, limits_of(cell.robot)[0], noise)
 
 
+@pytest.mark.slow
 def test_too_little_time_says_how_much_it_takes(cell: Cell, limits: Limits) -> None:
     with pytest.raises(PlanError, match=r"expected at least \d+ s, to show once everything"):
         plan_wrist(cell, limits, torque_noise_of(cell, None, None)[0], LogWishes(time=20.0))

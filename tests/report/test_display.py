@@ -67,7 +67,7 @@ def test_errors_of_stages():
 
 
 def test_sentences_have_the_same_digits():
-    shift = {"row": "base", "parameter": "rz", "shift": -1.384e-3, "std": 4.88e-5, "unit": "rad"}
+    shift = {"row": "base", "parameter": "rz", "shift": -1.384e-3, "std": 4.88e-5, "unit": "rad", "at_flange_m": 2e-3}
     assert "rz of base by -1384 ± 49 µrad" in shift_in_words([shift])
 
 

@@ -289,7 +289,7 @@ def test_poses_alone(measured, tmp_path):
     assert ">Torques<" not in (tmp_path / "own.html").read_text(encoding="utf-8")
     write_report(tmp_path / "foreign.html", measured[2], other)
     _, text = parse(tmp_path / "foreign.html")
-    assert "not on this campaign, which is all held out" in text
+    assert "not on this campaign, all rows of which are held out" in text
 
 
 def test_the_same_twice(measured, tmp_path):

@@ -22,8 +22,9 @@ def said(folder: Path, severities: tuple[str, ...] = ("error", "warning")) -> li
 def test_on_a_line_the_description_is_not_called_a_mistake(tmp_path, name, individual, mounting, noise, seed):
     robot = draw_robot(name, individual, mounting=mounting)
     measure(robot, tmp_path / "c", program="line24", noise=noise, seed=seed, tables=("poses", "verification"))
-    (message,) = said(tmp_path / "c")
-    assert "on a line" in message
+    few, line = said(tmp_path / "c")
+    assert "on a line" in line
+    assert "are few for" in few
 
 
 def test_on_a_line_exchanged_joints_are_still_seen(tmp_path):

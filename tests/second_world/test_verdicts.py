@@ -1,6 +1,7 @@
 """What `diagnose` must say of robots of the second world, which the first one does not have."""
 
 import numpy as np
+import pytest
 
 from clampid.diagnosis.diagnose import diagnose
 from clampid.identification.identify import identify, standard_effects
@@ -24,6 +25,7 @@ def named(verdict):
     return [(c["name"], tuple(c["where"])) for c in verdict.candidates]
 
 
+@pytest.mark.slow
 def test_friction_that_winds_up_no_spring_is_named_and_no_negative_lost_motion(tmp_path):
     robot = draw_robot("big6", 1014, mounting="wall")
     measure(robot, tmp_path / "c", program="quick", noise="white", seed=3)
@@ -36,6 +38,7 @@ def test_friction_that_winds_up_no_spring_is_named_and_no_negative_lost_motion(t
         assert abs(p["value"] - expected[joint - 1]) < 4.0 * p["std"]
 
 
+@pytest.mark.slow
 def test_a_few_verification_poses_do_not_hide_what_all_poses_tell(tmp_path):
     robot = draw_robot("seven7", 1, compliance=False)
     session = {"program": "slow", "noise": "walk", "seed": 1}
@@ -46,6 +49,7 @@ def test_a_few_verification_poses_do_not_hide_what_all_poses_tell(tmp_path):
     assert ("joint_compliance", ("joint3",)) in named(verdict)
 
 
+@pytest.mark.slow
 def test_the_bearings_of_a_light_arm_may_tilt(tmp_path):
     robot = draw_robot("seven7", 1)
     measure(robot, tmp_path / "c", program="slow", noise="white", seed=1, hidden=[("bearing_tilt", "joint3", 1.2)])
@@ -54,6 +58,7 @@ def test_the_bearings_of_a_light_arm_may_tilt(tmp_path):
     assert ("bearing_tilt", ("joint3",)) in named(verdict)
 
 
+@pytest.mark.slow
 def test_a_light_arm_on_a_soft_stand_lacks_a_tilt_of_the_base_alone(tmp_path):
     robot = draw_robot("small6", 3)
     measure(robot, tmp_path / "c", program="slow", noise="white", seed=3, hidden=[("base_tilt", "base", 4.0)])
@@ -81,6 +86,7 @@ def test_no_link_without_length_bends():
             assert np.linalg.norm(arm.joints[int(place.removeprefix("link"))].xyz_m) > 0.05
 
 
+@pytest.mark.slow
 def test_a_log_that_is_accelerated_nearly_everywhere_has_inertia_from_the_start(tmp_path):
     """Two runs of quick moves: without inertia 2 % of their rows count, and one run says nothing of the other."""
     robot = draw_robot("small6", 58)
@@ -94,6 +100,7 @@ def test_a_log_that_is_accelerated_nearly_everywhere_has_inertia_from_the_start(
     assert "link_inertia" not in {t.effect for t in standard_effects([slow])["free_air"]}
 
 
+@pytest.mark.slow
 def test_a_name_that_was_refused_does_not_stand_before_what_the_other_rows_confirm(tmp_path):
     """Rotors explain more of the fitted rows and nothing of others; an offset that follows warmth does both."""
     robot = draw_robot("seven7", 41, mounting="ceiling")

@@ -65,6 +65,7 @@ def test_compare_points_at_the_mistake(mistake: str, model: Model, arm):
         assert "compensated in full" in data["summary"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", ["degrees", "own weight", "sign", "right"])
 def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
     found = diagnose(model, arm(mistake)).to_json()
@@ -79,6 +80,7 @@ def test_diagnose_points_at_the_mistake(mistake: str, model: Model, arm):
         assert poses["heldout_rms_before"] < 1.2 * poses["noise_floor"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mistake", "left"), [("sign", 1.1), ("degrees", 4.0)])
 def test_a_campaign_is_put_right(mistake: str, left: float, model: Model, arm):
     """The robot was sent there, within what its springs and weights are known to."""
@@ -120,6 +122,7 @@ def test_a_good_model_has_no_mistake(model: Model, calibration: Campaign):
     assert len(found["base"]) == 6
 
 
+@pytest.mark.slow
 def test_a_model_without_springs_has_nothing_to_compensate(calibration: Campaign):
     rigid = identify(calibration, {"poses": ["geometry"]})
     assert compensation_of(on_campaign(rigid, calibration)) is None

@@ -12,6 +12,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis.effect_new import effect_new
+from clampid.diagnosis.headline import notes
 from clampid.diagnosis.omission import exported_shift, shift_in_words
 from clampid.diagnosis.words import omission_of
 from clampid.exports.dh_export import dh_table
@@ -20,6 +21,7 @@ from clampid.identification.identify import identify
 from clampid.loop.add import add
 from clampid.loop.undo import undo
 from clampid.models.model import Model, ModelError, load_model, save_model
+from clampid.report.limits import exported
 from clampid.slots import Slot
 from experiments.campaign import Campaign
 
@@ -74,6 +76,7 @@ def test_undo_needs_the_campaign_of_the_model(arm: Campaign, first: Model, simul
         undo(once, other)
 
 
+@pytest.mark.slow
 def test_undo_of_torques_fits_the_poses_again(simulated):
     campaign = simulated("torque_offset@joint3", seed=4, poses=60, tables=("free_air", "wrist", "poses"))
     first = identify(campaign)
@@ -88,8 +91,12 @@ def test_the_shift_of_the_exported_table_is_the_difference_of_two_exports(arm: C
     assert [(e["row"], e["parameter"]) for e in shifts] == [(e["row"], e["parameter"]) for e in again]
     old, new = (dh_table(model, "hayati", fit="static") for model in (first, mended))
     assert shifts
+    sizes = [entry["at_flange_m"] for entry in shifts]
+    assert sizes == sorted(sizes, reverse=True)
     for entry in shifts:
         assert abs(entry["shift"]) > 2 * entry["std"] > 0
+        if entry["row"].isdigit() and entry["unit"] == "m":  # a length moves the flange by as much, in every posture
+            assert entry["at_flange_m"] == pytest.approx(abs(entry["shift"]), rel=1e-6)
         column = f"{entry['parameter']}_{entry['unit']}"
         values = [float(t.loc[t["row"] == entry["row"], column].iloc[0]) for t in (old, new)]
         assert entry["shift"] == pytest.approx(values[0] - values[1], abs=1e-12)
@@ -100,12 +107,36 @@ def test_the_shift_of_the_exported_table_is_the_difference_of_two_exports(arm: C
 
 def test_the_sentence_has_units_and_errors():
     shifts = [
-        {"row": "3", "parameter": "d", "shift": 4.53e-5, "std": 3.1e-6, "unit": "m"},
-        {"row": "base", "parameter": "rx", "shift": -2.2e-6, "std": 2.7e-7, "unit": "rad"},
+        {"row": "3", "parameter": "d", "shift": 4.53e-5, "std": 3.1e-6, "unit": "m", "at_flange_m": 4.53e-5},
+        {"row": "base", "parameter": "rx", "shift": -2.2e-4, "std": 2.7e-5, "unit": "rad", "at_flange_m": 1.9e-4},
     ]
-    said = "Without it the exported DH table was biased: d of row 3 by 45.3 ± 3.1 µm, rx of base by -2.20 ± 0.27 µrad."
+    said = (
+        "Without it the exported DH table was biased: rx of base by -220 ± 27 µrad (190 µm at the flange), "
+        "d of row 3 by 45.3 ± 3.1 µm (45.3 µm at the flange)."
+    )
     assert shift_in_words(shifts) == said
     assert shift_in_words([]) == ""
+
+
+def test_what_cannot_be_measured_at_the_flange_is_not_named():
+    """However significant: 0.15 µm with a standard error of 0.01 µm."""
+    tiny = {"row": "6", "parameter": "d", "shift": 1.5e-7, "std": 1e-8, "unit": "m", "at_flange_m": 1.5e-7}
+    large = {"row": "2", "parameter": "theta_offset", "shift": 2e-4, "std": 5e-5, "unit": "rad", "at_flange_m": 1.8e-4}
+    assert shift_in_words([tiny]) == ""
+    assert "row 6" not in shift_in_words([tiny, large])
+    part = {"verdict": "adequate", "candidates": [], "exported_shift": [tiny]}
+    assert not [text for text in notes("poses", part) if "DH table" in text]
+    said = [text for text in notes("poses", part | {"exported_shift": [tiny, large]}) if "DH table" in text]
+    assert said == [
+        "poses: Without it the DH table is biased in 1 number: theta_offset of row 2 by 200 ± 50 µrad; 180 µm at the "
+        "flange."
+    ]
+
+
+def test_a_diagnosis_of_an_earlier_version_names_no_shift_and_is_reported():
+    old = {"row": "2", "parameter": "theta_offset", "shift": 2e-4, "std": 5e-5, "unit": "rad"}
+    assert shift_in_words([old]) == ""
+    assert exported([old])[0].rows == (("2", "theta_offset", "200 ± 50 µrad", "not known"),)
 
 
 def test_what_one_of_both_fits_does_not_determine_has_no_shift(arm: Campaign):

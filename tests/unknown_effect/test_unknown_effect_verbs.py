@@ -106,6 +106,7 @@ def test_no_section_without_a_shape():
 
 
 def test_the_shift_of_the_exported_table_is_a_table_with_units():
-    (table,) = exported([{"row": "3", "parameter": "d", "shift": 4.5e-5, "std": 3e-6, "unit": "m"}])
-    assert table.rows == (("3", "d", "45.0 ± 3.0 µm"),)
+    shift = {"row": "3", "parameter": "d", "shift": 4.5e-5, "std": 3e-6, "unit": "m", "at_flange_m": 4.5e-5}
+    (table,) = exported([shift])
+    assert table.rows == (("3", "d", "45.0 ± 3.0 µm", "45.0 µm"),)
     assert exported([]) == []

@@ -185,6 +185,7 @@ def test_a_shape_over_two_variables_brings_the_error_to_the_noise(hidden: str, s
     assert part["heldout_rms_after"] < NEAR * part["noise_floor"]
 
 
+@pytest.mark.slow
 def test_a_diagnosis_looks_for_an_effect_of_ones_own(simulated, tmp_path: Path):
     """Handed to diagnose, it is a candidate like any other, and goes by its own name."""
     from clampid.diagnosis.effect_new import effect_new

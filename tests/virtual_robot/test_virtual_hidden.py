@@ -82,6 +82,7 @@ def test_magnitude_is_a_factor(robot, effect):
     assert three[first] == pytest.approx(3 * one[first])
 
 
+@pytest.mark.slow
 def test_magnitude_zero_hides_nothing(robot, clean):
     for effect in HIDEABLE:
         hidden = measure(robot, [Hidden(effect, None, 0.0)], seed=3, poses=60, tables=["poses", "clamped"])
