@@ -30,8 +30,8 @@ _OF_POSES = (
 )  # fmt: skip
 _OF_SWEEPS = ("fixture_motion", "slip", "sweep_fraction", "sweep_progress", "wrench")
 _OF_LOGS = (
-    "dry_state", "joint_acceleration", "joint_speed", "link_inertia_regressor", "motor_speed", "own_motion",
-    "own_speed", "torque_rate",
+    "dry_state", "inclination_torque", "joint_acceleration", "joint_speed", "link_inertia_regressor", "motor_speed",
+    "own_motion", "own_speed", "torque_rate",
 )  # fmt: skip
 UNREAD: Mapping[Stage, tuple[str, ...]] = {
     "free_air": (*_OF_POSES, *_OF_SWEEPS),

@@ -50,6 +50,9 @@ SIGNALS: Mapping[str, Signal] = {
     "own_motion": Signal(("n",), "", "sign of that speed or, at standstill, of the last such motion", sided=True),
     "joint_acceleration": Signal(("n",), "rad/s^2", "acceleration of the joints"),
     "torque_rate": Signal(("n",), "Nm/s", "rate of the torque that the weight described takes at the motors"),
+    "inclination_torque": Signal(
+        ("n", 2), "Nm/rad", "torque that the weight described takes by inclination of the base about horizontal axes"
+    ),
     "regressor": Signal(("n", "4n"), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of each link"),
     "link_inertia_regressor": Signal(("n", "6n"), "1/s^2", "d tau_joint / d (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) of links"),
     "tool_regressor": Signal(("n", 4), "m/s^2, 1/s^2", "d tau_joint / d (m, m c) of the tool, flange frame"),

@@ -28,7 +28,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Geometry and links": ("geometry", "link_bending", "bearing_tilt", "base_tilt", "thermal_expansion"),
     "Joints and gears": ("gear_eccentricity", "coupling_ratio_error", "backlash", "joint_compliance",
                          "nonlinear_stiffness", "cross_coupled_stiffness", "hysteresis"),
-    "Weight and loads": ("gravity", "payload", "gravity_compensator", "dress_pack", "inertia", "link_inertia"),
+    "Weight and loads": ("gravity", "base_inclination", "payload", "gravity_compensator", "dress_pack", "inertia",
+                         "link_inertia"),
     "Friction": ("coulomb_friction", "viscous_friction", "stribeck_friction", "asymmetric_friction",
                  "load_dependent_friction", "temperature_dependent_friction", "wrist_coupling_friction"),
     "Motors and their signals": ("torque_ripple", "torque_offset", "time_lag"),
@@ -51,6 +52,10 @@ SIGNATURE: dict[str, tuple[str, str]] = {
     "base_tilt": (
         "A rotation of all points about the foot that follows the arm's moment, or the time since the start.",
         "Bearing tilt of joint 1 and bending of link 1. An inclinometer on the base plate decides.",
+    ),
+    "base_inclination": (
+        "Torques that go with the sine and cosine of joint 1's angle, and of the joints that bear the weight.",
+        "A dress pack or a gravity compensator at joint 1, where no other joint's torque is recorded.",
     ),
     "thermal_expansion": (
         "Points move outwards along a link as its temperature rises, or as the robot warms up.",

@@ -29,6 +29,7 @@ __all__ = [
     "gravity_regressor",
     "gravity_stiffness",
     "gravity_torque",
+    "inclination_axes",
 ]
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s², base frame of an upright robot; the value of the campaign format
@@ -149,6 +150,38 @@ def gravity_parameters(links: Sequence[Link]) -> Array:
         φ (4n,), per link (m, m·cx, m·cy, m·cz) [kg, kg m]. Source: the module's docstring.
     """
     return np.concatenate([[link.mass, *(link.mass * link.com)] for link in links]) if links else np.zeros(0)
+
+
+def inclination_axes(gravity: npt.ArrayLike) -> Array:
+    """
+    Give the two horizontal axes about which a base may be off level.
+
+    They are the two base axes nearest to the horizontal, made horizontal: x and y of a robot that stands or hangs
+    upright.
+
+    Parameters
+    ----------
+    gravity
+        Acceleration of free fall (3,) in the base frame [m/s²].
+
+    Returns
+    -------
+    Array
+        Unit vectors (2, 3) in the base frame, in the order of the axes.
+
+    Raises
+    ------
+    ValueError
+        If there is no gravity.
+    """
+    g = np.asarray(gravity, dtype=np.float64)
+    size = float(np.linalg.norm(g))
+    if not size > 0:
+        raise ValueError("gravity: expected a vector that is not zero")
+    down = g / size
+    level = np.delete(np.eye(3), int(np.argmax(np.abs(down))), axis=0)
+    level = level - np.outer(level @ down, down)
+    return np.asarray(level / np.linalg.norm(level, axis=1, keepdims=True))
 
 
 def add_tool(phi: npt.ArrayLike, flange: npt.ArrayLike, mass: float, com_in_flange: npt.ArrayLike) -> Array:

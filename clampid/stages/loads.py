@@ -10,7 +10,13 @@ import numpy.typing as npt
 from clampid.stages.rows import Array
 from experiments.campaign import Campaign
 from kinematics.dynamics import inertial_parameters, inertial_regressor
-from kinematics.gravity import add_tool, gravity_parameters, gravity_regressor, gravity_stiffness
+from kinematics.gravity import (
+    add_tool,
+    gravity_parameters,
+    gravity_regressor,
+    gravity_stiffness,
+    inclination_axes,
+)
 from kinematics.masses import links_of
 from kinematics.poe import joint_transforms
 from kinematics.robot import RobotDescription
@@ -22,6 +28,7 @@ __all__ = [
     "flange_to_base",
     "gravity_regressors",
     "gravity_signals",
+    "inclination_torque",
     "inertia_torque",
     "inertial_bodies",
     "inertial_signals",
@@ -53,7 +60,21 @@ def lean_torque(campaign: Campaign, q: Array) -> Array:
 
     Last index: about the base's axes, by which gravity turns as the base sees it, g + w x g.
     """
-    turned = [replace(campaign, gravity=np.cross(axis, campaign.gravity)) for axis in np.eye(3)]
+    return _turned_torque(campaign, q, np.eye(3))
+
+
+def inclination_torque(campaign: Campaign, q: Array) -> Array:
+    """How the weight's torques follow an inclination of the base ``(N, n, 2)``, Nm/rad, at ``q`` ``(N, n)``, rad.
+
+    Last index: about the two axes of :func:`kinematics.gravity.inclination_axes`. A base that is turned by w sees
+    gravity turned back, g + g x w.
+    """
+    return -_turned_torque(campaign, q, inclination_axes(campaign.gravity))
+
+
+def _turned_torque(campaign: Campaign, q: Array, axes: Array) -> Array:
+    """The same ``(N, n, k)`` about any unit vectors ``(k, 3)`` of the base frame."""
+    turned = [replace(campaign, gravity=np.cross(axis, campaign.gravity)) for axis in axes]
     return np.stack([gravity_signals(c, q)["gravity_torque"] for c in turned], axis=-1)
 
 

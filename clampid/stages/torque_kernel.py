@@ -17,17 +17,17 @@ import numpy as np
 from clampid.chain.chain import Chain, recorded
 from clampid.chain.compiled import Blocks, compile_rows
 from clampid.chain.lanes import Lanes
-from clampid.stages.loads import flange_to_base, inertial_bodies
+from clampid.stages.loads import declared_weight, flange_to_base, inertial_bodies
 from clampid.stages.rows import Array, Integers
 from experiments.campaign import Campaign
-from kinematics.gravity import gravity_parameters
-from kinematics.masses import links_of
+from kinematics.gravity import inclination_axes
 from kinematics.symbolic_dynamics import symbolic_torques
 
 __all__ = ["TorqueKernel", "torque_kernel"]
 
 COMPUTED = (
-    "regressor", "tool_regressor", "link_inertia_regressor", "gravity_torque", "inertia_torque", "torque_rate"
+    "regressor", "tool_regressor", "link_inertia_regressor", "gravity_torque", "inclination_torque", "inertia_torque",
+    "torque_rate",
 )  # fmt: skip
 POSTURE = ("q", "joint_speed", "joint_acceleration")
 
@@ -118,14 +118,18 @@ def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:
     robot, n = campaign.robot, campaign.robot.n
     linkage, points = ca.sparsify(ca.DM(np.asarray(robot.linkage))), np.array([j.point for j in robot.joints])
     chain = [linkage @ row[name] for name in POSTURE]
+    no_motion = (ca.SX(n, 1), ca.SX(n, 1))
     torques = symbolic_torques(robot.screws, points, campaign.gravity, *chain)
     weight, motion = linkage.T @ torques.weight, linkage.T @ torques.motion
     by_mass = [10 * k + i for k in range(n) for i in range(4)]
     by_inertia = [10 * k + i for k in range(n) for i in range(4, 10)]
     to_base = ca.sparsify(ca.DM(flange_to_base(robot)))
-    tool = weight[:, 4 * n - 4 :] @ to_base
-    gravity = tool @ ca.DM(campaign.tool.mass * np.r_[1.0, campaign.tool.com])
-    gravity = gravity + weight @ ca.DM(gravity_parameters(links_of(robot)))
+    phi = ca.DM(declared_weight(campaign))
+    gravity = weight @ phi
+    turned = (np.cross(campaign.gravity, axis) for axis in inclination_axes(campaign.gravity))
+    inclined = [
+        linkage.T @ symbolic_torques(robot.screws, points, g, chain[0], *no_motion).weight @ phi for g in turned
+    ]
     inertia = motion @ ca.DM(inertial_bodies(campaign))
     regressor = weight + motion[:, by_mass]
     return {
@@ -133,6 +137,7 @@ def _computed(campaign: Campaign, row: dict[str, Any]) -> dict[str, Any]:
         "tool_regressor": regressor[:, 4 * n - 4 :] @ to_base,
         "link_inertia_regressor": motion[:, by_inertia],
         "gravity_torque": gravity,
+        "inclination_torque": ca.horzcat(*inclined),
         "inertia_torque": inertia,
         "torque_rate": ca.sparsify(ca.DM(np.asarray(robot.transmission)))
         @ ca.jtimes(gravity, row["q"], row["joint_speed"]),

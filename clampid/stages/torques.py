@@ -13,7 +13,13 @@ import numpy as np
 from clampid.chain.chain import Chain, Deviations
 from clampid.slots import Layout
 from clampid.stages.counting import counting, folds_of, motion_signals, negligible, standing_joints
-from clampid.stages.loads import described_weight, gravity_signals, inertial_signals, weight_rate
+from clampid.stages.loads import (
+    described_weight,
+    gravity_signals,
+    inclination_torque,
+    inertial_signals,
+    weight_rate,
+)
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, Motion, facts_of, joint_columns, log_parts
 from clampid.stages.presliding import friction_states
 from clampid.stages.row_constants import LogConstants
@@ -111,7 +117,8 @@ def torque_rows(
         if not np.any(chosen):
             continue
         q, qd, qdd, _ = motion.of(chosen)
-        own = gravity_signals(campaign, q) | {"torque_rate": weight_rate(campaign, q, qd)}
+        own = gravity_signals(campaign, q) | {"inclination_torque": inclination_torque(campaign, q)}
+        own["torque_rate"] = weight_rate(campaign, q, qd)
         for name, values in inertial_signals(campaign, q, qd, qdd).items():
             own[name] = own[name] + values if name in own else values
         for name, values in own.items():

@@ -15,7 +15,7 @@ def results(simulated) -> dict[str, Shown]:
     )
     model = clampid.identify(campaign)
     mended, addition = clampid.add(model, campaign, ["gear_eccentricity@joint2"])
-    diagnosis = clampid.diagnose(model, campaign, flips=49)
+    diagnosis = clampid.diagnose(model, campaign, flips=99)
     return {
         "Model": mended,
         "Addition": addition,

@@ -54,11 +54,11 @@ def test_an_alternative_of_undetermined_parameters_is_not_offered_as_equally_goo
     assert equally_good(both) == both[:1]
 
 
-@pytest.mark.parametrize("flips", [1, 19, 38])
+@pytest.mark.parametrize("flips", [1, 19, 98])
 def test_fewer_flips_than_the_level_needs_are_refused(flips: int):
-    with pytest.raises(EffectError, match=f"expected at least 39, found {flips}: .*p cannot fall below 1/{flips + 1},"):
+    with pytest.raises(EffectError, match=f"expected at least 99, found {flips}: .*p cannot fall below 1/{flips + 1},"):
         refuse_few_flips(flips)
-    refuse_few_flips(39)
+    refuse_few_flips(99)
     assert 1 / (FEWEST_FLIPS + 1) <= RATE < 1 / FEWEST_FLIPS
 
 

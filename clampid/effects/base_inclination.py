@@ -1,0 +1,40 @@
+"""A base that is not level: gravity does not point where the campaign says.
+
+Machines are levelled to about a milliradian, and the axis of joint 1 is square to its base plate to a few tenths. To
+first order, with the weight as described.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clampid.algebra import rows
+from clampid.effect import Effect, Parameter
+
+
+def torque(p: Any, x: Any) -> Any:
+    """D tau = dtau/dw w, w = (roll, pitch)."""
+    return x.inclination_torque @ rows(p.roll, p.pitch)
+
+
+EFFECT = Effect(
+    name="base_inclination",
+    family="base_inclination",
+    acts={"joint_torque": torque},
+    parameters=tuple(
+        Parameter(
+            name,
+            "rad",
+            1e-3,
+            spread=5.0,  # five millimetres a metre
+            meaning=f"inclination of the base about its {which} horizontal axis, {axis} where the robot stands upright",
+        )
+        for name, which, axis in (("roll", "first", "x"), ("pitch", "second", "y"))
+    ),
+    needs=("inclination_torque",),
+    stages=("free_air",),
+    equation="g' = g + g x w, w = (roll, pitch) about the base's horizontal axes",
+    source=("LynchPark2017",),
+    at="base",
+    caveat="the weight is taken as described: what the angles are known to is at best what the masses are, a tenth",
+)
