@@ -43,7 +43,7 @@ LEAST_MOMENT = 1.0  # Nm: lighter than a toy's arm
 STAGES: tuple[Stage, ...] = tuple(STANDARD)
 """The names of all stages, in the order in which they are fitted."""
 
-WEAK = 10.0  # sizes: a prior that says next to nothing
+WEAK_SPREAD = 10.0  # sizes: a prior that says next to nothing
 
 UNITS: frozenset[str] = frozenset(
     {
@@ -127,7 +127,7 @@ class Parameter:
     meaning: str = ""
     shape: bool = False
     grid: tuple[float, ...] = ()
-    spread: float = WEAK
+    spread: float = WEAK_SPREAD
     held: Literal["nowhere", "first", "everywhere"] = "nowhere"
     gearing: int = 0
     share: bool = False

@@ -16,9 +16,9 @@ import numpy as np
 from clampid.effect import STATIONS, Effect, EffectError, Stage, signal
 from clampid.slots import Layout
 
-__all__ = ["SHOWN", "UNREAD", "check_own_effect"]
+__all__ = ["OUTPUTS_OF_STAGES", "SIGNALS_NOT_READ", "check_own_effect"]
 
-SHOWN: Mapping[Stage, tuple[str, ...]] = {
+OUTPUTS_OF_STAGES: Mapping[Stage, tuple[str, ...]] = {
     "free_air": ("joint_torque", "motor_torque", "friction_state"),
     "clamped": ("joint_angle", "fixture", "motor_torque", "joint_torque"),
     "poses": ("joint_angle", "base_twist", "link_twist", "target_shift", "measurement", "joint_torque"),
@@ -33,14 +33,14 @@ _OF_LOGS = (
     "dry_state", "inclination_torque", "joint_acceleration", "joint_speed", "link_inertia_regressor", "motor_speed",
     "own_motion", "own_speed", "torque_rate",
 )  # fmt: skip
-UNREAD: Mapping[Stage, tuple[str, ...]] = {
+SIGNALS_NOT_READ: Mapping[Stage, tuple[str, ...]] = {
     "free_air": (*_OF_POSES, *_OF_SWEEPS),
     "clamped": (*_OF_POSES, *_OF_LOGS, "regressor", "tool_regressor"),
     "poses": (*_OF_SWEEPS, *_OF_LOGS),
 }
 """Signals that the rows of a stage do not have."""
 ABSENT = 1e-12  # SI: rounding of a deviation that vanishes
-DRAWS = 5  # rows at random
+ROWS_DRAWN = 5  # rows at random
 GIVEN: Mapping[str, tuple[str | int, ...]] = {
     "transmission": ("n", "n"), "linkage": ("n", "n"), "link_vectors": ("n", 3), "turning_axes": ("n", 3),
 }  # fmt: skip
@@ -59,14 +59,16 @@ def check_own_effect(effect: Effect) -> None:
     if all(p.shape for p in effect.parameters):
         raise EffectError(f"effect {effect.name}: expected a parameter that is an amplitude, found shapes only")
     for stage in effect.stages:
-        if stage not in SHOWN:  # a stage that takes its effects over from another
-            raise EffectError(f"effect {effect.name}: expected stages among {', '.join(SHOWN)}, found {stage}")
-        if not any(station in SHOWN[stage] for station in effect.acts):
+        if stage not in OUTPUTS_OF_STAGES:  # a stage that takes its effects over from another
+            raise EffectError(
+                f"effect {effect.name}: expected stages among {', '.join(OUTPUTS_OF_STAGES)}, found {stage}"
+            )
+        if not any(station in OUTPUTS_OF_STAGES[stage] for station in effect.acts):
             raise EffectError(
                 f"effect {effect.name}: nothing that {stage} measures shows {_listed(effect.acts)}; expected it to act "
-                f"at one of: {', '.join(SHOWN[stage])}"
+                f"at one of: {', '.join(OUTPUTS_OF_STAGES[stage])}"
             )
-        unread = [name for name in effect.needs if name in UNREAD[stage]]
+        unread = [name for name in effect.needs if name in SIGNALS_NOT_READ[stage]]
         if unread:
             raise EffectError(f"effect {effect.name}: the rows of {stage} have no {_listed(unread)}, which it reads")
     for joints in JOINTS:
@@ -85,7 +87,7 @@ def _check_amplitudes(effect: Effect, found: Mapping[str, tuple[Any, Any, Any, A
         function = ca.Function("deviation", [amplitudes, shapes, row], [ca.densify(value)])
         rng = np.random.default_rng(0)
         starts = [p.grid[0] for p in effect.parameters if p.shape]
-        for _ in range(DRAWS):
+        for _ in range(ROWS_DRAWN):
             at_zero = function(np.zeros(amplitudes.shape[0]), starts, rng.normal(size=row.shape[0]))
             largest = float(np.abs(np.asarray(at_zero)).max(initial=0.0))
             if not largest <= ABSENT:

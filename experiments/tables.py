@@ -20,7 +20,7 @@ from kinematics.reading import read_bytes
 __all__ = ["TableFile", "read_table", "refuse_duplicates"]
 
 
-SMALL = 1 << 20  # bytes, of a table whose columns are sooner converted than threads are started
+SMALL_TABLE = 1 << 20  # bytes, of a table whose columns are sooner converted than threads are started
 MAX_CSV_BYTES = 2_000_000_000  # of a table as text; longer logs are Parquet
 
 
@@ -126,7 +126,7 @@ def read_table(path: Path) -> pd.DataFrame:
         raise fault(path, expected="at least one row", found="a header and no rows")
     # Without pandas' own metadata: an index saved by to_parquet comes back as a column, as in a CSV file.
     try:
-        frame: pd.DataFrame = arrow.to_pandas(ignore_metadata=True, use_threads=arrow.nbytes > SMALL)
+        frame: pd.DataFrame = arrow.to_pandas(ignore_metadata=True, use_threads=arrow.nbytes > SMALL_TABLE)
     except (pa.ArrowException, ValueError, OverflowError) as error:
         found = str(error).strip().splitlines()[0]
         raise fault(path, expected="columns of numbers, times or text", found=found) from error
@@ -137,7 +137,7 @@ def _read_parquet(path: Path) -> pa.Table:
     try:
         # Opened here, so that no directory scan or file mapping outlives the call.
         with path.open("rb") as stream:
-            table = pa_parquet.read_table(stream, use_threads=path.stat().st_size > SMALL)
+            table = pa_parquet.read_table(stream, use_threads=path.stat().st_size > SMALL_TABLE)
         names = table.column_names  # of another encoding than UTF-8, if the file is damaged
     except (pa.ArrowException, OSError, ValueError, OverflowError) as error:
         reason = str(error).strip().splitlines()[0]
@@ -163,7 +163,7 @@ def _read_csv(path: Path) -> pa.Table:
     # Arrow guesses a column's type from the first block only; with one block, an odd cell far down makes the column
     # text, and can then be named, instead of failing the whole conversion.
     block = min(max(len(data) + 1, 1 << 20), 2**31 - 1)
-    options = pa_csv.ReadOptions(block_size=block, use_threads=len(data) > SMALL)
+    options = pa_csv.ReadOptions(block_size=block, use_threads=len(data) > SMALL_TABLE)
     try:
         return pa_csv.read_csv(pa.BufferReader(data), read_options=options)
     except pa.ArrowException as error:

@@ -22,7 +22,7 @@ QUATERNION_TOLERANCE = 1e-3
 
 LEAST_STEP_S = 1e-5  # of a log: controllers sample at 10 kHz at most
 LARGEST_WHOLE = 2**53  # from here on, neighbouring numbers are one and the same as floats
-LARGEST = 1e12  # in SI: beyond any angle, speed, torque, length, temperature and time, and far from overflow
+LARGEST_NUMBER = 1e12  # in SI: beyond any angle, speed, torque, length, temperature and time, and far from overflow
 
 
 def validate_table(
@@ -151,10 +151,10 @@ def _numbers(cells: pd.Series, column: Column, source: TableFile) -> npt.NDArray
     bad = np.flatnonzero(~np.isfinite(values) & ~(empty & column.gaps))
     if bad.size:
         raise _cell_fault(cells, column, bad, source)
-    beyond = np.abs(values) > LARGEST
+    beyond = np.abs(values) > LARGEST_NUMBER
     if beyond.any() and column.kind == "number" and column.upper is None:
-        low = -LARGEST if column.lower is None else column.lower
-        raise _cell_fault(cells, replace(column, lower=low, upper=LARGEST), np.flatnonzero(beyond), source)
+        low = -LARGEST_NUMBER if column.lower is None else column.lower
+        raise _cell_fault(cells, replace(column, lower=low, upper=LARGEST_NUMBER), np.flatnonzero(beyond), source)
     wrong = np.zeros(len(values), dtype=bool)
     if column.lower is not None:
         wrong |= values < column.lower

@@ -23,9 +23,9 @@ Raw = Mapping[str, Any]
 Migration = Callable[[dict[str, Any]], dict[str, Any]]
 """Makes of the content of one version that of the next one."""
 
-LONGEST = 200  # characters of a text that names something
-LARGEST = 1e100  # of a vector: its length is finite
-SHOWN = 80  # characters of what was found
+LONGEST_TEXT = 200  # characters of a text that names something
+LARGEST_COMPONENT = 1e100  # of a vector: its length is finite
+SHOWN_OF_A_VALUE = 80  # characters of what was found
 _MISTAKEN = {"m": "millimetres", "rad": "degrees", "rad/s": "degrees per second", "°C": "kelvin", "kg": "grams"}
 """The unit that a number too large is probably in."""
 _NEEDED: Final = object()
@@ -72,13 +72,13 @@ def migrated(raw: Raw, stated: str, migrations: Mapping[int, Migration], *, need
 def shown(value: Any) -> str:
     """A value as a message shows it."""
     text = repr(value) if not isinstance(value, list | Mapping) else _short(value)
-    return text if len(text) <= SHOWN else f"{text[: SHOWN - 1]}…"
+    return text if len(text) <= SHOWN_OF_A_VALUE else f"{text[: SHOWN_OF_A_VALUE - 1]}…"
 
 
 def _short(value: Any) -> str:
     text = repr(value)
     kind = "a list" if isinstance(value, list) else "a table"
-    return text if len(text) <= SHOWN else f"{kind} of {len(value)}"
+    return text if len(text) <= SHOWN_OF_A_VALUE else f"{kind} of {len(value)}"
 
 
 class Section:
@@ -134,7 +134,7 @@ class Section:
             raise self.fault(key, expected, f"no such key, but {near!r}" if near else "no such key")
         return default
 
-    def text(self, key: str, among: Sequence[str] = (), default: Any = _NEEDED, longest: int = LONGEST) -> Any:
+    def text(self, key: str, among: Sequence[str] = (), default: Any = _NEEDED, longest: int = LONGEST_TEXT) -> Any:
         """A text of printable characters on one line, one of some."""
         expected = f"one of {', '.join(among)}" if among else f"printable text of at most {longest} characters"
         value = self.value(key, expected, default)
@@ -208,7 +208,9 @@ class Section:
         for one in value:
             if infinite and isinstance(one, float) and math.isinf(one):
                 continue
-            self._check(key, one, value, expected, max(lower, -LARGEST), min(upper, LARGEST), unit, above)
+            self._check(
+                key, one, value, expected, max(lower, -LARGEST_COMPONENT), min(upper, LARGEST_COMPONENT), unit, above
+            )
         return frozen_array(value)
 
     def three(self, key: str, upper: float, unit: str, *, infinite: bool = False) -> Array:
@@ -252,8 +254,8 @@ class Section:
     def keys(self) -> tuple[str, ...]:
         """Every key, which are names that the file chooses; all count as known from then on."""
         for key in self.content:
-            if has_controls(key) or not 0 < len(key) <= LONGEST:
-                raise self.fault("", f"names of 1 to {LONGEST} printable characters on one line", shown(key))
+            if has_controls(key) or not 0 < len(key) <= LONGEST_TEXT:
+                raise self.fault("", f"names of 1 to {LONGEST_TEXT} printable characters on one line", shown(key))
             if is_formula(key):
                 raise self.fault("", "names that no spreadsheet takes for a formula", shown(key))
         self._read |= dict.fromkeys(self.content)

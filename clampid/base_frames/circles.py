@@ -32,10 +32,10 @@ SAME_ANGLE_WITHIN = 1e-4  # rad: other joints that are closer than this stand st
 SMALLEST = 0.01  # m: a point nearer to the axis says nothing about where it is
 PARALLEL = 1e-6  # sine of the angle between axes that have no common normal
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations beyond which a point is wrong
-ROUNDS, SETTLED = 10, 1e-7  # rad and m: a base that moves less has been found
+CIRCLE_ROUNDS, BASE_SETTLED = 10, 1e-7  # rad and m: a base that moves less has been found
 MAX_STEPS = 60  # of one fit; ten are usual
 FARTHEST_OFF = 0.05  # m, rms: the deflection of the softest arm is a tenth of it
-REACH = 1e-6  # of a parameter's unit: a step of differences
+DIFFERENCE_STEP = 1e-6  # of a parameter's unit: a step of differences
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ class CircleFit:
 
     def follows(self, by: Array) -> Array:
         """How base and ``between`` follow parameters ``(8, P)`` that move the points by ``by`` ``(N, 3, P)``, m."""
-        columns = [self.problem.misfit(self.solution, self.points + REACH * d) for d in np.moveaxis(by, 2, 0)]
-        moved = (np.array(columns).reshape(-1, len(self.misfit)) - self.misfit) / REACH
+        columns = [self.problem.misfit(self.solution, self.points + DIFFERENCE_STEP * d) for d in np.moveaxis(by, 2, 0)]
+        moved = (np.array(columns).reshape(-1, len(self.misfit)) - self.misfit) / DIFFERENCE_STEP
         return np.asarray(-np.linalg.lstsq(self.jacobian, moved.T, rcond=None)[0])
 
 
@@ -178,7 +178,7 @@ def _without_outliers(rows: Rows, circles: Sequence[Circle], points: Array, star
 
 def _settled(rows: Rows, circles: Sequence[Circle], points: Array, start: Array, used: Bools) -> CircleFit:
     """The fit to some of the points, begun again from where it ends until the base stays."""
-    for _ in range(ROUNDS):
+    for _ in range(CIRCLE_ROUNDS):
         problem = _About(rows, tuple(c.joint for c in circles), tuple(c.rows[used[c.rows]] for c in circles), start)
         found = least_squares(
             problem.misfit, np.zeros(8), args=(points,), jac="3-point", x_scale="jac", max_nfev=MAX_STEPS
@@ -189,7 +189,7 @@ def _settled(rows: Rows, circles: Sequence[Circle], points: Array, start: Array,
                 "are angles and points of the same rows, in radians and metres?"
             )
         start = start @ exp_se3(found.x[:6])
-        if np.abs(found.x[:6]).max() < SETTLED:
+        if np.abs(found.x[:6]).max() < BASE_SETTLED:
             break
     x = found.x
     return CircleFit(start, x[6:8], found.jac, found.fun, problem.point, used, problem, x, points)

@@ -35,7 +35,7 @@ __all__ = ["TouchedFrame", "base_from_touches"]
 
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations beyond which a touch is wrong
 MOST_WRONG = 0.1  # of the touches: more are no errors of single ones, and none is left out
-ROUNDS = 3  # how errors are weighed depends on the base a little
+WEIGHTING_ROUNDS = 3  # how errors are weighed depends on the base a little
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ def _lines(fitted: _Fitted) -> tuple[Array, Array]:
 
 def _weighed(touches: Touches, shared: _Shared, base: Array, kept: Integers) -> _Fitted:
     chi2, V = 0.0, np.eye(len(touches.touch))
-    for _ in range(ROUNDS):
+    for _ in range(WEIGHTING_ROUNDS):
         V = np.asarray(sum(shared.parts(touches, touches.misfit(base)[1], base, kept).values()))
         base, chi2 = descend(touches, base, V)
     misfit, along = touches.misfit(base)

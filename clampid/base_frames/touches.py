@@ -30,7 +30,7 @@ __all__ = ["Touches", "descend", "starts_of", "touches_of", "undetermined"]
 
 MAX_STEPS, SETTLED = 200, 1e-11  # rad and m: a base that moves less has been found
 BLIND = 1e-4  # of the best determined motion: below that share of it a motion is not determined by the touches
-ALIKE = 2.0  # of the best rms: a base that fits no worse than this is another that might be meant
+EQUALLY_GOOD = 2.0  # of the best rms: a base that fits no worse than this is another that might be meant
 LEAST_BASE_DISTANCE = 1e-3  # rad and m between bases that are not one
 NEVER = 1e12  # a damping at which no step is a step
 
@@ -158,7 +158,7 @@ def starts_of(touches: Touches, given: Array | None, least: float) -> Array:
             "further features"
         )
     count = len(touches.touch)
-    limit = ALIKE**2 * max(best, count * least**2)
+    limit = EQUALLY_GOOD**2 * max(best, count * least**2)
     for other, size in found[1:]:
         away = np.abs(log_se3(inverse(base) @ other)).max()
         if size <= limit and away > LEAST_BASE_DISTANCE:

@@ -21,7 +21,7 @@ import platformdirs
 
 __all__ = ["digest_of", "is_whole", "own_folder", "remove_oldest", "used_now"]
 
-LARGEST = 256_000_000  # bytes of all libraries; after a removal, half of it is left
+LARGEST_FOLDER = 256_000_000  # bytes of all libraries; after a removal, half of it is left
 OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 _log = logging.getLogger(__name__)
@@ -75,7 +75,7 @@ def used_now(library: Path) -> None:
         os.utime(library, ns=(time.time_ns(), os.lstat(library).st_mtime_ns))
 
 
-def remove_oldest(folder: Path, largest: int = LARGEST) -> None:
+def remove_oldest(folder: Path, largest: int = LARGEST_FOLDER) -> None:
     """Remove libraries that were used longest ago, if all of them together have more than ``largest`` bytes.
 
     A process that has loaded one keeps it.

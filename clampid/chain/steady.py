@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 WORTH = 24  # columns: fewer are computed faster than they are kept
-KEPT = 3  # sets of columns, of all chains together: a diagnosis remembers dozens of fits, and a set may have 20 MB
+SETS_KEPT = 3  # sets of columns, of all chains together: a diagnosis remembers dozens of fits, and a set may have 20 MB
 
 
 class Steady:
@@ -93,7 +93,7 @@ class Steady:
         return out
 
 
-_KNOWN: deque[tuple[Steady, bytes, tuple[Array, ...], Array]] = deque(maxlen=KEPT)
+_KNOWN: deque[tuple[Steady, bytes, tuple[Array, ...], Array]] = deque(maxlen=SETS_KEPT)
 """The columns found last, with whose they are, the fixed parameters and the signals that they are of."""
 
 

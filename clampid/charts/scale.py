@@ -136,7 +136,7 @@ def _with_room(axis: Axis, own: Array) -> tuple[float, float]:
     return (low - ROOM * width if axis.low is None else low), (high + ROOM * width if axis.high is None else high)
 
 
-NOTHING: Array = np.zeros(0)
+NO_VALUES: Array = np.zeros(0)
 
 
 @singledispatch
@@ -168,18 +168,18 @@ def _(mark: Bars) -> tuple[Array, Array]:
 
 @_extent.register
 def _(mark: Level) -> tuple[Array, Array]:
-    return (np.array([mark.at]), NOTHING) if mark.axis == "x" else (NOTHING, np.array([mark.at]))
+    return (np.array([mark.at]), NO_VALUES) if mark.axis == "x" else (NO_VALUES, np.array([mark.at]))
 
 
 @_extent.register
 def _(mark: Span) -> tuple[Array, Array]:
-    return np.array([mark.low, mark.high]), NOTHING
+    return np.array([mark.low, mark.high]), NO_VALUES
 
 
 @_extent.register
 def _(mark: Label) -> tuple[Array, Array]:
     if mark.x is None or mark.y is None:
-        return NOTHING, NOTHING
+        return NO_VALUES, NO_VALUES
     return np.array([mark.x]), np.array([mark.y])
 
 

@@ -35,12 +35,12 @@ from clampid.stages.stage_kind import known_of, only_of
 __all__ = ["Compensation", "compensation_of", "put_right", "sent_elsewhere"]
 
 MAX_NEWTON_STEPS = 12
-SETTLED = 1e-7  # of a factor, m or rad
+SHIFT_SETTLED = 1e-7  # of a factor, m or rad
 ELSEWHERE = 1e-6  # rad: where a robot is sent closer than this, it gives way as it would here
 WEIGHT = ("gravity_torque", "sag_torque", "regressor", "tool_regressor")
 _NONE, _NO = np.zeros((0, 0)), np.zeros(0, dtype=np.int64)
-LEVEL = 1e-3  # chance that a true explanation is not accepted
-ALIKE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
+FALSE_REJECTIONS = 1e-3  # chance that a true explanation is not accepted
+DEFLECTION_SHARE = 0.5  # of a base's shift, in the metric of its errors: so much of it must look like a deflection's
 KNOWN = 0.25  # standard error of a factor beyond which these poses cannot determine it
 OUTLIER_DEVIATIONS = 6.0  # robust standard deviations: wrong rows
 DEGREES = 180.0 / np.pi
@@ -301,7 +301,7 @@ def _search(
             A, b = np.vstack([A, known]), np.r_[b, root @ (mean - theta[:count])]
         step = np.linalg.lstsq(A, b, rcond=1e-10)[0] / scale
         theta = theta + step
-        if not np.isfinite(theta).all() or np.all(np.abs(step) < SETTLED):
+        if not np.isfinite(theta).all() or np.all(np.abs(step) < SHIFT_SETTLED):
             break
     return _Search(theta, rows, used, S[:, :, :n], columns, r, step)
 
@@ -351,7 +351,7 @@ def _explained(factors: Array, covariance: Array) -> str | None:
     for own, tool, _ in EXPLANATIONS:
         off = factors - np.array([own, tool])
         distance.append(float(off @ np.linalg.pinv(covariance, hermitian=True) @ off))
-    limit = float(stats.chi2.isf(LEVEL, 2))
+    limit = float(stats.chi2.isf(FALSE_REJECTIONS, 2))
     if distance[0] <= limit:
         return ""  # as the model says: nothing speaks for a compensation
     best = int(np.argmin(distance))
@@ -379,7 +379,7 @@ def _like_deflection(base: Array, covariance: Array, columns: Array) -> str:
     taken = (np.linalg.lstsq(flat[:, 2:] / scale, flat[:, 0] + flat[:, 1], rcond=1e-10)[0] / scale)[:6]
     weight = np.linalg.pinv(covariance, rcond=1e-14, hermitian=True)
     size, whole, along = base @ weight @ base, taken @ weight @ taken, base @ weight @ taken
-    if size <= stats.chi2.isf(LEVEL, 6) or along >= 0.0 or along**2 < ALIKE * size * whole:
+    if size <= stats.chi2.isf(FALSE_REJECTIONS, 6) or along >= 0.0 or along**2 < DEFLECTION_SHARE * size * whole:
         return ""
     std = np.sqrt(np.diag(covariance))
     shift = with_error(float(np.linalg.norm(base[3:])), float(np.linalg.norm(std[3:])), "m")

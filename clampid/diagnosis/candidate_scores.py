@@ -29,9 +29,9 @@ __all__ = [
     "ABLE",
     "ALIASED",
     "CONFUSABLE",
+    "DICTIONARY_FALSE_ALARMS",
     "FEWEST_FLIPS",
     "IMPOSSIBLE",
-    "RATE",
     "CandidateScores",
     "of_other_families",
     "refuse_few_flips",
@@ -41,20 +41,22 @@ __all__ = [
     "variants_of",
 ]
 
-RATE = 0.01  # false alarms of each dictionary: with names and probes 2 % a stage, below the 3 % that are promised
+# Of each dictionary: with names and probes 2 % a stage, below the 3 % that are promised.
+DICTIONARY_FALSE_ALARMS = 0.01
 CONFUSABLE = 0.8  # squared canonical correlation above which both are named: apart they are a fifth of what either is
 SHARED = 0.5  # above which they have more in common than not, so that one may be taken for the other if not linear
 ALIASED = 0.999  # above which they are one
 STANDS_IN = 0.9  # of what the best probe explains, less than this may be another effect's share
 IMPOSSIBLE, SURE = 100.0, 4.0  # reasonable sizes that no effect has; standard errors by which that must be clear
 VERY_STRONG = 10.0  # twice the log of the odds: evidence against a further number (Kass and Raftery, 1995)
-LEVEL = 1e-3  # of evidence: of names that differ by less, the first of the dictionary is taken, not what rounding says
+# Names whose evidence differs by less are taken in the order of the dictionary, not as rounding says.
+SAME_EVIDENCE = 1e-3
 BY_CHANCE = 0.01
 WEIGHTLESS = 1e-9  # of what the weight does about the joint that bears most
 ABLE = ("testable", "weak")
 
 
-FEWEST_FLIPS = math.ceil(1.0 / RATE) - 1
+FEWEST_FLIPS = math.ceil(1.0 / DICTIONARY_FALSE_ALARMS) - 1
 """With fewer, the least p that they can give is above the level, and nothing is ever found to be missing."""
 
 
@@ -69,7 +71,7 @@ def refuse_few_flips(flips: int) -> None:
     if flips < FEWEST_FLIPS:
         raise EffectError(
             f"flips: expected at least {FEWEST_FLIPS}, found {flips}: with so few, p cannot fall below 1/{flips + 1}, "
-            f"and the test's level is {RATE:g}, so that no effect could be confirmed"
+            f"and the test's level is {DICTIONARY_FALSE_ALARMS:g}, so that no effect could be confirmed"
         )
 
 
@@ -92,7 +94,9 @@ class CandidateScores:
     def best(self, rejected: Collection[str] = ()) -> Scored | None:
         """The best name that stands out of its null, but for the labels of those rejected; None if none does."""
         best = _best([s for s in self.named if s.candidate.label not in rejected], self.named_null)
-        return best if best is not None and self.named_null.p_familywise(best.log_p) <= RATE else None
+        return (
+            best if best is not None and self.named_null.p_familywise(best.log_p) <= DICTIONARY_FALSE_ALARMS else None
+        )
 
     def standing_out(self, rejected: Collection[str] = ()) -> list[Scored]:
         """All names that stand out of their null and pay for their numbers, but for the labels of those rejected."""
@@ -113,7 +117,7 @@ class CandidateScores:
     @property
     def fires(self) -> bool:
         """Whether the best probe stands out of its null."""
-        return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= RATE
+        return self.probe is not None and self.free_null.p_familywise(self.probe.log_p) <= DICTIONARY_FALSE_ALARMS
 
     def only_stands_in(self, best: Scored) -> bool:
         """Whether a name only stands in for something else, which a probe says better.
@@ -178,7 +182,7 @@ def _scores_of(
     free = score(space, probes(estimate))
     free_null = flip_maxima(space, free, flips, seed + 1)
     free = [s.remembered for s in free]
-    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= RATE}
+    fired = {s.candidate.name for s in free if s.freedom and free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS}
     named = score(space, named_candidates(estimate, effects, fired))
     events = event_scores(estimate, space, effects)
     named_null = flip_maxima(space, named, flips, seed).joined(len(events), seed)
@@ -201,12 +205,12 @@ def _best(scored: Sequence[Scored], null: Flips) -> Scored | None:
     able = [s for s in scored if s.freedom and s.state in ABLE]
     chosen = _standing_out(able, null) or able
     most = max((s.bic for s in chosen), default=0.0)
-    return next((s for s in chosen if s.bic >= most - LEVEL), None)
+    return next((s for s in chosen if s.bic >= most - SAME_EVIDENCE), None)
 
 
 def _standing_out(scored: Sequence[Scored], null: Flips) -> list[Scored]:
     able = [s for s in scored if s.freedom and s.state in ABLE]
-    return [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= RATE]
+    return [s for s in able if s.bic > 0 and null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS]
 
 
 def _without_weight(s: Scored, effects: Mapping[str, Effect], rows: Rows) -> bool:

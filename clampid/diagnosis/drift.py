@@ -20,7 +20,7 @@ from clampid.stages.rows import Array, Integers, Rows
 __all__ = ["Drift", "blocks_of_visits", "drift_of"]
 
 LAGS = 10
-RATE = 0.01  # chance of a warning where visits are independent
+DRIFT_FALSE_ALARMS = 0.01  # chance of a warning where visits are independent
 MIN_BLOCKS = 20  # blocks: of fewer, flips of signs say little
 
 
@@ -86,7 +86,7 @@ def drift_of(estimate: Estimate) -> Drift | None:
     correlation, z = products / count, products / np.sqrt(variance)
     best = int(np.argmax(z))
     p = min(1.0, LAGS * float(stats.norm.sf(z[best])))  # the clearest of so many lags: Bonferroni
-    if p > RATE:
+    if p > DRIFT_FALSE_ALARMS:
         return None
     visits, first = sum(map(len, parts)), float(np.clip(correlation[0], 0.0, 0.99))
     lasts = max(int(np.ceil((1.0 + first) / (1.0 - first))), best + 1)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from clampid.diagnosis.candidate_scores import ALIASED, CONFUSABLE, RATE, CandidateScores
-from clampid.effect import WEAK, Effect
+from clampid.diagnosis.candidate_scores import ALIASED, CONFUSABLE, DICTIONARY_FALSE_ALARMS, CandidateScores
+from clampid.effect import WEAK_SPREAD, Effect
 from clampid.evidence.candidates import label_of
 from clampid.evidence.score import Flips, Scored, canonical
 from clampid.fitting.solve import Estimate
@@ -115,7 +115,7 @@ def _one_step(s: Scored, scale: float) -> tuple[Array, Array, Bools]:
     c = s.candidate
     if c.reasonable is None or not s.freedom:  # with a prior of its own, or of no known size
         return s.value, s.spread, np.ones(len(s.value), dtype=bool)
-    prior = WEAK * c.reasonable
+    prior = WEAK_SPREAD * c.reasonable
     # In units of the prior, the amplitudes are B z with z ~ N(0, 1), where B holds the directions that rows determine.
     B = np.linalg.pinv(s.weights / prior[:, None])
     precision = B.T @ B / scale**2 + np.eye(len(prior))
@@ -180,7 +180,7 @@ def variables_of(scores: CandidateScores) -> list[str]:
     names = dict.fromkeys(scores.probe.candidate.depends_on)
     for s in sorted(scores.free, key=lambda s: -s.bic):
         close = s.bic > 0.8 * scores.probe.bic and s.candidate.places == scores.probe.candidate.places
-        if close and scores.free_null.p_familywise(s.log_p) <= RATE:
+        if close and scores.free_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS:
             names |= dict.fromkeys(s.candidate.depends_on)
     return list(names)
 

@@ -17,10 +17,10 @@ MOST_WORDS = 25
 AS_GOOD = 1.5
 """An alternative explains the rest as well as another only if its held-out error is at most so many times as large."""
 PLACELESS = ("base", "instrument", "tool", "robot", "fixture")
-FEW = 3
+OUTLIERS_WORTH_A_WORD = 3
 MEASURABLE = 1e-5
 """m at the flange, about what a laser tracker resolves: a smaller shift of the exported table is not named."""
-OPEN = {
+UNDECIDED_IN_WORDS = {
     "ambiguous": "several effects explain what is left equally well",
     "unknown": "no known effect explains the rest",
 }
@@ -110,7 +110,7 @@ def _variants(stages: Json, mended: bool) -> Iterator[str]:
 def _briefly(stages: Json) -> str:
     """What stays open, without naming it; empty where nothing does."""
     return " and ".join(
-        words for verdict, words in OPEN.items() if any(p["verdict"] == verdict for p in stages.values())
+        words for verdict, words in UNDECIDED_IN_WORDS.items() if any(p["verdict"] == verdict for p in stages.values())
     )
 
 
@@ -212,7 +212,7 @@ def notes(stage: str, part: Json, mended: bool = False) -> list[str]:
         recorded = any(s["side"] != 0 for s in sides)
         why = f"{what} from one side only" if recorded else "no directions were recorded"
         out.append(f"Direction-dependent effects were not tested at {joints}: {why}.")
-    if len(part.get("outliers") or ()) >= FEW:
+    if len(part.get("outliers") or ()) >= OUTLIERS_WORTH_A_WORD:
         out.append(f"{len(part['outliers'])} rows were rejected as outliers.")
     if shifts := worth_naming(part.get("exported_shift") or ()):
         p = shifts[0]

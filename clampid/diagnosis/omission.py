@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-CLEAR = 2.0  # standard errors beyond which a shift is told
+CERTAIN_SHIFT = 2.0  # standard errors beyond which a shift is told
 MAX_NAMED = 3  # numbers named in a sentence
 POSTURES = 200
 
@@ -66,7 +66,7 @@ def exported_shift(before: Model, after: Model, robot: RobotDescription) -> list
             unit = "m" if column.endswith("_m") else "rad"
             if unit == "rad":
                 shift = float(np.pi - np.remainder(np.pi - shift, 2.0 * np.pi))
-            if abs(shift) > CLEAR * std:
+            if abs(shift) > CERTAIN_SHIFT * std:
                 name = column.removesuffix(f"_{unit}")
                 without = with_it.copy()
                 without.loc[k, column] = old[column]

@@ -109,7 +109,7 @@ class Separation:
     parted: bool
 
 
-HELD = 1e-10
+RIDGE = 1e-10
 """Prior weight of a direction, in units of its own column's: what nothing determines must not explain a new row."""
 
 
@@ -125,7 +125,7 @@ class _Normal:
         """The balance of its columns, and the lower Cholesky factor of the balanced matrix."""
         balance = 1.0 / np.sqrt(np.maximum(np.diag(self.A), 1e-300))
         A = self.A * np.outer(balance, balance)
-        A[np.diag_indices_from(A)] += HELD
+        A[np.diag_indices_from(A)] += RIDGE
         return balance, linalg.cholesky(A, lower=True, overwrite_a=True, check_finite=False)
 
     def solved(self, b: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from clampid.diagnosis.candidate_scores import ABLE, RATE, CandidateScores
+from clampid.diagnosis.candidate_scores import ABLE, DICTIONARY_FALSE_ALARMS, CandidateScores
 from clampid.diagnosis.entries import considered_of
 from clampid.evidence.score import Scored
 
@@ -44,7 +44,7 @@ def _passed_over(best: Scored, scores: CandidateScores) -> list[dict[str, Any]]:
     found: dict[str, Scored] = {}
     mine = set(best.candidate.terms)
     for s in sorted((s for s in scores.named if s.freedom), key=lambda s: -s.bic):
-        stands_out = s.bic > 0 and scores.named_null.p_familywise(s.log_p) <= RATE
+        stands_out = s.bic > 0 and scores.named_null.p_familywise(s.log_p) <= DICTIONARY_FALSE_ALARMS
         if stands_out and s.state in (*ABLE, "implausible") and not mine & set(s.candidate.terms):
             found.setdefault(s.candidate.name, s)
     entries = considered_of(list(found.values()), scores.named_null, len(found))

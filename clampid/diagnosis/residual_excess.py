@@ -21,7 +21,7 @@ from clampid.stages.rows import Rows
 __all__ = ["EXCESS_FACTOR", "OneSided", "excess_over_floor", "one_sided", "one_sided_words", "unseen_by_probes"]
 
 EXCESS_FACTOR = 1.3  # noise floors: of an error that is farther above, two fifths of the square are no noise
-FEW = 3  # visits or blocks from a side: fewer do not show an error that has a side
+LEAST_VISITS_OF_A_SIDE = 3  # visits or blocks from a side: fewer do not show an error that has a side
 SIDES = frozenset(name for name, known in SIGNALS.items() if known.sided)
 WHY_FLOOR = {
     "replicates": "returns to a pose within minutes repeat better than the robot does over a session",
@@ -44,7 +44,7 @@ class OneSided:
     side
         +1 or -1; 0 where nobody recorded any.
     other
-        How many visits or blocks there are from the other side, fewer than :data:`FEW`.
+        How many visits or blocks there are from the other side, fewer than :data:`LEAST_VISITS_OF_A_SIDE`.
     """
 
     joint: int
@@ -66,7 +66,7 @@ def one_sided(rows: Rows) -> list[OneSided]:
     found = []
     for j in range(sign.shape[1]):
         counts = [len(np.unique(unit[sign[:, j] == side])) for side in (1.0, -1.0)]
-        if min(counts) >= FEW or (rows.kind.moving and max(counts) == 0):
+        if min(counts) >= LEAST_VISITS_OF_A_SIDE or (rows.kind.moving and max(counts) == 0):
             continue
         side = 0 if max(counts) == 0 else 1 if counts[0] >= counts[1] else -1
         found.append(OneSided(j + 1, side, min(counts)))

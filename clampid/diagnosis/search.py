@@ -17,7 +17,7 @@ from clampid.identification.fitted_stage import FittedStage
 
 __all__ = ["Searched", "search"]
 
-ROUNDS = 8
+SEARCH_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def search(bench: Bench, fitted: FittedStage) -> Searched | Folds:
     undecided: list[Undecided] = []
     refused: list[dict[str, Any]] = []
     dropped: set[str] = set()
-    for number in range(1, ROUNDS + 1):
+    for number in range(1, SEARCH_ROUNDS + 1):
         tried, others = bench.decided(scores, fitted, held)  # a ranking is valid for one step
         finer = bench.folds or folds_of(rows, _on_trial(scores, others), effects)
         if finer is not None and finer is not bench.folds:

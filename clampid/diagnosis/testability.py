@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from clampid.diagnosis.candidate_scores import IMPOSSIBLE, RATE
+from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, IMPOSSIBLE
 from clampid.effect import Effect
 from clampid.evidence.score import Flips, Scored, log_tail
 from clampid.stages.fit_problem import parameter_of
@@ -22,7 +22,7 @@ GAUSSIAN = 300.0
 
 def noncentrality(freedom: int, null: Flips) -> float:
     """The noncentrality that is found with 90 % power at this dictionary's size."""
-    log_p = null.critical_log_p(RATE)
+    log_p = null.critical_log_p(DICTIONARY_FALSE_ALARMS)
     most = 4.0 * (freedom - log_p) + 100.0
     critical = float(optimize.brentq(lambda x: float(log_tail(x, freedom)) - log_p, 0.0, most))
 

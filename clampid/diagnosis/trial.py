@@ -52,7 +52,7 @@ NO_FALL = "the held-out error does not fall"
 UNSTABLE = "without a fifth of the rows it is not first"
 ONLY_BESIDE = "the held-out error falls only together with effects that these rows do not separate"
 IMPOSSIBLE = "at no place is it possible: all of its values lie beyond their bounds"
-TRIALS = 8  # of the candidates of one set of scores, after which no more are tried
+MOST_TRIALS = 8  # of the candidates of one set of scores, after which no more are tried
 ROUND_SHARE = 0.15  # of the work left that a part of a round takes: nobody knows how many rounds there will be
 MOSTLY = 0.5  # of what a candidate explains, told by a prior and not by the rows
 
@@ -125,7 +125,7 @@ class Bench:
         None instead of a candidate where none stands out, or too many that did were refused.
         """
         refused: list[Tried] = []
-        while len(refused) < TRIALS:
+        while len(refused) < MOST_TRIALS:
             best = scores.best({t.best.candidate.label for t in refused})
             if best is None or scores.only_stands_in(best):
                 break

@@ -34,10 +34,10 @@ from clampid.stages.rows import Array, Rows
 __all__ = ["shape_of"]
 
 FINEST = (8, 3)  # orders tried of one variable, and of each of two
-TRIED = 2  # variables; a shape over more of them nobody can look at
+MOST_VARIABLES = 2  # variables; a shape over more of them nobody can look at
 GRID_POINTS = 61
 COVERED = 0.95
-DRAWS = 4000
+BAND_DRAWS = 4000
 SINGULAR = 1e-6  # of a direction that only one unit tells
 EDGES = (0.01, 0.99)  # of a variable's values: beyond them hardly a row tells anything
 SECTIONS = (0.1, 0.5, 0.9)  # of the second variable, at which the curve over the first is drawn
@@ -97,7 +97,7 @@ def _dependence(estimate: Estimate, probe: Scored, depends_on: Sequence[str]) ->
     own = probe.candidate.depends_on
     if len(probe.candidate.places) != 1:
         return None
-    names = list(dict.fromkeys([*own, *depends_on]))[: max(TRIED, 1)]
+    names = list(dict.fromkeys([*own, *depends_on]))[: max(MOST_VARIABLES, 1)]
     try:
         return dependence(names, probe.candidate.places[0], estimate.experiment.stage)
     except EffectError:
@@ -204,7 +204,7 @@ def _width(root: Array, seed: int) -> float:
     varying = spread > 1e-12 * max(float(spread.max(initial=0.0)), 1e-300)
     if not varying.any():
         return 0.0
-    draws = np.random.default_rng(seed).standard_normal((root.shape[1], DRAWS))
+    draws = np.random.default_rng(seed).standard_normal((root.shape[1], BAND_DRAWS))
     largest = np.abs((root[varying] / spread[varying, None]) @ draws).max(axis=0)
     return float(np.quantile(largest, COVERED))
 

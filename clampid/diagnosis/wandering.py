@@ -34,8 +34,9 @@ WANDERS = (
 )
 
 COSINES = 12  # half waves over the whole time of measurement, at most
-MANY = 300  # parameters: of so many, as curves over a joint's turn have, none is taken to explain a wandering
-SHARE = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
+# An effect of so many, as a curve over a joint's turn has, is not taken to explain a wandering.
+MOST_PARAMETERS = 300
+LARGEST_SHARE_OF_COLUMNS = 0.2  # of the numbers of a channel, that may be columns beside which it wanders
 
 
 def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None:
@@ -60,12 +61,12 @@ def with_wander(estimate: Estimate, beside: Sequence[Scored]) -> Estimate | None
     if not mine or not wander_of(courses, residuals, none).variance:
         return None  # not even by itself, which takes a hundredth of the time
     active = none
-    if len(estimate.theta) <= MANY:
+    if len(estimate.theta) <= MOST_PARAMETERS:
         active = [white.jacobian[own] for own in mine.values()]
     found = wander_of(courses, residuals, active)
     if not found.variance:
         return None
-    room, count = int(SHARE * max(map(len, residuals))), len(white.residual)
+    room, count = int(LARGEST_SHARE_OF_COLUMNS * max(map(len, residuals))), len(white.residual)
     extra = [np.zeros((count, 0))]
     for s in beside:
         if s.candidate.columns.width <= room:

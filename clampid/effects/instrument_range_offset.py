@@ -7,12 +7,12 @@ from typing import Any
 from clampid.algebra import fmax, norm
 from clampid.effect import Effect, Parameter
 
-NEAREST = 1e-3  # m: no instrument sees so near; what is no point, but a distance, stands at the origin
+NEAREST_POINT = 1e-3  # m: no instrument sees so near; what is no point, but a distance, stands at the origin
 
 
 def error(p: Any, x: Any) -> Any:
     """Dr = c: dx = c x / |x|, in the instrument's frame."""
-    return p.c * x.position / fmax(norm(x.position), NEAREST)
+    return p.c * x.position / fmax(norm(x.position), NEAREST_POINT)
 
 
 EFFECT = Effect(

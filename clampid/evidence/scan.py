@@ -28,7 +28,7 @@ from scipy import optimize, sparse
 from clampid.effect import Effect
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns, channel_starts
-from clampid.evidence.score import WEAK, Scored, score
+from clampid.evidence.score import WEAK_BELOW, Scored, score
 from clampid.evidence.space import Space, space_of
 from clampid.fitting.noise import NORMAL, Whitened
 from clampid.fitting.solve import Estimate
@@ -43,7 +43,8 @@ __all__ = ["FEWEST_VISITS", "place_of", "scan"]
 FEWEST_VISITS = 4  # that show a bump: a height, a middle and a width, and one that may contradict them
 INSIDE = 0.1  # of its height, which a visit must see of a bump to count
 TABLE = 3600  # angles a turn at which a shape is tabulated
-FARTHEST = 3.0  # standard deviations that a visit counts for in the null: three of which one is wrong are no bump
+# Standard deviations that a visit counts for in the null: three of which one is wrong are no bump.
+LARGEST_RESIDUAL_IN_NULL = 3.0
 SCAN_STEP = 2.0 / 3.0  # of a shape's width at half of its height, from place to place: at most a tenth of it is missed
 
 
@@ -59,7 +60,8 @@ class _Tried:
         ``(C,)``: as of :class:`clampid.evidence.score.Scored`.
     weight, says
         ``(V, C)`` of unit length, and ``(V,)``: how much each visit sees of each place, and what it says of the joint's
-        angle, in standard deviations of what all visits say (by their median), :data:`FARTHEST` at most.
+        angle, in standard deviations of what all visits say (by their median), at most
+        :data:`LARGEST_RESIDUAL_IN_NULL`.
     levers
         Whitened effect of the joint's angle.
     """
@@ -178,7 +180,7 @@ def _places(
     absorbed = np.asarray(D.T @ space.basis[: space.rows])  # (C, r)
     gram = np.asarray(D.multiply(D).sum(axis=0)).ravel()
     left = gram - np.sum(absorbed**2, axis=1)
-    able = np.flatnonzero(left > WEAK * np.maximum(gram, 1e-300))
+    able = np.flatnonzero(left > WEAK_BELOW * np.maximum(gram, 1e-300))
     if not len(able):
         return None
     explained = np.asarray(D[:, able].T @ space.residual[: space.rows]) ** 2 / (space.scale**2 * left[able])
@@ -192,7 +194,9 @@ def _by_visit(space: Space, visit: Integers, lever: Array, D: sparse.csc_matrix)
     sees = np.sqrt(np.bincount(visit, lever**2, minlength=count))
     able = sees > 1e-9 * sees.max(initial=0.0)
     says = np.bincount(visit, lever * space.residual[: space.rows], minlength=count)[able] / sees[able]
-    says = np.clip(says / max(NORMAL * float(np.median(np.abs(says))), 1e-300), -FARTHEST, FARTHEST)
+    says = np.clip(
+        says / max(NORMAL * float(np.median(np.abs(says))), 1e-300), -LARGEST_RESIDUAL_IN_NULL, LARGEST_RESIDUAL_IN_NULL
+    )
     member = sparse.csr_matrix((lever, (visit, np.arange(len(visit)))), shape=(count, len(visit)))
     weight = sparse.diags(1.0 / sees[able]) @ (member @ D)[able]
     length = np.sqrt(np.asarray(weight.multiply(weight).sum(axis=0)).ravel())
@@ -213,7 +217,7 @@ def _refined(estimate: Estimate, space: Space, tried: _Tried) -> Candidate:
         some = np.flatnonzero(c)  # a few visits
         own = c[some] @ space.basis[some]
         left = float(c @ c - own @ own)
-        return -(float(c[some] @ space.residual[some]) ** 2) / left if left > WEAK * float(c @ c) > 0.0 else 0.0
+        return -(float(c[some] @ space.residual[some]) ** 2) / left if left > WEAK_BELOW * float(c @ c) > 0.0 else 0.0
 
     start = np.array(list(at.values()))
     simplex = np.vstack([start, *(start + step[name] * np.eye(len(at))[k] for k, name in enumerate(at))])

@@ -40,15 +40,15 @@ __all__ = [
 ]
 
 
-WEAK = 0.05
-SEEN = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
-NOTHING = 1e-100  # of whitened columns: the inverse square of less is no number
+WEAK_BELOW = 0.05
+LEAST_SHARE_OF_PRIOR = 1e-3  # of a parameter's prior information: what the rows say less about is not worth a direction
+SHORTEST_COLUMN = 1e-100  # of whitened columns: the inverse square of less is no number
 UNSEEN = 1e-6
 """Of the noise: what moves all rows together by less, at the parameter's plausible size, is rounding and no lever.
 
 The weight of an upright arm turns no joint with a vertical axis: its torque comes out as 1e-16 Nm.
 """
-MANY = 512  # columns of candidates that are scored together: more would gain no time, and take memory
+COLUMNS_AT_ONCE = 512  # columns of candidates that are scored together: more would gain no time, and take memory
 SMALLEST_TAIL = 1e-290  # a smaller tail than this may have underflowed
 
 
@@ -178,7 +178,7 @@ def score(space: Space, candidates: Sequence[Candidate]) -> list[Scored]:
         return []
     joined = Joined([c.columns for c in candidates])
     out = list[Scored]()
-    for some, lines in joined.batches(joined.times(space.basis), MANY):
+    for some, lines in joined.batches(joined.times(space.basis), COLUMNS_AT_ONCE):
         by_unit = some.summed(space.by_unit) - lines @ space.basis_by_unit.T
         own = zip(candidates[len(out) :], some.own(lines), some.own(by_unit), strict=False)
         out += [_score_one(space, *one) for one in own]
@@ -194,7 +194,7 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
     Z2 = gram - absorbed.T @ absorbed
     left = np.sqrt(np.maximum(np.diag(Z2), 0.0))
     unit_limit = np.where(left > 0, space.scale / np.where(left > 0, left, 1.0), np.inf)
-    seen = length > NOTHING
+    seen = length > SHORTEST_COLUMN
     if c.reasonable is not None:
         seen &= length * c.reasonable > UNSEEN * space.scale
     none = np.zeros((k, 0))
@@ -211,7 +211,7 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
     retained = float(np.clip(np.sum(left[seen] ** 2 * inverse[seen] ** 2) / np.count_nonzero(seen), 0.0, 1.0))
     least = ABSORBED
     if c.prior is not None:
-        inverse, least = c.prior / space.scale, SEEN
+        inverse, least = c.prior / space.scale, LEAST_SHARE_OF_PRIOR
     values, vectors = linalg.eigh(Z2 * np.outer(inverse, inverse))
     keep = values > least
     if not keep.any():
@@ -245,7 +245,7 @@ def _score_one(space: Space, c: Candidate, lines: Array, by_unit: Array) -> Scor
         log_p=min(float(tail_of(moments, explained)) + float(np.log(len(c.sizes))), 0.0),  # Bonferroni's
         bic=explained - cost,
         retained=retained,
-        state="weak" if retained < WEAK else "testable",
+        state="weak" if retained < WEAK_BELOW else "testable",
         assumed=float(
             np.sum((parts[space.drawn] @ (kept * amplitude)) ** 2) / max(np.sum((kept * amplitude) ** 2), 1e-300)
         ),

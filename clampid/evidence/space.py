@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
-from clampid.effect import WEAK as WEAK_PRIOR
+from clampid.effect import WEAK_SPREAD as WEAK_PRIOR
 from clampid.evidence.columns import Sums
 from clampid.fitting.solve import Estimate
-from clampid.stages.fit_problem import HELD
+from clampid.stages.fit_problem import HELD_STD
 from clampid.stages.rows import Array, Bools, Integers
 
 __all__ = ["ABSORBED", "Space", "space_of"]
@@ -162,7 +162,7 @@ def _opened(estimate: Estimate) -> Array:
     error: what it would explain then is no evidence of anything else.
     """
     precision = estimate.prior_precision.copy()
-    variance, tight = np.diag(estimate.covariance), (HELD * estimate.experiment.sizes()) ** -2.0
+    variance, tight = np.diag(estimate.covariance), (HELD_STD * estimate.experiment.sizes()) ** -2.0
     open_ = (variance * tight > HELD_OPEN) & ~estimate.experiment.fixed()
     held = np.flatnonzero(open_ & (np.diag(precision) > 0.5 * tight))
     precision[held, :] = precision[:, held] = 0.0

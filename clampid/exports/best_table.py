@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy import linalg
 
-from clampid.effect import WEAK
+from clampid.effect import WEAK_SPREAD
 from clampid.exports.determined import reasonable
 from clampid.exports.form_error import FormError, WholeModel, form_error, ranges, whole_model
 from clampid.models.calibrated import calibrated_chain
@@ -156,7 +156,7 @@ def _step(rows: Residual, values: Array, start: Array, size: Array, directions: 
     What is left is no noise, but it says how well these postures determine a parameter, as in a fit to measurements.
     """
     left = rows(values)
-    ridge = np.sqrt(_variance(left)) / WEAK
+    ridge = np.sqrt(_variance(left)) / WEAK_SPREAD
     A = np.vstack([_derivatives(rows, values) @ (size[:, None] * directions), ridge * np.eye(directions.shape[1])])
     b = np.concatenate([left, ridge * (directions.T @ ((values - start) / size))])
     return np.asarray(values - size * (directions @ np.linalg.lstsq(A, b, rcond=None)[0]))
@@ -177,7 +177,7 @@ def _variance(left: Array) -> float:
 def _determined(J: Array, left: Array, size: Array) -> Array:
     """Directions ``(G, k)``, in units of ``size``, that the postures determine to within it."""
     scaled = J * size
-    known, vectors = linalg.eigh(scaled.T @ scaled / _variance(left) + np.eye(len(size)) / WEAK**2)
+    known, vectors = linalg.eigh(scaled.T @ scaled / _variance(left) + np.eye(len(size)) / WEAK_SPREAD**2)
     return np.asarray(vectors[:, known > 1.0])
 
 

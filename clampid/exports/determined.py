@@ -24,7 +24,7 @@ from clampid.stages.stage_kind import known_of
 
 __all__ = ["Determined", "determined_shifts", "fix_undetermined", "in_words", "reasonable", "undetermined_directions"]
 
-SHARE = 0.3  # of the largest entry of a direction: parameters that count as part of the combination
+SHARE_OF_A_COMBINATION = 0.3  # of the largest entry of a direction: parameters that count as part of the combination
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,5 +100,5 @@ def determined_shifts(omission: Sequence[Mapping[str, Any]]) -> list[Mapping[str
 def in_words(slots: list[Slot], direction: Array) -> str:
     """``base_y@session1, flange_y@session1``: the parameters that make up most of a direction ``(P,)``."""
     size = np.abs(direction)
-    parts = [slots[k] for k in np.flatnonzero(size > SHARE * size.max())]
+    parts = [slots[k] for k in np.flatnonzero(size > SHARE_OF_A_COMBINATION * size.max())]
     return ", ".join(f"{slot.parameter}@{slot.place}" for slot in parts)

@@ -58,7 +58,7 @@ __all__ = [
 ROW_COLUMNS = ("theta_offset_rad", "d_m", "a_m", "alpha_rad", "beta_rad")
 FRAME_COLUMNS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 SAID = ("temperature_C", "difference_m")
-OPEN = "not_determined"
+NOT_DETERMINED = "not_determined"
 LEFT = (*(f"left_by_table_{k}_{unit}" for unit in ("m", "rad") for k in ("rms", "max")), "not_in_table")
 COLUMNS = (
     "row",
@@ -66,13 +66,13 @@ COLUMNS = (
     *(f"{s}{c}" for c in (*ROW_COLUMNS, *FRAME_COLUMNS) for s in ("", "std_")),
     *SAID,
     *LEFT,
-    OPEN,
+    NOT_DETERMINED,
 )
 """Columns of the table; a column that does not belong to a row is empty there."""
 
 COLUMN_OF = {f"{name}_{unit}": name for name, unit in (column.rsplit("_", 1) for column in ROW_COLUMNS)}
 MOUNT_TURN_RAD = 0.05  # no zero offset of a working arm is larger; a probe is mounted at any angle
-ROUNDING = 1e-10  # of a number, or of 1 m or rad: a standard error below that is arithmetic
+ARITHMETIC_ERROR = 1e-10  # of a number, or of 1 m or rad: a standard error below that is arithmetic
 NOUGHT = 1e-12  # m and rad: rounding of derivatives
 STANDARD = 1e-6  # the same for standard rows, whose long offsets cancel; beyond it they are refused
 
@@ -116,9 +116,11 @@ class ExportedTable(Exported):
             return self._mount()
         found = [
             f"{'row ' if row['row'].isdigit() else ''}{row['row']}: "
-            + ", ".join(self._beside_nominal(str(row["row"]), column, row[column]) for column in row[OPEN].split())
+            + ", ".join(
+                self._beside_nominal(str(row["row"]), column, row[column]) for column in row[NOT_DETERMINED].split()
+            )
             for _, row in self.table.iterrows()
-            if row[OPEN]
+            if row[NOT_DETERMINED]
         ]
         unsure = f"part of it, not determined by themselves and without standard error: {'; '.join(found)}"
         return (*super().cautions, unsure, *self._mount())
@@ -219,7 +221,7 @@ def dh_export(
     e = left.error
     frame[list(LEFT[:-1])] = e.position_rms, e.position_max, e.orientation_rms, e.orientation_max
     frame[LEFT[-1]] = " ".join(left.effects)
-    frame[OPEN] = frame.pop(OPEN)  # the last column
+    frame[NOT_DETERMINED] = frame.pop(NOT_DETERMINED)  # the last column
     difference = float(frame["difference_m"].iloc[0])
     text, rows = table_text(frame), nominal_rows(nominal, convention)
     combined = fixed.combinations
@@ -279,7 +281,9 @@ def static_table(
     J, covariance = sensitivity(model, moved, session=session, robot=nominal, temperature=temperature, difference=apart)
     std = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", J, covariance, J), 0.0))
     # Of a number that goes with what is fixed the rest of its error says little.
-    std[std < ROUNDING * np.maximum(np.abs(numbers), 1.0)] = 0.0  # a constant: what arithmetic leaves is no error
+    std[std < ARITHMETIC_ERROR * np.maximum(np.abs(numbers), 1.0)] = (
+        0.0  # a constant: what arithmetic leaves is no error
+    )
     free = J[:, : len(spread)] @ spread if spread.size else np.zeros((len(std), 1))
     std[np.sqrt(np.sum(free**2, axis=1)) > std + NOUGHT] = np.nan
     frame = _frame(numbers, std, signs)
@@ -369,8 +373,8 @@ def _frame(numbers: Array, std: Array, signs: list[int]) -> pd.DataFrame:
     for k, end in enumerate(("base", "tool")):
         part = slice(5 * n + 6 * k, 5 * n + 6 * k + 6)
         records.append({"row": end, **_named(FRAME_COLUMNS, numbers[part], std[part])})
-    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT, OPEN)])
-    frame[OPEN] = [_open_columns(row) for row in records]
+    frame = pd.DataFrame(records, columns=[name for name in COLUMNS if name not in (*SAID, *LEFT, NOT_DETERMINED)])
+    frame[NOT_DETERMINED] = [_open_columns(row) for row in records]
     return frame.astype({"sign": "Int64"})
 
 

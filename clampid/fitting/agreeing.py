@@ -8,9 +8,9 @@ The null says that the V visits of which rows would be rejected, K of them, are 
 visits are put in order, and for every stretch from one bad visit to another the likelihood ratio is taken of bad visits
 being more frequent inside than outside; the largest is compared with those of K visits drawn at random. Of categories,
 the hypergeometric tail says the same. The chance that anything is called agreement where nothing agrees is
-:data:`RATE`, over all variables (Bonferroni). Source: Kulldorff, A spatial scan statistic, Communications in Statistics
-26, 1997. Visits are counted, not rows, for what moves one point of a visit may move all of them: what is wrong in one
-visit alone agrees with nothing.
+:data:`AGREEING_FALSE_ALARMS`, over all variables (Bonferroni). Source: Kulldorff, A spatial scan
+statistic, Communications in Statistics 26, 1997. Visits are counted, not rows, for what moves one point of a visit may
+move all of them: what is wrong in one visit alone agrees with nothing.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from scipy import special, stats
 
 from clampid.stages.rows import Array, Bools, Integers, Rows
 
-__all__ = ["MIN_VISITS", "RATE", "Agreement", "agreement"]
+__all__ = ["AGREEING_FALSE_ALARMS", "MIN_VISITS", "Agreement", "agreement"]
 
-RATE = 0.01  # chance that rejected rows of clean tables are said to agree; the same as of a row to be rejected at all
+# Chance that rejected rows of clean tables are said to agree; the same as of a row to be rejected at all.
+AGREEING_FALSE_ALARMS = 0.01
 MIN_VISITS = 4  # visits that agree: of fewer a model with a height, a middle and a width would say anything
-DRAWS = 9999
-AT_ONCE = 2_000_000  # numbers drawn at once, for the memory they take
+NULL_DRAWS = 9999
+NUMBERS_AT_ONCE = 2_000_000  # numbers drawn at once, for the memory they take
 FARTHER = 4.0  # than the rows that agree are off in the median: what is, is wrong beside
 
 
@@ -103,7 +104,7 @@ def agreement(rows: Rows, bad: Bools, size: Array) -> list[Agreement]:
     found: list[Agreement] = []
     while True:
         best = _clearest(rows, left)
-        if best is None or best.p > RATE:
+        if best is None or best.p > AGREEING_FALSE_ALARMS:
             return found
         off = size[best.rows]
         mine = best.rows.copy()
@@ -232,11 +233,11 @@ def _largest(place: Array | Integers, V: int) -> tuple[Array, Integers, Integers
 
 @lru_cache(maxsize=256)
 def _null(V: int, K: int) -> Array:
-    """The same ``(DRAWS,)`` of K visits drawn at random from V."""
+    """The same ``(NULL_DRAWS,)`` of K visits drawn at random from V."""
     rng = np.random.default_rng([V, K])
-    out, step = [], max(1, AT_ONCE // V)
-    for start in range(0, DRAWS, step):
-        count = min(step, DRAWS - start)
+    out, step = [], max(1, NUMBERS_AT_ONCE // V)
+    for start in range(0, NULL_DRAWS, step):
+        count = min(step, NULL_DRAWS - start)
         drawn = np.argpartition(rng.random((count, V)), K - 1, axis=1)[:, :K] if K < V else np.arange(V)[None, :]
         out.append(_largest(np.sort(drawn, axis=1), V)[0])
     return np.concatenate(out)

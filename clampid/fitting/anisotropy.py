@@ -18,7 +18,7 @@ from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["relative_axes"]
 
-RATE = 1e-3  # of isotropic noise taken for another
+ANISOTROPY_FALSE_ALARMS = 1e-3  # of isotropic noise taken for another
 GROUPS = 20  # at least
 AXES = 3
 TINY = 1e-30
@@ -44,7 +44,7 @@ def relative_axes(rows: Rows, residual: Array) -> Array:
     contrast = logs[:, : AXES - 1] - logs.mean(axis=1, keepdims=True)
     mean, spread = contrast.mean(axis=0), np.cov(contrast.T) / len(contrast)
     hotelling = float(mean @ np.linalg.pinv(spread) @ mean) * (len(logs) - AXES + 1) / ((len(logs) - 1) * (AXES - 1))
-    if stats.f.sf(hotelling, AXES - 1, len(logs) - AXES + 1) > RATE:
+    if stats.f.sf(hotelling, AXES - 1, len(logs) - AXES + 1) > ANISOTROPY_FALSE_ALARMS:
         return level
     ratio = np.exp(logs.mean(axis=0) - logs.mean())
     # What groups have in common, the robot's repeatability and what the model lacks, is taken to be alike in all axes.

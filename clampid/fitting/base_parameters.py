@@ -36,7 +36,7 @@ from kinematics.robot import RobotDescription
 __all__ = ["base_parameters", "described_parameters", "grouped", "regroup", "to_joint_points"]
 
 EXACT = 1e-7  # a column whose new part is a smaller share of it is a combination of others, but for rounding
-ROUNDING = 1e-11  # of the largest column: nothing
+NEGLIGIBLE_COLUMN = 1e-11  # of the largest column: nothing
 NOUGHT = 1e-6  # a share this small, in reasonable sizes, is rounding
 OPEN_SHARE = 0.7  # of what was known before: where the data leave more of it, they do not determine
 TENSOR = ("xx", "yy", "zz", "xy", "xz", "yz")
@@ -134,7 +134,7 @@ def regroup(columns: Array, order: Sequence[int], nuisance: Array | None = None)
         U, s, _ = np.linalg.svd(nuisance, full_matrices=False)
         basis = U[:, s > EXACT * s.max(initial=0.0)]
     hidden = basis.shape[1]
-    floor = ROUNDING * float(np.linalg.norm(columns, axis=0).max(initial=0.0))
+    floor = NEGLIGIBLE_COLUMN * float(np.linalg.norm(columns, axis=0).max(initial=0.0))
     kept: list[int] = []
     inside = np.zeros((columns.shape[1], columns.shape[1]))  # rows: basis vectors of the columns kept
     for k in order:

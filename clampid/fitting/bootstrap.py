@@ -22,8 +22,8 @@ from clampid.stages.rows import Array, Integers
 
 __all__ = ["Bootstrap", "bootstrap", "draws", "one_step"]
 
-LEVEL = 0.95
-AT_ONCE = 200  # draws whose matrices are held at once
+CONFIDENCE = 0.95
+DRAWS_AT_ONCE = 200  # draws whose matrices are held at once
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def bootstrap(estimate: Estimate, count: int = 1000, seed: int = 0) -> Bootstrap
         raise ValueError(f"bootstrap: expected two or more draws, found {count}")
     weights = draws(estimate, count, np.random.default_rng(seed))
     theta = one_step(estimate, weights)[:, : len(estimate.slots)]
-    low, high = np.quantile(theta, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+    low, high = np.quantile(theta, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
     return Bootstrap(count, theta.std(axis=0, ddof=1), low, high)
 
 
@@ -88,8 +88,8 @@ def one_step(estimate: Estimate, weights: Array) -> Array:
     precision = estimate.prior_precision * np.outer(size, size)
     pull = estimate.prior_precision @ (estimate.theta - estimate.prior_mean) * size
     out = np.empty((len(weights), len(size)))
-    for start in range(0, len(weights), AT_ONCE):
-        w = weights[start : start + AT_ONCE]
+    for start in range(0, len(weights), DRAWS_AT_ONCE):
+        w = weights[start : start + DRAWS_AT_ONCE]
         normal = np.tensordot(w, A, axes=1) + precision
         slope = w @ g - pull
         for b in range(len(w)):

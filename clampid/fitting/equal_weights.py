@@ -24,12 +24,12 @@ from clampid.fitting.descent import covariance_of
 from clampid.fitting.moments import Moments, minimise
 from clampid.fitting.noise import Noise, groups_of, learn_noise
 from clampid.fitting.solve import Estimate, limits_of, solve, stage_point
-from clampid.stages.prewhitening import REACH, Grouping, Predictors
+from clampid.stages.prewhitening import LONGEST_LAG, Grouping, Predictors
 from clampid.stages.rows import Array, Bools
 
 __all__ = ["Weights", "gradient_power", "informed", "uncorrelated", "with_best_weights"]
 
-RINGING = 4 * REACH
+RINGING = 4 * LONGEST_LAG
 """Rows after the last of a stretch over which a filter's answer to it is still counted."""
 SINGULAR = 1e-12
 """Of the largest eigenvalue of a balanced covariance: what is smaller is a direction of which no row knows anything."""
@@ -135,7 +135,7 @@ def with_best_weights(estimate: Estimate, seed: int) -> tuple[Estimate, Weights 
 
 def uncorrelated(channels: int) -> tuple[Array, ...]:
     """Autocorrelations ``(65,)`` of as many channels, of white noise."""
-    return tuple(np.eye(1, REACH + 1)[0] for _ in range(channels))
+    return tuple(np.eye(1, LONGEST_LAG + 1)[0] for _ in range(channels))
 
 
 def gradient_power(columns: Array, groups: Grouping, predictors: Predictors) -> Array:

@@ -40,7 +40,7 @@ __all__ = [
     "weighted",
 ]
 
-ENOUGH = 20  # rows of a motor from which a median says what an outlier is
+LEAST_ROWS_OF_A_MOTOR = 20  # rows of a motor from which a median says what an outlier is
 
 
 @dataclass(frozen=True)
@@ -325,7 +325,7 @@ def _looked(design: LogDesign, folds: Bools, outliers: Integers, theta: Array) -
 
     scale = NORMAL * medians(sizes)
     limit = np.maximum(np.sqrt(stats.chi2.isf(OUTLIER_RATE / np.maximum(count, 1), 1)), 4.0)
-    limit = np.where(count >= ENOUGH, limit * np.fmax(scale, 1e-12), np.inf)
+    limit = np.where(count >= LEAST_ROWS_OF_A_MOTOR, limit * np.fmax(scale, 1e-12), np.inf)
     bad = [np.zeros(0, dtype=np.int64)]
     if np.any(largest > limit):
         bad += [

@@ -21,7 +21,7 @@ from clampid.stages.rows import Array
 
 __all__ = ["mirrored", "settled"]
 
-ROUNDS = 8
+FLANK_ROUNDS = 8
 SAGS = 1e-5  # of the largest: what loads follow of where the arm stands is a few thousandths of them again
 
 
@@ -43,7 +43,7 @@ def settled(
     search: Callable[[Held, Array], FoundT],
     cost: Callable[[Held, Array], float],
 ) -> FoundT:
-    """Search with flanks held, from ``start`` ``(P,)``, until they stay, come round, or have moved `ROUNDS` times.
+    """Search with flanks held, from ``start`` ``(P,)``, for at most `FLANK_ROUNDS` rounds.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def settled(
     found = search(held, start)
     # Of the searches before the last one only their ends are kept: all that was found there is as large as the rows.
     seen, ends = [held], [found.theta]
-    for _ in range(ROUNDS):
+    for _ in range(FLANK_ROUNDS):
         moved = held_at(found.theta)
         if _same(held, moved):
             return found

@@ -25,7 +25,7 @@ from clampid.stages.rows import Array
 
 __all__ = ["with_friction_start"]
 
-SHARES = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
+SHARES_OF_ROWS = (0.05, 0.2, 0.4, 0.6, 0.8, 0.95)  # of the rows: loads that a friction tried at a joint is as large as
 START_PASSES = 2
 
 
@@ -68,7 +68,7 @@ def _past_flips(estimate: Estimate, friction: int) -> Estimate:
         return estimate
     seen = [_flanks(experiment, estimate.theta)]
     best, reached = None, estimate.cost
-    for value in np.quantile(np.abs(pressing[:, joint]), SHARES):
+    for value in np.quantile(np.abs(pressing[:, joint]), SHARES_OF_ROWS):
         theta = none.copy()
         theta[friction] = value
         flanks = _flanks(experiment, theta)

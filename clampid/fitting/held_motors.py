@@ -26,11 +26,11 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["other_crossings"]
 
-SHARES = (0.1, 0.35, 0.65, 0.9)  # of the rows: where a joint's torque is tried to change its sign
+SIGN_CHANGES_TRIED = (0.1, 0.35, 0.65, 0.9)  # of the rows: where a joint's torque is tried to change its sign
 OUTSIDE_MARGIN = 1.0  # of the noise: as far outside all rows that none changes it
-LARGEST = 2.0  # times the friction that a motor shows: more is not kept
+LARGEST_KEPT_FRICTION = 2.0  # times the friction that a motor shows: more is not kept
 LEAST_CHI_SQUARE = 4.0  # of chi-square: changes of torque worth less say nothing about crossings
-NEAR = 2.0  # of the noise: a torque so small may be of either sign
+UNCLEAR_SIGN = 2.0  # of the noise: a torque so small may be of either sign
 BETTER = 1.0  # of -2 log of the evidence
 MAX_STEPS, DAMPING, SETTLED = 5, 1e-3, 0.1  # of the descent of what is tried; the whole search follows
 CENTRING = 5
@@ -205,7 +205,7 @@ def _tried(sweeps: _Sweeps, own: Array, motor: int, stands: Sequence[list[int]])
     """
     table = _Table.of(sweeps, own, motor)
     n, count = sweeps.rows.robot.n, len(sweeps.clamping)
-    limit = LARGEST * sweeps.rows.sweep.held_friction[motor]
+    limit = LARGEST_KEPT_FRICTION * sweeps.rows.sweep.held_friction[motor]
     levels = [[c for c in table.changes(stand) if abs(table.kept[stand[0]] + c) < limit] for stand in stands]
     found: list[list[tuple[float, tuple[bool, ...], float, Array]]] = [[] for _ in stands]
     for k in range(max(map(len, levels), default=0)):
@@ -280,7 +280,7 @@ class _Table:
             torque, noise = self.torque[mine, self.motor], float(self.spread[mine[0], self.motor])
             smooth = np.array([b.mean() for b in np.array_split(torque, max(len(torque) // BLOCK_ROWS, 1))])
             at = [
-                *np.quantile(smooth, SHARES),
+                *np.quantile(smooth, SIGN_CHANGES_TRIED),
                 smooth.min() - OUTSIDE_MARGIN * noise,
                 smooth.max() + OUTSIDE_MARGIN * noise,
             ]
@@ -293,7 +293,7 @@ class _Table:
         torque = self.torque - change[rows.series.run, None] * self.lever
         angle, _ = standing_angles(rows, self.sweeps.experiment.chain, theta, torque)
         side = torque / np.sqrt(torque**2 + rows.signals["rest_direction"] ** 2)
-        gap = np.where(np.abs(torque) < NEAR * self.spread, self.sweeps.experiment.clearances(theta), 0.0)
+        gap = np.where(np.abs(torque) < UNCLEAR_SIGN * self.spread, self.sweeps.experiment.clearances(theta), 0.0)
         low, high = angle - 0.5 * gap * (1.0 - side), angle + 0.5 * gap * (1.0 + side)
         n, count = torque.shape[1], len(change)
         left, crossed, angles = np.full(count, np.inf), np.zeros(count, dtype=bool), np.zeros((count, n))
@@ -304,7 +304,7 @@ class _Table:
                 lost = np.einsum("nij,nj->ni", self.gain[mine], off) / rows.sigma[mine]
                 left[s] = float((lost**2).sum())
                 below = float((torque[mine, self.motor] < 0.0).mean())
-                crossed[s] = min(SHARES) / 2 < below < 1 - min(SHARES) / 2
+                crossed[s] = min(SIGN_CHANGES_TRIED) / 2 < below < 1 - min(SIGN_CHANGES_TRIED) / 2
         return left, crossed, angles
 
 

@@ -19,7 +19,7 @@ from clampid.stages.rows import Array
 
 __all__ = ["with_kept_friction"]
 
-DRAWS, SEED = 1000, 0
+FRICTION_DRAWS, SEED = 1000, 0
 AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
@@ -54,9 +54,9 @@ def _open(estimate: Estimate, at: float) -> Array:
     gap = experiment.clearances(theta)
     held = ~np.any(rows.signals["motor_motion"][mine] != 0.0, axis=0)
     limit = np.where(held, rows.sweep.held_friction, 0.0)
-    drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (DRAWS, n)) * limit, kept)
+    drawn = np.where(held, np.random.default_rng(SEED).choice([-1.0, 1.0], (FRICTION_DRAWS, n)) * limit, kept)
     T = np.asarray(rows.robot.transmission)
-    other = torque + np.linalg.solve(T, (kept - drawn).T).T[:, None, :]  # (DRAWS, 2, n)
+    other = torque + np.linalg.solve(T, (kept - drawn).T).T[:, None, :]  # (FRICTION_DRAWS, 2, n)
     passed = 0.5 * (np.sign(other[:, 1]) - np.sign(other[:, 0])) - 0.5 * (np.sign(torque[1]) - np.sign(torque[0]))
     slip = (passed * gap) @ np.linalg.pinv(rows.sweep.inverse_jacobian[beside[0]]).T
-    return np.asarray(slip.T @ slip / DRAWS)
+    return np.asarray(slip.T @ slip / FRICTION_DRAWS)

@@ -14,7 +14,7 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 
 __all__ = ["cross_fitted", "log_errors", "parts_of"]
 
-ENOUGH = 20  # triples of rows from which noise is read
+LEAST_TRIPLES = 20  # triples of rows from which noise is read
 _NONE = np.zeros(0, dtype=np.int64)
 
 
@@ -110,7 +110,7 @@ def log_errors(
 def _noise_floor(floor: _Floor, fitted: _Squares) -> Array:
     """The noise floor of the motors ``(n,)``, Nm."""
     bent, all_of_it = floor.squares / np.maximum(floor.count, 1) / 1.5, fitted.squares / np.maximum(fitted.count, 1)
-    spread = np.sqrt(np.where(floor.count > ENOUGH, bent, all_of_it))
+    spread = np.sqrt(np.where(floor.count > LEAST_TRIPLES, bent, all_of_it))
     return np.asarray(np.maximum(np.where(fitted.count > 0, spread, 1.0), 1e-12))
 
 

@@ -29,7 +29,7 @@ def has_many_amplitudes(experiment: FitProblem, noise: Noise) -> bool:
     """Whether normal equations of this experiment are found faster by stations."""
     if not experiment.kind.points or noise.autocorrelations or noise.wander:
         return False
-    return bool(np.bincount(experiment.chain.station, minlength=1).max() >= poses.MANY)
+    return bool(np.bincount(experiment.chain.station, minlength=1).max() >= poses.PARAMETERS_OF_A_LARGE_CHAIN)
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,11 @@ class AmplitudePoint:
     @cached_property
     def _normal(self) -> tuple[Array, Array]:
         d, s = self.deviations, self._levers
-        many = [(a, run) for a, run in self.experiment.chain.runs if run.stop - run.start >= poses.MANY]
+        many = [
+            (a, run)
+            for a, run in self.experiment.chain.runs
+            if run.stop - run.start >= poses.PARAMETERS_OF_A_LARGE_CHAIN
+        ]
         apart = np.ones(len(d.station), dtype=bool)
         for _, run in many:
             apart[run] = False

@@ -28,9 +28,11 @@ from experiments.measures.metrics import norm_metrics
 
 __all__ = ["compared", "mean_norm"]
 
-ALIKE = 2 / 3 * np.sqrt(2 / np.pi)  # E[1 - uu']/|e|, times sigma, an axis: of Gaussian errors in three dimensions
+CURVATURE_OF_NORM = (
+    2 / 3 * np.sqrt(2 / np.pi)
+)  # E[1 - uu']/|e|, times sigma, an axis: of Gaussian errors in three dimensions
 TOLERANCE, MAX_SLSQP_STEPS = 1e-9, 1000  # of the cost in units of chi-square; of SLSQP
-NEAREST = 1e-3  # of sigma: a point that is met more closely than this counts as that far off in H
+LEAST_RESIDUAL = 1e-3  # of sigma: a point that is met more closely than this counts as that far off in H
 
 
 def mean_norm(estimate: Estimate) -> Estimate:
@@ -62,7 +64,7 @@ def mean_norm(estimate: Estimate) -> Estimate:
     used[:, 3:] = False
     trial = estimate.experiment.with_rows(replace(rows, used=used))
     sigma = float(np.sqrt(np.mean(estimate.residual[used[:, 0], :3] ** 2)))
-    kappa = ALIKE * sigma
+    kappa = CURVATURE_OF_NORM * sigma
     theta = settled(
         estimate.theta,
         lambda at: [trial.with_flanks(at)],
@@ -71,14 +73,14 @@ def mean_norm(estimate: Estimate) -> Estimate:
     ).theta
     held = trial.with_flanks(theta)
     error = np.linalg.norm(held.residual(theta)[0][:, :3], axis=1)
-    variance = kappa * np.maximum(error, NEAREST * sigma)
+    variance = kappa * np.maximum(error, LEAST_RESIDUAL * sigma)
     noise = Noise(np.repeat(np.sqrt(variance)[:, None], rows.measured.shape[1], axis=1))
     point = stage_point(held, noise, theta)
     return replace(
         estimate,
         experiment=trial,
         theta=theta,
-        covariance=_covariance(held, theta, estimate.prior_precision, kappa, NEAREST * sigma),
+        covariance=_covariance(held, theta, estimate.prior_precision, kappa, LEAST_RESIDUAL * sigma),
         noise=noise,
         whitened=point.white,
         residual=point.residual,

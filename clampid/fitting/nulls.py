@@ -14,7 +14,7 @@ from clampid.stages.rows import Array, Bools
 
 __all__ = ["assumed_of", "named_directions", "null_directions"]
 
-WEAK = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
+LEAST_INFORMATION = 1.0  # a direction in which the data say less than a parameter's reasonable size already did
 SILENT = 1e-4  # of a single parameter: not known to within a hundred reasonable sizes, which none has
 
 
@@ -63,7 +63,7 @@ def named_directions(
     information = information + np.where(np.abs(known).sum(axis=1).max(initial=0.0) > 0, prior, 0.0)
     silent = np.diag(information) < SILENT
     # Parameters that only a prior keeps apart are told as a whole, by the place that they belong to, not one by one.
-    information = information + np.diag(np.where(assumed, 2.0 * WEAK, 0.0))
+    information = information + np.diag(np.where(assumed, 2.0 * LEAST_INFORMATION, 0.0))
     out = []
     groups: dict[str, list[str]] = {}
     for slot in (s for s, alone in zip(slots, silent, strict=True) if alone):
@@ -75,7 +75,7 @@ def named_directions(
         frozenset[int], int
     ] = {}  # which parameters share an open direction, and how many such there are
     for value, vector in zip(values, vectors.T, strict=True):
-        if value >= WEAK or len(out) + len(open_together) >= limit:
+        if value >= LEAST_INFORMATION or len(out) + len(open_together) >= limit:
             break
         main = np.argsort(-np.abs(vector))
         parts = frozenset(int(k) for k in main[:4] if abs(vector[k]) > 0.25) or frozenset([int(main[0])])

@@ -32,10 +32,10 @@ from kinematics.screws import exp_so3, inverse, log_se3
 
 __all__ = ["OpenTurn", "from_likeliest_turn", "open_turns", "with_open_base"]
 
-SMALL = 0.1  # rad: a turn that is off by less changes what an effect shows along its own direction by 0.5 %
+SMALL_TURN = 0.1  # rad: a turn that is off by less changes what an effect shows along its own direction by 0.5 %
 POINT_ERROR_M, POINT_ERROR_RAD = 1e-3, 2e-3  # what a link of a described robot is off by, as `geometry` has it
 TRIMMED = 0.05  # of the points, those farthest off: a wrong row must not make an area of a line
-DRAWS, SEED = 64, 0
+BASE_DRAWS, SEED = 64, 0
 COARSE, FINE = 36, 11  # turns about one open axis that a fit tries, all round and between two of these
 SEVERAL = 300  # turns about several
 
@@ -106,7 +106,7 @@ def _open(rows: Rows, session: int, points: Array, error: float) -> OpenTurn | N
     precision = lever / error**2 + _stated(rows, session, centre)
     values, vectors = np.linalg.eigh(precision)
     std = 1.0 / np.sqrt(np.maximum(values, 1e-12))
-    loose = std > SMALL
+    loose = std > SMALL_TURN
     if not loose.any():
         return None
     axes = vectors.T[loose]
@@ -196,10 +196,10 @@ def with_open_base(estimate: Estimate) -> Estimate:
     if not turns:
         return estimate
     rng = np.random.default_rng(SEED)
-    angles = [_draws(turn, rng, DRAWS) for turn in turns]
+    angles = [_draws(turn, rng, BASE_DRAWS) for turn in turns]
     index = {slot: k for k, slot in enumerate(estimate.slots)}
-    off = np.zeros((DRAWS, len(estimate.theta)))
-    for k in range(DRAWS):
+    off = np.zeros((BASE_DRAWS, len(estimate.theta)))
+    for k in range(BASE_DRAWS):
         there = rows
         for turn, drawn in zip(turns, angles, strict=True):
             there = _turned(there, turn, drawn[k])
@@ -212,4 +212,4 @@ def with_open_base(estimate: Estimate) -> Estimate:
         trial = estimate.experiment.with_rows(there)
         at = _stepped(trial, estimate.noise, estimate.theta, estimate.prior_precision, estimate.prior_mean)
         off[k] += at - estimate.theta
-    return replace(estimate, covariance=estimate.covariance + off.T @ off / DRAWS)
+    return replace(estimate, covariance=estimate.covariance + off.T @ off / BASE_DRAWS)

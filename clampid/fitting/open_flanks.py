@@ -33,7 +33,7 @@ from clampid.stages.rows import Array, Bools, Integers
 __all__ = ["with_open_flanks"]
 
 LEAN = 5e-4  # rad: half a millimetre in a metre, of a spirit level and of axis 1 against the robot's foot
-DRAWS, SEED = 4000, 0
+FLANK_DRAWS, SEED = 4000, 0
 
 
 def with_open_flanks(estimate: Estimate) -> Estimate:
@@ -53,7 +53,7 @@ def with_open_flanks(estimate: Estimate) -> Estimate:
         return estimate
     side = np.where(turned[some][:, :, own], -1.0, 1.0)
     side = np.concatenate([np.ones((1, *side.shape[1:])), side])
-    share = np.r_[np.mean(~some), np.full(some.sum(), 1.0 / DRAWS)]
+    share = np.r_[np.mean(~some), np.full(some.sum(), 1.0 / FLANK_DRAWS)]
     theta, weight = _fitted(estimate, np.array(list(gaps.values()))[own], visit, side, share)
     found = estimate
     if weight[0] < 0.5:
@@ -95,8 +95,8 @@ def _turned(estimate: Estimate, joints: Sequence[int], pressing: Array, first: I
     own = [values.get(slot_of("arm_friction", f"joint{j + 1}"), 0.0) for j in joints]
     fitted = np.maximum(own, 0.0)
     by_lean, now = (v[first][:, joints] for v in (signals["lean_torque"], pressing))
-    friction = fitted + least * rng.uniform(0.0, 2.0, (DRAWS, 1))
-    lean = LEAN * rng.standard_normal((DRAWS, 1, 3)) * ((fitted + least) / friction)[:, :, None]
+    friction = fitted + least * rng.uniform(0.0, 2.0, (FLANK_DRAWS, 1))
+    lean = LEAN * rng.standard_normal((FLANK_DRAWS, 1, 3)) * ((fitted + least) / friction)[:, :, None]
     pressed = now + np.einsum("vmx,kmx->kvm", by_lean, lean)
     return lean, np.asarray(pressed * now < 0)
 

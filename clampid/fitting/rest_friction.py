@@ -29,13 +29,13 @@ from clampid.role_slots import has_role
 from clampid.roles import WEIGHTS
 from clampid.slots import Prior, Slot
 from clampid.stages import poses
-from clampid.stages.fit_problem import HELD, FitProblem
+from clampid.stages.fit_problem import HELD_STD, FitProblem
 from clampid.stages.pose_rows import REST_FRICTION
 from clampid.stages.rows import Array, Integers
 
 __all__ = ["RestFriction", "with_open_friction", "with_rest_friction"]
 
-ROUNDS = 6  # of all joints, at most
+ROUNDS_OF_JOINTS = 6  # of all joints, at most
 CELLS, LEAST = 2000, 33  # values tried, at most and at least
 VARIES = 0.1  # of the heaviest load
 TAIL_NODES, TAIL_DEVIATIONS = (
@@ -97,7 +97,7 @@ def with_rest_friction(
             free = _misses(experiment, experiment.error(theta))
             return RestFriction(start, None if free else _held(experiment, open_, theta))
     estimate = _solved(experiment, priors, open_, theta)
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS_OF_JOINTS):
         before = estimate
         for k in open_:
             value = _Profile.of(estimate, k).likeliest
@@ -162,7 +162,7 @@ def _open(experiment: FitProblem, priors: Sequence[Prior]) -> list[int]:
 
 
 def _held(experiment: FitProblem, open_: Sequence[int], theta: Array) -> Prior:
-    tight = HELD * experiment.sizes()[list(open_)]
+    tight = HELD_STD * experiment.sizes()[list(open_)]
     return Prior(tuple(experiment.slots[k] for k in open_), theta[list(open_)], np.diag(tight**2))
 
 

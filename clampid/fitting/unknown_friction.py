@@ -16,12 +16,12 @@ import numpy as np
 
 from clampid.fitting.many_amplitudes import has_many_amplitudes
 from clampid.fitting.solve import Estimate, Shared, holding, point_at, solve
-from clampid.stages.fit_problem import HELD
+from clampid.stages.fit_problem import HELD_STD
 from clampid.stages.rows import Array
 
 __all__ = ["at_no_friction", "unknown_frictions", "without_unknown_friction"]
 
-SHOWN = 3.0  # standard errors: a spring that is not known, and still no chance
+CERTAIN_SPRING = 3.0  # standard errors: a spring that is not known, and still no chance
 WORSE = 1.0  # of chi-square: what a number that is not there would gain by chance on average
 
 
@@ -68,7 +68,7 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
     """The fit with some frictions held at none, its covariance as if they were free there."""
     experiment, precision, mean = estimate.experiment, estimate.prior_precision, estimate.prior_mean
     moot, value = _moot(estimate, unknown)
-    theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(experiment, precision, moot, HELD)
+    theta, at_zero, held = estimate.theta.copy(), mean.copy(), holding(experiment, precision, moot, HELD_STD)
     theta[moot] = at_zero[moot] = value
     shared = Shared.at(estimate.whitened.normal) if has_many_amplitudes(experiment, estimate.noise) else None
     found = solve(experiment, theta, estimate.noise, held, at_zero, errors=False, shared=shared)
@@ -77,7 +77,7 @@ def at_no_friction(estimate: Estimate, unknown: Sequence[int]) -> Estimate:
 
 def _untold_springs(estimate: Estimate) -> list[int]:
     """Numbers of the compliances that a fit's rows do not determine, nor set apart from what springs are taken for."""
-    clear = np.abs(estimate.theta - estimate.prior_mean) > SHOWN * estimate.std
+    clear = np.abs(estimate.theta - estimate.prior_mean) > CERTAIN_SPRING * estimate.std
     known = estimate.identified | clear
     return [k for k in estimate.experiment.numbers_of("compliance") if not known[k]]
 

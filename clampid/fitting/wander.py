@@ -23,10 +23,10 @@ from scipy import linalg, stats
 from clampid.stages.presliding import recurrence
 from clampid.stages.rows import Array, Integers, Rows
 
-__all__ = ["RATE", "Course", "Wander", "course_of", "in_time", "wander_of"]
+__all__ = ["WANDER_FALSE_ALARMS", "Course", "Wander", "course_of", "in_time", "wander_of"]
 
-RATE = 0.01  # chance that a reading that does not wander is said to
-GRID = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
+WANDER_FALSE_ALARMS = 0.01  # chance that a reading that does not wander is said to
+STEP_VARIANCES = (0.0, *(float(10.0**k) for k in np.arange(-7.0, 0.6, 0.5)))
 INDEPENDENT = 1e-8  # of a column's length, beyond the others
 
 
@@ -137,10 +137,12 @@ def wander_of(courses: Sequence[Course], residuals: Sequence[Array], columns: Se
         determinant = 2.0 * float(np.sum(np.log(length[:-1])))
         return float(freedom * 2.0 * np.log(length[-1]) + spread + determinant)
 
-    values = [unlikely(wander) for wander in GRID]
+    values = [unlikely(wander) for wander in STEP_VARIANCES]
     best = int(np.argmin(values))
     gain = values[0] - values[best]
-    return Wander(GRID[best], gain) if gain > stats.chi2.isf(2.0 * RATE, 1) else Wander(0.0, 0.0)
+    return (
+        Wander(STEP_VARIANCES[best], gain) if gain > stats.chi2.isf(2.0 * WANDER_FALSE_ALARMS, 1) else Wander(0.0, 0.0)
+    )
 
 
 def _basis(columns: Array) -> Array:

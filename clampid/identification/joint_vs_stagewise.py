@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from clampid.models.agreement import LEVEL, stands_out
+from clampid.models.agreement import AGREEMENT_FALSE_ALARMS, stands_out
 from clampid.models.model import StageModel
 from clampid.slots import Slot
 
@@ -76,7 +76,7 @@ def joint_fit_disagreements(
     alone, together = apart.std[tested], joint.std[tested]
     spread = np.sqrt(np.maximum(alone**2 - together**2, MIN_VARIANCE_SHARE * alone**2))
     z = (joint.theta[tested] - apart.theta[tested]) / spread
-    found = stands_out(2.0 * stats.norm.sf(np.abs(z)), LEVEL)
+    found = stands_out(2.0 * stats.norm.sf(np.abs(z)), AGREEMENT_FALSE_ALARMS)
     return tuple(
         StageDisagreement(
             apart.slots[k],

@@ -24,7 +24,7 @@ from clampid.stages.rows import Array, Integers, Rows
 
 __all__ = ["Change", "change_between", "paired_change"]
 
-ROUNDING = 1e-6  # of an error: two fits of the same model differ by less
+SAME_FIT = 1e-6  # of an error: two fits of the same model differ by less
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Change:
         With fewer than two poses or runs there is no standard error, and any rise counts.
         """
         least = self.std if math.isfinite(self.std) else 0.0
-        return self.rise > max(least, ROUNDING * self.before)
+        return self.rise > max(least, SAME_FIT * self.before)
 
     @property
     def within_noise(self) -> bool:

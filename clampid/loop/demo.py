@@ -36,7 +36,7 @@ WRITTEN = (
 """What it writes into its folder, beside what it says it hid."""
 ROBOT = "kuka_kr20_r1810"
 FOUND = "It was found."
-OPEN = "It is one of those that these data do not distinguish."
+ONE_OF_SEVERAL = "It is one of those that these data do not distinguish."
 MISSED = "It was not found."
 Working = Callable[[str], AbstractContextManager[None]]
 
@@ -227,7 +227,7 @@ def _outcome(item: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
     candidates = [c for part in stages for c in part["candidates"] if c["effect"] == item["effect"]]
     if not candidates:
         return MISSED
-    return OPEN if all(c["alternative"] for c in candidates) else FOUND
+    return ONE_OF_SEVERAL if all(c["alternative"] for c in candidates) else FOUND
 
 
 def _write(path: Path, data: Mapping[str, Any]) -> None:

@@ -34,7 +34,7 @@ __all__ = ["LiveFit", "campaign_so_far", "fit_of"]
 
 Entries = Sequence[Mapping[str, Any]]
 GROWN = 1.4  # times the rows of the last fit
-SHARE = 0.2  # of the time that fits may take
+SHARE_OF_TIME = 0.2  # of the time that fits may take
 ODD = 1.3  # times the noise floor
 MOST_LINES = 10
 
@@ -105,7 +105,7 @@ class LiveFit:
         """Fit, if it is time; returns why the run may end, if enough is known."""
         rows = sum(len(frame) for frame in tables_of(self._entries()).values())
         waited = time.monotonic() - self._last
-        if rows < GROWN * self._rows or (waited < self._took / SHARE and not self._until):
+        if rows < GROWN * self._rows or (waited < self._took / SHARE_OF_TIME and not self._until):
             return None
         start = time.monotonic()
         try:

@@ -24,7 +24,7 @@ from clampid.stages.stage_kind import acts_with
 
 __all__ = ["Agreement", "agreement_of", "is_of_drives", "shared_drives", "stands_out"]
 
-LEVEL = 0.05  # chance that any joint of drives that do agree is called different
+AGREEMENT_FALSE_ALARMS = 0.05  # chance that any joint of drives that do agree is called different
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def agreement_of(
     p = 2.0 * stats.norm.sf(np.abs(z))
     differs = np.zeros(len(slots), dtype=bool)
     tested = np.flatnonzero(known)
-    differs[tested] = stands_out(p[tested], LEVEL)
+    differs[tested] = stands_out(p[tested], AGREEMENT_FALSE_ALARMS)
     words = np.where(~known, "not testable", np.where(differs, "differs", "agrees"))
     found = tuple(
         Agreement(

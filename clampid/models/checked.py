@@ -21,12 +21,22 @@ __all__ = ["check_model", "check_slot"]
 
 MOST_JOINTS = 50
 MOST_NAMES = 10_000
-LONGEST = 200  # characters of a name
+LONGEST_NAME = 200  # characters of a name
 LONGEST_PATH = 4096
 LARGEST_TOOL = 1e4  # kg
 RIGID = 1e-6  # of a rotation written with all its digits
-FARTHEST = 1e5  # m: of an instrument from its robot, with room for coordinates of a hall or a site
-LARGEST = {"rad": 100.0, "m": 100.0, "kg": 1e5, "kg m": 1e6, "kg m^2": 1e7, "s": 1e9, "rad/s": 1e6, "Nm": 1e8, "N": 1e8}
+FARTHEST_INSTRUMENT = 1e5  # m: of an instrument from its robot, with room for coordinates of a hall or a site
+LARGEST_VALUE = {
+    "rad": 100.0,
+    "m": 100.0,
+    "kg": 1e5,
+    "kg m": 1e6,
+    "kg m^2": 1e7,
+    "s": 1e9,
+    "rad/s": 1e6,
+    "Nm": 1e8,
+    "N": 1e8,
+}
 """Of a value, by its unit: beyond, it is in another unit or spoiled."""
 LARGEST_OF_ALL = 1e15
 
@@ -66,7 +76,7 @@ def check_model(data: Mapping[str, Any]) -> None:
     for part in _tables(at, "ledger"):
         part.text("stage", STAGES)
         for key in ("effects", "added"):
-            part.texts(key, longest=LONGEST)
+            part.texts(key, longest=LONGEST_NAME)
         for key in ("rms", "heldout_rms", "noise_floor"):
             part.number(key, 0.0)
         part.section("evidence")
@@ -102,7 +112,9 @@ def _tables(at: Section, key: str) -> list[Section]:
 
 def _layout(at: Section) -> Layout:
     joints = at.integer("joints", 1, MOST_JOINTS)
-    targets, anchors, sessions = (at.texts(k, longest=LONGEST, once=True) for k in ("targets", "anchors", "sessions"))
+    targets, anchors, sessions = (
+        at.texts(k, longest=LONGEST_NAME, once=True) for k in ("targets", "anchors", "sessions")
+    )
     wrist = at.value("wrist", "a list of joints")
     if not isinstance(wrist, list) or any(type(joint) is not int or not 0 <= joint < joints for joint in wrist):
         raise at.fault("wrist", f"joints from 0 to {joints - 1}", shown(wrist))
@@ -114,7 +126,7 @@ def _session(at: Section) -> None:
     at.text("name")
     at.text("fingerprint")
     at.number("tool_mass_kg", 0.0, LARGEST_TOOL, "kg")
-    at.texts("targets", longest=LONGEST)
+    at.texts("targets", longest=LONGEST_NAME)
     for key, count, most in (("tool_com_m", 3, 100.0), ("gravity_m_s2", 3, 100.0), ("temperature_C", 2, 1e4)):
         at.vector(key, count, -most, most, default=None)
     _rigid(at, "base_reference")
@@ -124,12 +136,12 @@ def _session(at: Section) -> None:
     at.done()
 
 
-ROUNDING = 1e-6  # of what a file says twice
+SAID_TWICE = 1e-6  # of what a file says twice
 READ_ELSEWHERE = ("outliers", "base_parameters", "observability", "bootstrap", "told", "ranges")
 
 
 def _stage(at: Section, layout: Layout) -> None:
-    at.texts("effects", longest=LONGEST)
+    at.texts("effects", longest=LONGEST_NAME)
     slots: set[Slot] = set()
     for part in _tables(at, "parameters"):
         slot = Slot(*(part.text(key) for key in ("effect", "parameter", "at")))
@@ -142,7 +154,7 @@ def _stage(at: Section, layout: Layout) -> None:
                 check_slot(slot, catalogue(), layout)
             except ValueError as error:
                 raise ValueError(f"key {part.place}: {error}") from None
-            most = LARGEST.get(find_parameter(slot, catalogue()).unit, LARGEST_OF_ALL)
+            most = LARGEST_VALUE.get(find_parameter(slot, catalogue()).unit, LARGEST_OF_ALL)
         part.number("value", -most, most)
         part.number("std", 0.0)
         part.flag("identified")
@@ -172,8 +184,8 @@ def _covariance(at: Section, count: int) -> None:
     found = np.array(at.content["covariance"], dtype=float).reshape(count, count)
     std = np.sqrt(np.diag(found))
     allowed = np.outer(std, std)
-    wrong = np.abs(found) > allowed * (1 + ROUNDING)
-    wrong |= np.abs(found - found.T) > allowed * ROUNDING
+    wrong = np.abs(found) > allowed * (1 + SAID_TWICE)
+    wrong |= np.abs(found - found.T) > allowed * SAID_TWICE
     if wrong.any():
         k, j = map(int, np.argwhere(wrong)[0])
         raise at.fault(
@@ -191,8 +203,8 @@ def _rigid(at: Section, key: str) -> None:
     turn, far = rows[:3, :3], np.abs(rows[:3, 3]).max()
     with np.errstate(all="ignore"):
         stiff = np.abs(turn @ turn.T - np.eye(3)).max() < RIGID and np.linalg.det(turn) > 0
-    if not (stiff and far <= FARTHEST and np.array_equal(rows[3], [0, 0, 0, 1])):
-        raise at.fault(key, f"a rotation and a shift of at most {FARTHEST:g} m", shown(rows.tolist()))
+    if not (stiff and far <= FARTHEST_INSTRUMENT and np.array_equal(rows[3], [0, 0, 0, 1])):
+        raise at.fault(key, f"a rotation and a shift of at most {FARTHEST_INSTRUMENT:g} m", shown(rows.tolist()))
 
 
 def _matrix(at: Section, key: str, count: int, width: int) -> list[list[float]]:

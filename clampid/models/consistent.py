@@ -40,13 +40,13 @@ __all__ = ["ConsistentArm", "consistent_arm", "off_by", "reference_bodies"]
 NAMES = ("m", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 WEIGHTS = 10.0 ** np.arange(2.0, -2.1, -0.25)  # 25 holds masses to 10 %, 1 to a factor of two
 ALLOWED = 0.25  # of chi-square a base parameter: half a standard error of each is what the description's pull may cost
-SHARE = 0.3  # of a link's length: the radius of gyration of a link of unknown inertia
+GYRATION_SHARE = 0.3  # of a link's length: the radius of gyration of a link of unknown inertia
 LEAST_RADIUS = 0.05  # m
 UNKNOWN_MASS, LUMPED_MASS = 5.0, 0.5  # kg: of a link of an arm without described masses; of one lumped into another
 LEAST_ROTOR = 0.02  # kg m²
 MAX_STEPS = 200
 DONE, ROUNDING = 1e-9, 1e-3  # of Newton's decrement, in units of chi-square
-SHORTEST = 1e-9
+SHORTEST_STEP = 1e-9
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def reference_bodies(robot: RobotDescription) -> Array:
         else:
             mass, centre, inertia = body.mass, np.asarray(body.com), body.inertia
         if inertia is None or np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)[0] <= 0.0:
-            radius = max(SHARE * float(np.linalg.norm(end - joint.point)), LEAST_RADIUS)
+            radius = max(GYRATION_SHARE * float(np.linalg.norm(end - joint.point)), LEAST_RADIUS)
             inertia = mass * radius**2 * np.eye(3)
         own = inertial_parameters(mass, centre, inertia, joint.point)
         own[1:4] -= mass * joint.point
@@ -193,9 +193,9 @@ class _Problem:
             if decrement < DONE:
                 return x, True
             now, length = self.cost(x, weight), 1.0
-            while length > SHORTEST and not self.cost(x + length * step, weight) <= now - 0.1 * length * decrement:
+            while length > SHORTEST_STEP and not self.cost(x + length * step, weight) <= now - 0.1 * length * decrement:
                 length *= 0.5
-            if length <= SHORTEST:
+            if length <= SHORTEST_STEP:
                 return x, decrement < ROUNDING  # the cost cannot be lowered any more
             x = x + length * step
         return x, False

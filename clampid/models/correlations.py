@@ -14,10 +14,10 @@ import numpy as np
 from clampid.models.model import StageModel
 from clampid.slots import Slot
 
-__all__ = ["SHOWN", "STRONG", "Correlation", "correlations"]
+__all__ = ["PAIRS_SHOWN", "STRONG", "Correlation", "correlations"]
 
 STRONG = 0.9  # from which size on a correlation is reported
-SHOWN = 20  # of a stage, to people
+PAIRS_SHOWN = 20  # of a stage, to people
 
 
 @dataclass(frozen=True)

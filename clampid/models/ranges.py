@@ -2,9 +2,9 @@
 
 Of every joint's angle and gravity torque, of every link's temperature and of the tool's mass a model keeps the lowest
 and the highest of the rows that it was fitted to, each by itself, over all sessions: the robot is theirs together. A
-value is beyond where it leaves that range by more than :data:`MARGIN` of its width. Angles of joints that turn count
-but for whole turns, because the arm stands there as it does here. Torques are those of the described links with the
-declared tool, which is what a command knows as well.
+value is beyond where it leaves that range by more than :data:`RANGE_MARGIN` of its width. Angles of joints that turn
+count but for whole turns, because the arm stands there as it does here. Torques are those of the described links with
+the declared tool, which is what a command knows as well.
 
 Beyond a range the stated uncertainty grows. Geometry, springs, bending and ratios are laws: their covariance through
 the Jacobian grows by itself. Of an effect that is an empirical form (``known_within`` in its file) the form itself is
@@ -32,8 +32,8 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 from experiments.temperatures import REFERENCE_TEMPERATURE
 
 __all__ = [
-    "MARGIN",
     "QUANTITIES",
+    "RANGE_MARGIN",
     "Beyond",
     "Empirical",
     "Ranges",
@@ -46,7 +46,7 @@ __all__ = [
     "reads_temperature",
 ]
 
-MARGIN = 0.02  # of a range's width, by which values may leave it: noise, and poses that were meant to be the same
+RANGE_MARGIN = 0.02  # of a range's width, by which values may leave it: noise, and poses that were meant to be the same
 QUANTITIES = ("angle", "gravity torque", "link temperature")
 """What is kept for each joint or link; rad (m of a joint that slides), Nm, degC."""
 
@@ -120,7 +120,7 @@ class Ranges:
     @cached_property
     def reach(self) -> Array:
         """``(3, n)``: how far from the middle a value may be."""
-        return 0.5 * (self.upper - self.lower) + MARGIN * self.width
+        return 0.5 * (self.upper - self.lower) + RANGE_MARGIN * self.width
 
     @cached_property
     def turns(self) -> Bools:
@@ -151,7 +151,7 @@ class Ranges:
     def beyond_mass(self, mass: float) -> tuple[Beyond, ...]:
         """The tool's mass, kg, if it is beyond."""
         low, high = self.tool_mass
-        margin = MARGIN * max(high - low, LEAST_MASS)
+        margin = RANGE_MARGIN * max(high - low, LEAST_MASS)
         return () if low - margin <= mass <= high + margin else (Beyond("tool mass", "tool", mass, low, high, "kg"),)
 
     def _beyond(self, kind: int, index: int, value: float) -> Beyond:

@@ -33,7 +33,7 @@ __all__ = ["ClampingWishes", "careful_limits", "in_order", "plan_clamping", "pla
 
 
 POSTURES = 16
-TRIED = 600  # configurations among which postures are looked for
+POSTURES_TRIED = 600  # configurations among which postures are looked for
 STEPS_PER_QUARTER = (8, 16, 32)  # steps in a quarter of a sweep
 MOST_SWEEPS = 24  # each has unknowns of its own, which a fit has to carry along
 MOST_CLAMPINGS = 3
@@ -164,7 +164,7 @@ def _check(cell: Cell, press: Press, time: float) -> None:
 
 def postures_for(cell: Cell, limits: Limits, scene: Scene, seed: int) -> Array:
     """Postures clear of everything, far from singular, unlike each other."""
-    q = configurations(limits, TRIED, scene.clear, seed, why="clear of floor and obstacles")
+    q = configurations(limits, POSTURES_TRIED, scene.clear, seed, why="clear of floor and obstacles")
     condition = np.array([np.linalg.cond(flange_jacobian(cell.robot, row)) for row in q])
     good = q[condition < SINGULAR]
     if not len(good):

@@ -27,7 +27,7 @@ from experiments.plans.press import holding_torque
 __all__ = ["PAUSE_S", "ClampingBench", "cost_of", "duration_of"]
 
 PAUSE_S = 20.0  # between sweeps
-CHUNK = 6  # sweeps worked out at once: each has unknowns of its own
+SWEEPS_AT_ONCE = 6  # sweeps worked out at once: each has unknowns of its own
 
 
 class ClampingBench:
@@ -76,8 +76,8 @@ class ClampingBench:
     def tell(self, sweeps: Sequence[Sweep]) -> list[Array]:
         """Information ``(P, P)``, SI, of each sweep, its own unknown posture taken off."""
         out: list[Array] = []
-        for start in range(0, len(sweeps), CHUNK):
-            out += self._tell(sweeps[start : start + CHUNK])
+        for start in range(0, len(sweeps), SWEEPS_AT_ONCE):
+            out += self._tell(sweeps[start : start + SWEEPS_AT_ONCE])
         return out
 
     def _tell(self, sweeps: Sequence[Sweep]) -> list[Array]:

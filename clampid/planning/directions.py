@@ -19,7 +19,7 @@ __all__ = ["balanced", "confounded", "covariates_of"]
 
 BALANCING_PASSES = 4  # over all joints
 SWAPS = 200  # of one joint in a pass
-TRIED = 10  # swaps that are looked at before a joint is left as it is
+SWAPS_TRIED = 10  # swaps that are looked at before a joint is left as it is
 GAIN = 1e-6
 Feasible = Callable[[int, Array], bool]
 
@@ -95,7 +95,7 @@ def _swap(signs: Array, j: int, kernel: Array, feasible: Feasible) -> None:
         up, down = np.flatnonzero(s > 0), np.flatnonzero(s < 0)
         alone = _flip_gain(s, kernel)
         gain = alone[up][:, None] + alone[down][None, :] + 8 * kernel[np.ix_(up, down)]
-        for place in np.argsort(-gain, axis=None)[:TRIED]:
+        for place in np.argsort(-gain, axis=None)[:SWAPS_TRIED]:
             a, b = np.unravel_index(place, gain.shape)
             if gain[a, b] <= GAIN:
                 return

@@ -29,8 +29,8 @@ from experiments.plans.motion import Course
 __all__ = ["plan_free_air"]
 
 CANDIDATE_STOPS = 400
-AT_ONCE = 16  # candidates looked at for the next stop
-TRIALS = 4  # candidates looked at in an exchange
+STOPS_TRIED = 16  # candidates looked at for the next stop
+EXCHANGES_TRIED = 4  # candidates looked at in an exchange
 EXCHANGE_PASSES = 1
 MIN_STOPS = 4  # stops: fewer do not make a program
 
@@ -128,7 +128,7 @@ class _Search:
     def grow(self) -> None:
         """Add stops while there is time."""
         while True:
-            options = self._looked_at(AT_ONCE, self.knots[-1])
+            options = self._looked_at(STOPS_TRIED, self.knots[-1])
             if not options:
                 break
             informations, cost = self._value([[self.knots[-1], q] for q in options])
@@ -165,7 +165,7 @@ class _Search:
     def _exchange(self, k: int) -> bool:
         before = self.knots[k - 1]
         after = self.knots[k + 1 : k + 2]
-        options = self._looked_at(TRIALS, before, *after)
+        options = self._looked_at(EXCHANGES_TRIED, before, *after)
         if not options:
             return False
         informations, cost = self._value([[before, q, *after] for q in (self.knots[k], *options)])

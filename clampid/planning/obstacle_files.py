@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.plans.errors import PlanError
-from kinematics.collision.obstacles import FARTHEST, Obstacle, ObstacleShape
+from kinematics.collision.obstacles import FARTHEST_OBSTACLE, Obstacle, ObstacleShape
 from kinematics.reading import read_text, toml_of
 from kinematics.screws import exp_so3
 from kinematics.section import Section
@@ -40,14 +40,14 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
     for kind in KINDS:
         for number, one in enumerate(root.sections(kind, optional=True), 1):
             if kind == "box":
-                size = tuple(one.vector("size_m", 3, 0.0, FARTHEST, "m").tolist())
+                size = tuple(one.vector("size_m", 3, 0.0, FARTHEST_OBSTACLE, "m").tolist())
             else:
-                size = (one.number("radius_m", 0.0, FARTHEST, "m", above=True),)
+                size = (one.number("radius_m", 0.0, FARTHEST_OBSTACLE, "m", above=True),)
             if kind == "cylinder":
-                size = (*size, one.number("length_m", 0.0, FARTHEST, "m", above=True))
+                size = (*size, one.number("length_m", 0.0, FARTHEST_OBSTACLE, "m", above=True))
             pose = np.eye(4)
             pose[:3, :3] = exp_so3(one.vector("turn_rad", 3, -MOST_TURNED, MOST_TURNED, "rad", np.zeros(3)))
-            pose[:3, 3] = one.vector("centre_m", 3, -FARTHEST, FARTHEST, "m")
+            pose[:3, 3] = one.vector("centre_m", 3, -FARTHEST_OBSTACLE, FARTHEST_OBSTACLE, "m")
             found.append(Obstacle(one.text("name", default=f"{kind} {number}"), kind, size, pose))
             one.done()
     root.done()

@@ -33,7 +33,7 @@ CORNERS = np.array([[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, -1]
 FROM_END = 0.1  # of a diagonal
 CYCLE = (1, 5, 4, 3, 2)
 MOST_VISITS = 20_000
-BETWEEN = 9  # places looked at between two stops
+PLACES_BETWEEN = 9  # places looked at between two stops
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def off_line(plan: Plan, target: str) -> tuple[float, float]:
 
     def off(corners: Array, first: Array, last: Array) -> float:
         """How far the joints' way along some corners ``(k, n)`` is off the line through two stops ``(n,)``."""
-        share = np.linspace(0.0, 1.0, BETWEEN)[:, None]
+        share = np.linspace(0.0, 1.0, PLACES_BETWEEN)[:, None]
         ways = [before + share * (after - before) for before, after in pairwise(corners)]
         q = np.vstack([first, last, *ways])
         T = forward(robot.screws, robot.flange, q @ np.asarray(robot.linkage).T)

@@ -14,7 +14,7 @@ from experiments.plans.limits import Limits
 __all__ = ["configurations", "far_apart"]
 
 DIGITS = 6  # of the angles in a plan: a microradian, a tenth of what any robot repeats
-ROUNDS = 60
+SAMPLING_ROUNDS = 60
 Allowed = Callable[[Array], Bools]
 
 
@@ -36,7 +36,7 @@ def configurations(limits: Limits, count: int, allowed: Allowed, seed: int, *, w
     halton = qmc.Halton(len(limits.lower), scramble=True, seed=np.random.default_rng(seed))
     found: list[Array] = []
     tried = 0
-    for _ in range(ROUNDS):
+    for _ in range(SAMPLING_ROUNDS):
         q = limits.lower + (limits.upper - limits.lower) * halton.random(max(count, 200))
         # Rounding must not leave the limits.
         q = np.clip(np.round(q, DIGITS), limits.lower, limits.upper)

@@ -37,13 +37,13 @@ CENTRES = 3
 CENTRED = 0.15  # of the range: how far from the middle a wrist joint may be at the centre of a swing
 SETTING = 0.12  # rad: the small move that puts dry friction on a known side
 SEEN_S = 1.2  # s, at least, that it takes: a log of 10 Hz must show it without doubt
-LARGEST = 2.5  # rad, of a swing
+LARGEST_SWING = 2.5  # rad, of a swing
 SMALLEST = 0.2
 BRISK = 0.5  # share of its top speed for a joint that only serves to turn the others' motors
 SHORT_SWING_SHARE = 0.4
 """Of the room, for swings that are worth less but take less time: noise is correlated for seconds."""
 COMBINED = 3  # random combinations per joint and kind
-NOTHING = 1e-3  # of the fastest in a swing: less is no motion to learn from
+LEAST_SHARE_OF_SPEED = 1e-3  # of the fastest in a swing: less is no motion to learn from
 
 
 @dataclass(frozen=True, order=True)
@@ -73,9 +73,9 @@ def facts(robot: RobotDescription, direction: Array) -> tuple[Fact, ...]:
     still = 1e-9 * np.max(np.abs(own))
     found = []
     for j in coupled_joints(robot):
-        if joint[j] == 0.0 and abs(own[j]) > NOTHING:
+        if joint[j] == 0.0 and abs(own[j]) > LEAST_SHARE_OF_SPEED:
             found.append(Fact("motor", j))
-        if abs(own[j]) <= still and abs(joint[j]) > NOTHING:
+        if abs(own[j]) <= still and abs(joint[j]) > LEAST_SHARE_OF_SPEED:
             found.append(Fact("joint", j))
     return tuple(found)
 
@@ -231,7 +231,7 @@ def _reach(limits: Limits, scene: Scene, centre: Array, direction: Array) -> Arr
     """How far a swing can go along a direction both ways ``(n,)``, rad, without touching anything; None: too little."""
     room = np.minimum(limits.upper - centre, centre - limits.lower)
     moves = direction != 0
-    amplitude = min(LARGEST, float(np.min(room[moves] / np.abs(direction[moves]))))
+    amplitude = min(LARGEST_SWING, float(np.min(room[moves] / np.abs(direction[moves]))))
     while amplitude >= SMALLEST:
         reach = amplitude * direction
         if scene.way_clear(centre - reach, centre + reach):

@@ -15,10 +15,10 @@ from clampid.charts.scale import Box, scales
 from clampid.charts.svg import local, over, parts, placed, x_frame
 from clampid.report.style import Selector
 
-__all__ = ["NOTHING", "TENTHS", "selector"]
+__all__ = ["NOT_DRAWN", "TENTHS", "selector"]
 
 TENTHS = 10.0  # of a pixel are the packed numbers
-NOTHING = 65535  # of a point that is not drawn
+NOT_DRAWN = 65535  # of a point that is not drawn
 
 
 def selector(names: Sequence[str], charts: Sequence[Chart]) -> Selector:
@@ -68,5 +68,5 @@ def _once(each: list[str]) -> list[str]:
 
 def _packed(pixels: Array) -> str:
     """Pixels as base64 of little-endian 16-bit tenths."""
-    tenths = np.where(np.isfinite(pixels), np.clip(np.round(TENTHS * pixels), 0, NOTHING - 1), NOTHING)
+    tenths = np.where(np.isfinite(pixels), np.clip(np.round(TENTHS * pixels), 0, NOT_DRAWN - 1), NOT_DRAWN)
     return base64.b64encode(tenths.astype("<u2").tobytes()).decode("ascii")

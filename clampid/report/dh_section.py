@@ -17,7 +17,7 @@ __all__ = ["dh_section"]
 
 MAX_LENGTH = 100.0  # m: no robot is that long
 VAGUE = 0.1  # m, standard error: no position of a robot's axis is known so badly
-OPEN = "not determined"
+NOT_DETERMINED = "not determined"
 
 
 def dh_section(model: Model, robot: RobotDescription) -> Section | None:
@@ -65,7 +65,7 @@ def _tables(frame: Any, convention: str) -> list[Table]:
             for _, r in part.iterrows()
         ]
         caption = f"{convention.capitalize()} convention, {what}: value ± one standard error."
-        if "d_m" in present and any(OPEN in row for row in rows):
+        if "d_m" in present and any(NOT_DETERMINED in row for row in rows):
             caption += (
                 " d is not determined where the next axis is nearly parallel: the common normal may lie anywhere along "
                 "the two, and the offsets cancel. The export has these numbers. Hayati's rows do not have this problem."
@@ -89,7 +89,7 @@ def _cell(row: Any, column: str) -> str:
     if math.isnan(value):
         return ""
     if column == "d_m" and _anywhere(value, std):
-        return OPEN
+        return NOT_DETERMINED
     scale, decimals = (Scale(1e3, "mm"), 4) if column.endswith("_m") else (Scale(180.0 / math.pi, "deg"), 5)
     if math.isnan(std) or std * scale.factor < 0.5 * 10.0**-decimals:  # what only the convention fixes
         return fixed(value * scale.factor, decimals).rstrip("0").rstrip(".")

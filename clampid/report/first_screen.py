@@ -21,7 +21,7 @@ __all__ = ["Fall", "FirstScreen", "Step", "first_screen"]
 
 Json = Mapping[str, Any]
 MOST_STEPS = 7
-SETTLED = ("DH table", "rejected as outliers")
+SAID_ELSEWHERE = ("DH table", "rejected as outliers")
 """Words of notes that leave nothing open."""
 MOST_OPEN = 5
 
@@ -185,7 +185,7 @@ def _open(model: Model, found: Json) -> list[str]:
         if part["verdict"] == "unknown":
             variables = listed(list(part.get("depends_on") or ()), 4)
             out.append(f"{name}: an error that depends on {variables or 'no recorded variable'} has no known effect.")
-        out += [text for text in notes(name, part, now) if not any(word in text for word in SETTLED)]
+        out += [text for text in notes(name, part, now) if not any(word in text for word in SAID_ELSEWHERE)]
         if part["verdict"] == "ambiguous" and (part.get("next_plan") or {}).get("helps"):
             out.append(f"{name}: To plan that measurement: clampid diagnose MODEL CAMPAIGN --plan next.toml")
     # A plan of what to measure next is never cut off.

@@ -20,7 +20,7 @@ from clampid.stages.rows import Array, Bools, Integers, Rows
 __all__ = ["friction_figures"]
 
 MOST_POINTS = 900
-GRID = 40  # points of a curve on each side of standstill
+POINTS_OF_A_CURVE = 40  # points of a curve on each side of standstill
 TWO_SIDED_95 = 1.96
 SIGNIFICANT = 2.0  # standard errors from zero, beyond which a friction is significant
 MIN_BLOCKS = 4  # blocks of a log that a mean's interval is taken from
@@ -41,7 +41,7 @@ class _Cloud:
 
 @dataclass(frozen=True)
 class _Curve:
-    """The model's friction against speed with its standard error ``(2 GRID,)``; rising speed."""
+    """The model's friction against speed with its standard error ``(2 POINTS_OF_A_CURVE,)``; rising speed."""
 
     speed: Array
     friction: Array
@@ -145,7 +145,7 @@ def _cloud(data: StageData, effects: Sequence[str], place: int, side: str) -> _C
 
 def _curve(data: StageData, effects: Sequence[str], place: int, side: str, cloud: _Cloud) -> _Curve:
     """One motor or joint turns and no other; loads and temperatures are as at the middle of the log."""
-    reach = float(np.abs(cloud.speed).max()) * np.linspace(1e-3, 1.0, GRID)
+    reach = float(np.abs(cloud.speed).max()) * np.linspace(1e-3, 1.0, POINTS_OF_A_CURVE)
     speed = np.r_[-reach[::-1], reach]
     piece = data.first
     middle = piece.rows.take(np.zeros(len(speed), dtype=np.int64))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from clampid.display import Scale, fixed, number, scale_for, with_std
 from clampid.effect import Effect
 from clampid.fitting.observability import index_words
-from clampid.models.correlations import SHOWN, STRONG, correlations
+from clampid.models.correlations import PAIRS_SHOWN, STRONG, correlations
 from clampid.models.model import Model, StageModel
 from clampid.report.stage_data import in_order, stage_title
 from clampid.report.style import Figure, Section, Table, Weak, as_table
@@ -16,9 +16,9 @@ from clampid.roles import FRAMES, Role
 from clampid.slots import find_parameter, fixed_slots, on_bound, unit_of
 from kinematics.robot import RobotDescription
 
-__all__ = ["OPEN", "parameters_section"]
+__all__ = ["NOT_IDENTIFIABLE", "parameters_section"]
 
-OPEN = "not identifiable"
+NOT_IDENTIFIABLE = "not identifiable"
 _ON_BOUND, _BEYOND = "limit", "below zero"
 SIGNIFICANT = 2.0  # standard errors from zero
 _PARTS: Mapping[Role, str] = {"base_frame": "base", "target_point": "targets", "flange_frame": "flange"}
@@ -54,8 +54,8 @@ def parameters_section(model: Model, effects: Mapping[str, Effect], robot: Robot
     )
     if open_ones:
         text += (
-            f" “{OPEN}”: the data do not narrow the parameter's plausible range ({open_ones} parameters). Other values "
-            "than those in the model file fit equally well."
+            f" “{NOT_IDENTIFIABLE}”: the data do not narrow the parameter's plausible range ({open_ones} parameters). "
+            "Other values than those in the model file fit equally well."
         )
     if any(_rests(s, effects, k) for s in model.stages.values() for k in range(len(s.slots))):
         text += (
@@ -83,12 +83,12 @@ def _correlated(stage: StageModel) -> list[Table]:
     found = correlations(stage)
     if not found:
         return []
-    which = f"the strongest {SHOWN} of {len(found)}" if len(found) > SHOWN else "all"
+    which = f"the strongest {PAIRS_SHOWN} of {len(found)}" if len(found) > PAIRS_SHOWN else "all"
     caption = (
         f"Correlations of the errors of identified parameters beyond ±{STRONG:g}, {which}. Of such a pair "
         "only a combination is well known."
     )
-    rows = [(c.first.label, c.second.label, fixed(c.r, 4)) for c in found[:SHOWN]]
+    rows = [(c.first.label, c.second.label, fixed(c.r, 4)) for c in found[:PAIRS_SHOWN]]
     return [as_table(("Parameter", "With", "r#"), rows, caption)]
 
 
@@ -97,7 +97,7 @@ def _base(stage: StageModel) -> Table:
     rows = []
     for p in stage.base:
         scale = scale_for(p.unit, [p.value])
-        worded = with_std(p.value, p.std, scale, unit=False) if p.known else OPEN
+        worded = with_std(p.value, p.std, scale, unit=False) if p.known else NOT_IDENTIFIABLE
         rows.append((p.name, worded, number(p.described, 4), scale.unit))
     caption = (
         "Base parameters of the arm, without the declared tool: the combinations of masses, first moments and inertias "
@@ -169,7 +169,7 @@ def _cell(stage: StageModel, effects: Mapping[str, Effect], k: int | None, scale
     if k is None:
         return ""
     if not stage.identified[k]:
-        return OPEN
+        return NOT_IDENTIFIABLE
     value, std = float(stage.theta[k]), 0.0 if fixed_slots(stage.slots, effects)[k] else float(stage.std[k])
     worded = with_std(value, std, scale, unit=False)
     if _rests(stage, effects, k):

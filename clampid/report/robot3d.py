@@ -25,7 +25,7 @@ VIEWS = (("from the side", 0, 2), ("from above", 0, 1))
 """Title, and the base frame's axes to the right and upwards."""
 AXES = (Axis("x, m"), Axis("y, m"), Axis("z, m"))
 CLASSES = 5  # of size, each a colour
-REACH = 0.08  # of the workspace: how long the 95th percentile of the errors is drawn
+DRAWN_ERROR = 0.08  # of the workspace: how long the 95th percentile of the errors is drawn
 
 
 def arm_points(robot: RobotDescription, q: Array) -> Array:
@@ -100,7 +100,7 @@ def _vectors(points: Array, vectors: Array, tips: Sequence[str]) -> tuple[float,
     """How much longer the errors are drawn, and their marks in a view of two axes: a colour for each class of size."""
     size = np.linalg.norm(vectors, axis=1)
     extent = float(np.ptp(points, axis=0).max()) or 1.0
-    scale = _nice(REACH * extent / max(float(np.quantile(size, 0.95)), 1e-12))
+    scale = _nice(DRAWN_ERROR * extent / max(float(np.quantile(size, 0.95)), 1e-12))
     tip = points + scale * vectors
     edges = np.linspace(0.0, max(float(np.quantile(size, 0.98)), 1e-12), CLASSES + 1)[1:-1]
     group = np.searchsorted(edges, size)

@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 SIDE = 420  # pixels across one view
 LEAST_HEIGHT = 180  # pixels
-MARGIN = 60
+DRAWING_MARGIN = 60
 VIEWS = (("from the side", 0, 2, "x", "z"), ("from above", 0, 1, "x", "y"))
 """Title, the base frame's axis to the right and the one upwards, and their names."""
 BLUE, ORANGE, INK, GREY = "#0072b2", "#d55e00", "#222222", "#888888"
@@ -41,8 +41,8 @@ def robot_drawing(robot: RobotDescription) -> str:
     points = np.vstack([np.zeros(3), joints, flange])
     middle = 0.5 * (points.max(axis=0) + points.min(axis=0))
     extent = float(np.ptp(points, axis=0).max()) or 1.0
-    scale = (SIDE - 2 * MARGIN) / extent
-    tall = max(LEAST_HEIGHT, scale * float(np.ptp(points[:, 1:], axis=0).max()) + 2 * MARGIN)
+    scale = (SIDE - 2 * DRAWING_MARGIN) / extent
+    tall = max(LEAST_HEIGHT, scale * float(np.ptp(points[:, 1:], axis=0).max()) + 2 * DRAWING_MARGIN)
     body = [view for k in range(len(VIEWS)) for view in _view(robot, points, middle, scale, tall, k)]
     body += _ruler(_round_length(0.3 * extent), scale, tall)
     width, height = len(VIEWS) * SIDE, round(tall + 60)

@@ -18,7 +18,7 @@ from clampid.stages.stage_kind import kind_of
 
 __all__ = ["HeldOut", "Spread", "held_out", "spread_of", "spread_sentences", "spread_table", "spreads"]
 
-DRAWS = 2000
+BOOTSTRAP_DRAWS = 2000
 MIN_UNITS = 10  # whole poses, runs or sweeps, below which a draw of them says little
 _CAPTION = (
     "Root mean square errors on held-out rows that both models use, with 95 % intervals from a bootstrap: {draws} "
@@ -80,7 +80,7 @@ def spread_of(now: HeldOut, before: HeldOut | None, seed: int) -> Spread | None:
     folds, index = np.unique(now.fold[counts], return_inverse=True)
     if len(folds) < MIN_UNITS:
         return None
-    drawn = np.random.default_rng(seed).multinomial(len(folds), np.full(len(folds), 1.0 / len(folds)), DRAWS)
+    drawn = np.random.default_rng(seed).multinomial(len(folds), np.full(len(folds), 1.0 / len(folds)), BOOTSTRAP_DRAWS)
     drawn = np.vstack([np.ones(len(folds), dtype=drawn.dtype), drawn])  # first the rows as they are
     many = drawn @ np.bincount(index)
 
@@ -123,7 +123,7 @@ def spread_table(found: Mapping[Stage, Spread]) -> Table | None:
         for stage, s in found.items()
     ]
     heads = ("Stage", "Before#", "Now#", "Fall#", "Of")
-    return as_table(heads, rows, _CAPTION.format(draws=DRAWS)) if rows else None
+    return as_table(heads, rows, _CAPTION.format(draws=BOOTSTRAP_DRAWS)) if rows else None
 
 
 def spread_sentences(found: Mapping[Stage, Spread]) -> list[str]:

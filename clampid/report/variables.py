@@ -17,7 +17,7 @@ BINS = 12
 FLIPS = 99
 GAP = 0.1  # of a variable's range without a row: no line is drawn across
 MIN_ROWS_PER_MEDIAN = 3  # rows that a median is drawn of
-ROUNDING = 1e-9  # of a variable's largest value, or of 1: values that differ by less are equal
+EQUAL_WITHIN = 1e-9  # of a variable's largest value, or of 1: values that differ by less are equal
 MOST_SINGLE_VALUES = 8  # distinct values up to which a variable is grouped by value instead of by quantiles
 
 
@@ -105,7 +105,7 @@ def variables_of(data: StageData) -> tuple[Variable, ...]:
 def _rounded(variable: Variable) -> Variable:
     """The variable without rounding errors, which would otherwise split rows into bins by chance."""
     finite = variable.values[np.isfinite(variable.values)]
-    step = ROUNDING * max(1.0, float(np.abs(finite).max(initial=0.0)))
+    step = EQUAL_WITHIN * max(1.0, float(np.abs(finite).max(initial=0.0)))
     return replace(variable, values=step * np.round(variable.values / step))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from clampid.chain.chain import Chain, build_chain
-from clampid.effect import WEAK, Effect, Parameter, Per, Stage
+from clampid.effect import WEAK_SPREAD, Effect, Parameter, Per, Stage
 from clampid.role_slots import numbers_of_role
 from clampid.roles import Role
 from clampid.slots import Slot, find_parameter, fixed_slots, unit_of
@@ -21,10 +21,10 @@ from clampid.stages.statements import stated_equations
 from kinematics.description import RobotDescription
 from kinematics.masses import own_moment
 
-__all__ = ["HELD", "FitProblem", "fit_problem", "parameter_of"]
+__all__ = ["HELD_STD", "FitProblem", "fit_problem", "parameter_of"]
 
 
-HELD = 1e-9  # sizes: as tightly as numbers allow
+HELD_STD = 1e-9  # sizes: as tightly as numbers allow
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class FitProblem:
     def prior_std(self) -> Array:
         """Standard deviations ``(P + K,)`` of what is assumed of each parameter before any row is seen."""
         std = np.array([*(p.prior_std for p in self.parameters), *self._offset_sizes[1]])
-        std = np.where(self.fixed(), HELD * self.sizes(), std)
+        std = np.where(self.fixed(), HELD_STD * self.sizes(), std)
         for k, slot in enumerate(self.slots):
             if self.effects[slot.effect].event == slot.parameter:  # somewhere between two rows
                 share = self.rows.signals["sweep_progress"] % 1.0
@@ -146,7 +146,7 @@ class FitProblem:
         for _, joint in self.rows.offset_keys:
             kept = joint - self.rows.robot.n
             size.append(self.kind.offset_size if kept < 0 else float(self.rows.sweep.held_friction[kept]))
-            prior.append(WEAK * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
+            prior.append(WEAK_SPREAD * size[-1] if kept < 0 else size[-1])  # friction at rest is no more than in motion
         return size, prior
 
     def prior(self) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ import pandas as pd
 from clampid.chain.chain import Chain
 from clampid.stages.counting import FIFTHS, counting, folds_of, motion_signals, negligible, standing_joints
 from clampid.stages.log_facts import WINDOW, LogFacts, LogPart, joint_columns, stacked
-from clampid.stages.prewhitening import REACH, Grouping, Whitener
+from clampid.stages.prewhitening import LONGEST_LAG, Grouping, Whitener
 from clampid.stages.rows import Array, Bools, Integers
 from clampid.stages.temperatures import reads_temperatures, temperatures
 from clampid.stages.torque_kernel import TorqueKernel, torque_kernel
@@ -24,7 +24,7 @@ from experiments.log_windows import Window, windows
 
 __all__ = ["Block", "Channel", "LogDesign", "Sampled"]
 
-PIECE = 1 << 11  # rows of a window that the kernel evaluates at once: what it gives of them stays in the cache
+ROWS_AT_ONCE = 1 << 11  # rows of a window that the kernel evaluates at once: what it gives of them stays in the cache
 KEPT_BYTES = 1 << 28  # of a short log all windows are kept
 
 
@@ -282,7 +282,7 @@ class LogDesign:
         measured = stacked(w, joint_columns("tau", "Nm", self.n))
         counts = counting(every, self.T, facts, run, self.wrist, self.accelerating) & motion.resolved[:, None]
         # Rows before the window's own are needed as far as the noise remembers.
-        counts[: max(w.start - REACH * facts.together, 0)] = False
+        counts[: max(w.start - LONGEST_LAG * facts.together, 0)] = False
         counts[w.stop :] = False
         chosen = np.flatnonzero(counts.any(axis=1))
         if any(reads_temperatures(name) for name, _ in kernel.signals):
@@ -309,8 +309,8 @@ class LogDesign:
         kernel = window.kernel
         counts = window.counts.copy()
         found: list[list[Array]] = [[] for _ in range(self.n)]
-        for first in range(0, max(len(counts), 1), PIECE):
-            piece = slice(first, first + PIECE)
+        for first in range(0, max(len(counts), 1), ROWS_AT_ONCE):
+            piece = slice(first, first + ROWS_AT_ONCE)
             inertial, design = kernel.evaluate(self.at[: len(self.chain.slots)], window.signals[piece])
             if not self.accelerating:
                 counts[piece] &= negligible(inertial, self.facts)

@@ -41,7 +41,7 @@ from experiments.temperatures import filled
 __all__ = ["LogFacts", "LogPart", "Motion", "facts_of", "joint_columns", "log_parts", "stacked"]
 
 WINDOW = 1 << 15  # rows at once: half as many cost a fifth more time
-REACH = 4  # neighbours that are read on either side, in halves of the differentiating window
+NEIGHBOURS_READ = 4  # neighbours that are read on either side, in halves of the differentiating window
 NEIGHBOURS = 16  # at least
 WINDOW_S = 0.02  # the shortest over which speeds and accelerations are taken
 TOGETHER_S = 0.01  # rows within it are one number to the noise
@@ -224,7 +224,7 @@ _KNOWN: WeakKeyDictionary[Campaign, dict[tuple[tuple[str, ...], int, int], LogFa
 
 def halo_of(step: float, window_s: float = WINDOW_S) -> int:
     """Rows on either side of a window: its noise remembers some, whose speeds and accelerations reach for others."""
-    return prewhitening.REACH * together_of(step) + max(NEIGHBOURS, REACH * round(window_s / step))
+    return prewhitening.LONGEST_LAG * together_of(step) + max(NEIGHBOURS, NEIGHBOURS_READ * round(window_s / step))
 
 
 def together_of(step: float) -> int:

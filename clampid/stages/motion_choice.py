@@ -42,12 +42,12 @@ LONGEST_S = 0.64  # an arm's accelerations change within less
 BLOCKS = 25  # of the log, in five folds that alternate: a block's neighbours are fitted when it is predicted
 FOLDS = 5
 ROWS = 4000  # of the log, about, that are regressed
-CLEAR = 2.0  # standard errors of the paired difference
-SHARES = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the rows in motion, which may count alone
+CLEAR_DIFFERENCE = 2.0  # standard errors of the paired difference
+SHARES_OF_ROWS = (0.05, 0.1, 0.2, 0.35, 0.5, 0.65, 0.8)  # of the rows in motion, which may count alone
 ROWS_WEIGHED = 100  # of the log, about, for the inertia about the joints
 NEGLIGIBLE = 0.5  # of the noise
 RESOLVED = 1e-4  # of the accelerations: a misfit below is none
-ROUNDING = 1e-9  # of the largest column
+NEGLIGIBLE_COLUMN = 1e-9  # of the largest column
 RIDGE = 1e-6  # of the balanced normal matrix: what the motion does not show is not fitted
 
 
@@ -170,7 +170,7 @@ def chosen_way(default: Way, candidates: Sequence[Sequence[Way]], score: _Score)
         first = min(range(len(source)), key=lambda k: abs(np.log(lengths[k] / best.window_s)))
         best = _downhill(source, first, best, unlikely)
     gain = change(best).sum(axis=0)
-    best = best if gain.mean() < -CLEAR * gain.std(ddof=1) / np.sqrt(BLOCKS) else default
+    best = best if gain.mean() < -CLEAR_DIFFERENCE * gain.std(ddof=1) / np.sqrt(BLOCKS) else default
     return best, known[best]
 
 
@@ -222,7 +222,7 @@ class Regression:
         unresolved = self.unresolved[self._moving.any(axis=1)]
         if not len(unresolved):
             return []
-        shares = np.quantile(unresolved, SHARES, method="lower")
+        shares = np.quantile(unresolved, SHARES_OF_ROWS, method="lower")
         return sorted({float(v) for v in np.maximum(shares, RESOLVED) if np.isfinite(v)})
 
     def inertia(self) -> Array:
@@ -293,14 +293,14 @@ def trusted_rows(plain: Regression, direct: Regression, left_out: Array) -> tupl
     gains = {limit: gain(limit) for limit in limits}
     chosen = min(limits, key=lambda limit: float(gains[limit].mean()))
     error = gains[chosen].std(ddof=1) / np.sqrt(len(gains[chosen]))
-    if not gains[chosen].mean() < -CLEAR * error:
+    if not gains[chosen].mean() < -CLEAR_DIFFERENCE * error:
         return (), left_out
     kept = direct.unresolved <= chosen
     squares = direct.squares(kept, kept)
     noise = np.array([np.sqrt(np.mean(s[np.isfinite(s)])) if np.isfinite(s).any() else np.inf for s in squares])
     harmless = NEGLIGIBLE * noise[:, None] / np.maximum(len(noise) * direct.inertia(), 1e-300)
     limit = np.minimum(chosen, np.maximum(harmless.min(axis=0) / direct.top, limits[0]))
-    return tuple(float(v) for v in (1.0 + ROUNDING) * limit * direct.top), squares
+    return tuple(float(v) for v in (1.0 + NEGLIGIBLE_COLUMN) * limit * direct.top), squares
 
 
 def chosen_rows(row: Integers, rows: int) -> Bools:
@@ -351,7 +351,7 @@ def _squares(both: Array, block: Integers, fitted: Bools, judged: Bools) -> Arra
         return out
     size = np.linalg.norm(both[fitted], axis=0)
     # What turns without this motor is zero but for rounding; balanced, that would be columns of noise.
-    kept = size > ROUNDING * size.max()
+    kept = size > NEGLIGIBLE_COLUMN * size.max()
     kept[-1] = True
     fold, both = block % FOLDS, both[:, kept]
     grams = np.array([both[fitted & (fold == f)].T @ both[fitted & (fold == f)] for f in range(FOLDS)])

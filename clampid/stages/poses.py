@@ -21,7 +21,7 @@ from clampid.stages.rows import Array, Rows
 from kinematics.screws import log_so3
 
 __all__ = [
-    "MANY",
+    "PARAMETERS_OF_A_LARGE_CHAIN",
     "by_parameter",
     "by_station",
     "constants_of",
@@ -36,7 +36,8 @@ __all__ = [
 ]
 
 _NOTHING = np.zeros(0)
-MANY = 24  # parameters of one entry of a chain, from which on they are worth a product of their own
+# Of one entry of a chain, from which on they are worth a product of their own.
+PARAMETERS_OF_A_LARGE_CHAIN = 24
 
 
 def link_vectors(robot: Any) -> Array:
@@ -180,7 +181,7 @@ def by_parameter(sensitivity: Array, deviations: Deviations, chain: Chain, first
     # Of a curve's parameters, which stand beside each other, products are written where they belong.
     apart = (np.diff(own) != 1) | (np.diff(parameter[own]) != 1) | (np.diff(station[own]) != 0)
     for i, j in pairwise([0, *(np.flatnonzero(apart) + 1).tolist(), len(own)]):
-        if j - i >= MANY:
+        if j - i >= PARAMETERS_OF_A_LARGE_CHAIN:
             lever, by = sensitivity[:, :, station[own[i]], None], deviations.partials[:, None, own[i] : own[j - 1] + 1]
             np.multiply(lever, by, out=jacobian[:, :, parameter[own[i]] - first : parameter[own[j - 1]] - first + 1])
             few[i:j] = False

@@ -24,14 +24,14 @@ from scipy.linalg.blas import daxpy
 from clampid.stages.rows import Array, Integers
 from experiments.signals import solve_definite
 
-__all__ = ["ORDER", "REACH", "Grouping", "Predictors", "Whitener", "autocorrelation", "lag_products", "settled"]
+__all__ = ["LONGEST_LAG", "ORDER", "Grouping", "Predictors", "Whitener", "autocorrelation", "lag_products", "settled"]
 
 ORDER = 12
-REACH = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
+LONGEST_LAG = 64  # rows back that a prediction may look, so that windows of a log need to overlap by no more
 CACHED = 1 << 14  # numbers that are filtered at once: they should stay in the processor's cache
 ENOUGH_PAIRS = 100  # products of which a mean tells a correlation to a tenth
 MOST_KINDS = 1 << 15  # of predictors that are kept
-SETTLED = 0.5  # of a standard error: noise that changes by less when it is learned again changes no weight
+WEIGHTS_SETTLED = 0.5  # of a standard error: noise that changes by less when it is learned again changes no weight
 LEAST = 1e-6  # of the variance, that a prediction leaves at least: torques are printed with finitely many digits
 
 Kinds = npt.NDArray[np.uint64]
@@ -133,7 +133,7 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
         ``(65,)``; of no more order than there are pairs for, and than makes means of unequal numbers of products an
         autocorrelation of anything. Levinson's and Durbin's recursion: Brockwell & Davis (1991), section 8.2.
     """
-    out = np.zeros(REACH + 1)
+    out = np.zeros(LONGEST_LAG + 1)
     out[0] = 1.0
     if products[0] == 0:
         return out
@@ -147,7 +147,7 @@ def autocorrelation(products: Array, pairs: Array) -> Array:
         a = np.r_[a - reflection * a[::-1], reflection]
         variance *= 1.0 - reflection**2
         out[k] = measured[k]
-    for k in range(len(a) + 1, REACH + 1):
+    for k in range(len(a) + 1, LONGEST_LAG + 1):
         out[k] = a @ out[k - len(a) : k][::-1]
     return out
 
@@ -166,7 +166,7 @@ def settled(ratio: float, before: Array, after: Array, count: float) -> bool:
         return True
     change = float(np.max(np.abs(after - before)[: ORDER + 1]))
     error = 1.0 / float(np.sqrt(count))
-    return change < SETTLED * error and abs(ratio - 1.0) < SETTLED * error / 2.0**0.5
+    return change < WEIGHTS_SETTLED * error and abs(ratio - 1.0) < WEIGHTS_SETTLED * error / 2.0**0.5
 
 
 class Predictors:
@@ -177,8 +177,8 @@ class Predictors:
 
     def __init__(self, correlation: Array) -> None:
         # Rows so far apart that nothing connects them have lags beyond 64.
-        self._correlation = np.zeros((ORDER + 2) * (REACH + 1))
-        self._correlation[: REACH + 1] = correlation
+        self._correlation = np.zeros((ORDER + 2) * (LONGEST_LAG + 1))
+        self._correlation[: LONGEST_LAG + 1] = correlation
         self._known = np.zeros(0, dtype=np.uint64)
         self._weights = np.zeros((0, ORDER + 1))
 
@@ -236,12 +236,12 @@ class Whitener:
         absent = before < 0
         before[absent] = 0
         lag = row[self._broken] - row[before]
-        absent |= (lag > REACH) | (stretch[self._broken] != stretch[before])
+        absent |= (lag > LONGEST_LAG) | (stretch[self._broken] != stretch[before])
         # Which of the 64 rows before are looked at, one bit each, says all of a predictor.
         bits = np.where(absent, np.uint64(0), np.uint64(1) << np.where(absent, 0, lag - 1).astype(np.uint64))
         self._kinds, first, self._kind = np.unique(bits.sum(axis=0), return_index=True, return_inverse=True)
         # A row that is not there is so far away from any other that nothing connects them.
-        far = (REACH + 1) * np.arange(2, ORDER + 2)[:, None]
+        far = (LONGEST_LAG + 1) * np.arange(2, ORDER + 2)[:, None]
         self._lags = np.where(absent, far, lag)[:, first]
         self._columns = np.concatenate([self._broken[None], before]).T.astype(np.int32).ravel()
 

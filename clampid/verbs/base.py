@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["base"]
 
 AXES = ("x", "y", "z")
-TURNS = ("about x", "about y", "about z")
+AXES_TURNED_ABOUT = ("about x", "about y", "about z")
 TAKEN_OUT = "Bias: what deflection would have added; it is taken out."
 NOTES = ("Bias and standard errors are along and about the base's own axes; turns are those of Rz Ry Rx.",)
 
@@ -146,7 +146,7 @@ def _frame(base: Array, std: Array, bias: Array, rigid: bool) -> list[tuple[str,
     places = [f"{1e3 * position[k]:.4f} mm" for k in range(3)]
     turns = [f"{math.degrees(angles[k]):.6f} deg" for k in range(3)]
     out = []
-    for names, values, unit, at in ((AXES, places, "m", 3), (TURNS, turns, "rad", 0)):
+    for names, values, unit, at in ((AXES, places, "m", 3), (AXES_TURNED_ABOUT, turns, "rad", 0)):
         for k, name in enumerate(names):
             bias_text, std_text, symbol = quantity(bias[at + k], std[at + k], unit)
             taken = "" if rigid else f"; bias {bias_text} {symbol}"

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["demo_screen"]
 
 FOUND = "It was found."
-OPEN = "It is one of those that these data cannot distinguish."
+ONE_OF_SEVERAL = "It is one of those that these data cannot distinguish."
 MISSED = "It was not found."
 
 
@@ -26,7 +26,7 @@ def demo_screen(result: DemoResult) -> Screen:
         errors = (result.before["tables"][name]["heldout"]["rms"], table["heldout"]["rms"], table["noise_floor"])
         rows.append((name, tuple(error_text(e, table["unit"]) for e in errors), ""))
     hidden = [named(item["effect"], [item["where"]]) for item in result.hidden]
-    outcome = MISSED if not result.named else FOUND if _confirmed(result) else OPEN
+    outcome = MISSED if not result.named else FOUND if _confirmed(result) else ONE_OF_SEVERAL
     labels = [term.partition("=")[2].partition("@") for terms in result.found.values() for term in terms]
     added = [named(effect, [place] if place else []) for effect, _, place in labels]
     facts = [("added", listed(added, 4) if added else "nothing: no effect was confirmed")]

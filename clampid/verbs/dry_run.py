@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["dry_run"]
 
-NEAREST = 3  # limits that motions come nearest to are named
+LIMITS_NAMED = 3  # limits that motions come nearest to are named
 HEADS = ("motion", "measured", "at s", "takes s", "speed", "turns deg", "nearest limit")
 
 
@@ -70,7 +70,7 @@ def _screen(plan: Plan, steps: Sequence[Motion], plan_file: Path, output: Path, 
     nearest: dict[str, Motion] = {}  # of each limit, the motion that comes nearest to it
     for step in sorted((step for step in steps if "%" in step.limit), key=_share, reverse=True):
         nearest.setdefault(step.limit.partition("% of ")[2], step)
-    near = list(nearest.values())[:NEAREST]
+    near = list(nearest.values())[:LIMITS_NAMED]
     facts = [
         ("measured", tables or "nothing"),
         ("fastest", f"{fastest.share:.0%} of the top speeds ({fastest.name})"),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["angles_screen", "dynamics_screen", "export_screen", "kuka_screen", "use_next"]
 
 EXACT = 1e-9  # m: below it an export leaves nothing but rounding
-SEEN = 5e-6  # m: effects that are worth less are not named; the file and --json have them
+SMALLEST_EFFECT_NAMED = 5e-6  # m: effects that are worth less are not named; the file and --json have them
 
 
 def export_screen(kind: str, found: Exported, output: Path, next_steps: tuple[Next, ...] = ()) -> Screen:
@@ -111,7 +111,7 @@ def _left(left: LeftOut, measured: Measured | None) -> list[tuple[str, str]]:
         facts.append(("measured", f"{error_text(m.mean, 'm')} mean, {error_text(m.largest, 'm')} at most, of {m.rows} "
                                   f"points ({m.table})"))  # fmt: skip
     worth = sorted(left.effects.items(), key=lambda item: -item[1])
-    named = [f"{name.replace('_', ' ')} {error_text(rms, 'm')}" for name, rms in worth if rms >= SEEN]
+    named = [f"{name.replace('_', ' ')} {error_text(rms, 'm')}" for name, rms in worth if rms >= SMALLEST_EFFECT_NAMED]
     return [*facts, ("not in it", ", ".join(named) or "nothing of this model")]
 
 

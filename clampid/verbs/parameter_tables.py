@@ -22,7 +22,7 @@ __all__ = ["show_parameters"]
 
 MOST_NAMES_PER_UNIT = 12
 """Parameters of one effect at each place, beyond which nobody reads them one by one: a curve's harmonics."""
-OPEN = "·"
+NOT_IDENTIFIABLE = "·"
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _show(title: str, cells: Sequence[_Cell], out: Output) -> None:
 
 
 def _text(cell: _Cell, scale: Scale) -> str:
-    return compact(cell.value, cell.std, scale) if cell.known else OPEN
+    return compact(cell.value, cell.std, scale) if cell.known else NOT_IDENTIFIABLE
 
 
 def _show_many(title: str, cells: Sequence[_Cell], places: Sequence[str], out: Output) -> None:

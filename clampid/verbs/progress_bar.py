@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ProgressBar"]
 
-SHORTEST = 5.0  # seconds; of shorter work no time left is said
+SHORTEST_WORK = 5.0  # seconds; of shorter work no time left is said
 
 
 class ProgressBar:
@@ -31,7 +31,7 @@ class ProgressBar:
         """A part begins."""
         elapsed = time.monotonic() - self._start
         words = self._remaining.words(done, elapsed).removeprefix(", ")
-        left = words if elapsed >= SHORTEST else ""
+        left = words if elapsed >= SHORTEST_WORK else ""
         total = 1.0 if done > 0 else None
         self._bar.update(self._task, description=f"{self._text}: {names}", total=total, completed=done, left=left)
 

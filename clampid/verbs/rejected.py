@@ -16,7 +16,7 @@ from experiments.campaign import Campaign
 
 __all__ = ["rejected_words"]
 
-SHOWN = 10
+ROWS_SHOWN = 10
 
 
 def rejected_words(model: Model, campaigns: Sequence[Campaign], effects_from: Path | None = None) -> dict[str, str]:
@@ -39,10 +39,9 @@ def rejected_words(model: Model, campaigns: Sequence[Campaign], effects_from: Pa
             listed = _visits(model, campaigns, effects_from)
         else:
             listed = [f"{table} row {row}" for _, table, row in stage.outliers]
-        more = f" and {len(listed) - SHOWN} more" if len(listed) > SHOWN else ""
-        out[name] = (
-            f"{len(stage.outliers)} {'rows' if len(stage.outliers) > 1 else 'row'}: {'; '.join(listed[:SHOWN])}{more}"
-        )
+        more = f" and {len(listed) - ROWS_SHOWN} more" if len(listed) > ROWS_SHOWN else ""
+        count = f"{len(stage.outliers)} {'rows' if len(stage.outliers) > 1 else 'row'}"
+        out[name] = f"{count}: {'; '.join(listed[:ROWS_SHOWN])}{more}"
     return out
 
 

@@ -159,14 +159,14 @@ def _show_unknown(
 
 def _show_correlations(name: str, stage: StageModel, out: Output) -> None:
     """The strongest correlations of identified parameters; nothing where there are none."""
-    from clampid.models.correlations import SHOWN, STRONG, correlations
+    from clampid.models.correlations import PAIRS_SHOWN, STRONG, correlations
 
     found = correlations(stage)
     if not found:
         return
-    which = f"the strongest {SHOWN} of {len(found)}" if len(found) > SHOWN else f"all {len(found)}"
+    which = f"the strongest {PAIRS_SHOWN} of {len(found)}" if len(found) > PAIRS_SHOWN else f"all {len(found)}"
     out.say(f"{name}: correlations of identified parameters beyond ±{STRONG:g}, {which}:")
-    rows = [(c.first.label, c.second.label, f"{c.r:+.4f}") for c in found[:SHOWN]]
+    rows = [(c.first.label, c.second.label, f"{c.r:+.4f}") for c in found[:PAIRS_SHOWN]]
     out.table("", ("parameter", "with", "r"), rows, left=2)
 
 

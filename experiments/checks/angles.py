@@ -20,7 +20,7 @@ REACH_FACTOR = 2.0
 # One row may be a glitch of the log; a wrong unit shows wherever the joint is away from zero.
 MANY_ROWS = 0.05
 # Degrees, turned into radians, lie within the limits; the margin lets limits of another variant of the robot differ.
-MARGIN = 1.1
+LIMIT_MARGIN = 1.1
 # Limits are printed in whole degrees, and controllers report a joint at its stop a little beyond it.
 LIMIT_SLACK_RAD = 1e-3
 # Gears of robots reduce 30 to 250 times. Joint angles written as motor angles would put every joint within this of
@@ -103,12 +103,12 @@ def _wrong_unit(campaign: Campaign, table: str, q: FloatArray) -> Finding | None
     largest += f"{typical[far[0] - 1]:.4g} against {reach[far[0] - 1]:.4g} rad"
     turned = float(typical[bounded].max(initial=0.0))
     may_be_radians = turned <= MOST_TURNED_RAD
-    if not may_be_radians and np.all(np.deg2rad(typical[bounded]) <= MARGIN * reach[bounded]):
+    if not may_be_radians and np.all(np.deg2rad(typical[bounded]) <= LIMIT_MARGIN * reach[bounded]):
         what = "motor angles, taken through the transmission," if table == "clamped" else "joint angles"
         return Finding("error", table, column, None, f"{what} look like degrees, radians are expected: {largest}")
     through = np.quantile(np.abs(q @ robot.transmission), 0.95, axis=0)
     geared = table != "clamped" and robot.transmission_known and not may_be_radians
-    if geared and np.all(through[bounded] <= MARGIN * reach[bounded]):
+    if geared and np.all(through[bounded] <= LIMIT_MARGIN * reach[bounded]):
         message = f"these look like motor angles, joint angles are expected: {largest}"
         return Finding("error", table, column, None, message)
     message = f"these angles do not fit {robot.name}: {largest}; is it another robot's data, or are they degrees?"
@@ -121,7 +121,7 @@ def _motor_side(campaign: Campaign, table: str) -> Finding | None:
         return None
     robot = campaign.robot
     motor = campaign.tables[table][list(joint_columns("motor{}_rad", robot.n))].to_numpy(dtype=np.float64)
-    within = np.all(np.abs(motor) <= MARGIN * _reach(campaign))
+    within = np.all(np.abs(motor) <= LIMIT_MARGIN * _reach(campaign))
     tiny = np.max(np.abs(motor @ robot.transmission)) < TINY_RAD
     geared = np.max(np.abs(np.diag(robot.transmission))) < 0.2
     if not (within and tiny and geared and np.max(np.abs(motor)) > TINY_RAD):

@@ -16,7 +16,7 @@ __all__ = ["clock_findings", "counts_rows"]
 
 # Positions whose rounding is coarse repeat singly by chance, once in ten thousand rows; a source slower than the log
 # holds a fifth of its rows or more.
-HELD = 0.01
+SHARE_OF_REPEATS = 0.01
 # Speeds are taken on the stamps as they are, so that irregular steps do no harm by themselves. Where the stamps are
 # wrong by this share of a step, so are speeds over five samples.
 IRREGULAR = 0.05
@@ -106,7 +106,7 @@ def _repeats(table: str, frame: pd.DataFrame, n: int) -> Iterator[Finding]:
         yield Finding("warning", table, "q1_rad", row, message)
         return
     moving = np.any(np.diff(q, axis=0) != 0.0, axis=1)
-    if stale.sum() > HELD * np.count_nonzero(moving) and stale.sum() > 1:
+    if stale.sum() > SHARE_OF_REPEATS * np.count_nonzero(moving) and stale.sum() > 1:
         row = int(np.flatnonzero(stale)[0]) + 1
         message = (
             f"{np.count_nonzero(stale)} rows repeat the positions of the row before while the robot moves and torques "

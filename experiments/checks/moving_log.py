@@ -19,7 +19,7 @@ __all__ = ["MovingLog", "clear_moves", "freed", "moving_logs", "read_log", "weig
 ROWS = 12_000
 MIN_ROWS = 120  # fewer rows than this hold no moves to judge by
 # Of a direction in other columns, relative to their largest: below, it is rounding and not a column of its own.
-ROUNDING = 1e-8
+NEGLIGIBLE_SINGULAR_VALUE = 1e-8
 # Rows at either end of a move in which friction builds up.
 BUILD_UP = 2
 
@@ -91,5 +91,5 @@ def freed(others: Array, columns: Array) -> Array:
     """Columns ``(N, p)`` without what a combination of the others ``(N, h)`` could be."""
     scale = np.sqrt(np.mean(others**2, axis=0))
     basis = np.linalg.svd(others / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    kept = basis.U[:, ROUNDING * basis.S[0] < basis.S]
+    kept = basis.U[:, NEGLIGIBLE_SINGULAR_VALUE * basis.S[0] < basis.S]
     return np.asarray(columns - kept @ (kept.T @ columns))

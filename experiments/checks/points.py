@@ -59,7 +59,7 @@ ON_AXIS_M = 0.005
 BY_CHANCE, OF_A_MEDIAN = 1e-3, 0.37
 # Measured numbers for each fitted parameter, with which other poses are predicted nearly as well as noise allows.
 NUMBERS_PER_PARAMETER = 5
-TRIED = 50  # signs and pairs of up to eight joints, targets' names, and a mirror
+DESCRIPTIONS_TRIED = 50  # signs and pairs of up to eight joints, targets' names, and a mirror
 
 
 def point_findings(campaign: Campaign, angles_wrong: frozenset[str], fits: bool = False) -> Iterator[Finding]:
@@ -297,7 +297,7 @@ def _clearly_better(rows: int) -> float:
     tried; zero where the points are too few to tell.
     """
     freedom = OF_A_MEDIAN * (3 * rows - 9)
-    return float(stats.f.isf(BY_CHANCE / TRIED, freedom, freedom) ** -0.5) if freedom > 0 else 0.0
+    return float(stats.f.isf(BY_CHANCE / DESCRIPTIONS_TRIED, freedom, freedom) ** -0.5) if freedom > 0 else 0.0
 
 
 def _mistaken_joints(

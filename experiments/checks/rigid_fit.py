@@ -45,7 +45,7 @@ _ITERATIONS = 8
 
 
 # Points on a line leave the base's turn about it to the targets' places: nothing says from which turn a fit finds it.
-TURNS = 12
+TURNS_TRIED = 12
 
 
 # Off a plane by as much as the points reach within it, an error seen in their thickness alone is twenty times larger.
@@ -93,7 +93,7 @@ def fit_rigid(poses: FloatArray, points: FloatArray, measured: FloatArray) -> Ri
     _, extent, axes = np.linalg.svd(measured[near] - there)
     starts = [first]
     if len(extent) == 3 and extent[1] < FLAT * extent[0]:
-        angles = 2.0 * np.pi / TURNS * np.arange(1, TURNS)
+        angles = 2.0 * np.pi / TURNS_TRIED * np.arange(1, TURNS_TRIED)
         starts += [Rotation.from_rotvec(angle * axes[0]).as_matrix() @ first for angle in angles]
     fits = [_descended(turn, nominal, measured, start, there - start @ here) for start in starts]
     return min(fits, key=lambda fit: float(np.median(fit.distance)))

@@ -17,7 +17,7 @@ __all__ = ["speed_findings"]
 
 TABLES = ("free_air", "wrist")
 # Share of the top speed from which a row counts as moving: what fits of friction use.
-CLEAR = 0.02
+CLEAR_SPEED = 0.02
 # Dry friction is what is left of friction at speed zero. From speeds that scatter by the share c of their mean, its
 # standard error is sqrt(1 + 1/c²) times that of the friction at the mean speed (a straight line, extrapolated): twenty
 # times at 5 %. Full and 80 % speed make 11 %.
@@ -91,7 +91,7 @@ def _motion(campaign: Campaign, table: str, moved: list[int]) -> Iterator[tuple[
     qd = frame[stated].to_numpy(dtype=np.float64)[:, moved] if stated[0] in frame else speeds(q, time, run)
     if len(q) == 0 or not moved:
         return
-    clear = np.abs(qd) > np.maximum(rest_threshold(qd), CLEAR * np.abs(qd).max(axis=0))
+    clear = np.abs(qd) > np.maximum(rest_threshold(qd), CLEAR_SPEED * np.abs(qd).max(axis=0))
     change = np.r_[np.zeros((1, len(moved))), np.where((run[1:] == run[:-1])[:, None], np.diff(q, axis=0), 0.0)]
     change = np.where(clear, change, 0.0)
     for k in range(len(moved)):

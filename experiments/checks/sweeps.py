@@ -26,7 +26,7 @@ WIDEST_GAP_RAD = 2e-3
 # Fixtures and worn drives have been found several times as soft as described, never twenty times.
 SOFT = 0.05
 # The spring's share of a sweep's torque is seen where it exceeds its standard error by this.
-SEEN = 4.0
+CERTAIN_SLOPE = 4.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ def sweep_findings(campaign: Campaign) -> Iterator[Finding]:
         if slope is not None and np.all(joint[rows] == j):
             slopes[int(number)] = (j, int(rows[0]) + 1, slope)
     for number, (j, row, slope) in slopes.items():
-        others = [s.value for n, (k, _, s) in slopes.items() if k == j and n != number and s.value > SEEN * s.std]
+        others = [
+            s.value for n, (k, _, s) in slopes.items() if k == j and n != number and s.value > CERTAIN_SLOPE * s.std
+        ]
         described = None if robot.motor_spring is None else float(robot.motor_spring[j])
         expected = float(np.median(others)) if others else described
         ratio = abs(float(robot.transmission[j, j]))
@@ -78,13 +80,13 @@ def _judge(number: int, joint: int, slope: _Slope, expected: float | None, ratio
     """What is wrong with a sweep: ``free`` or ``idle``, and in words; None for a sweep that loads its joint."""
     wound = slope.value * slope.travel
     far = slope.travel * ratio
-    if expected is not None and far > 2 * WIDEST_GAP_RAD and slope.value + SEEN * slope.std < SOFT * expected:
+    if expected is not None and far > 2 * WIDEST_GAP_RAD and slope.value + CERTAIN_SLOPE * slope.std < SOFT * expected:
         return "free", (
             f"in sweep {number}, joint {joint + 1} moves freely: it turns by {far:.2g} rad, and apart from friction "
             f"its motor's torque changes by {max(slope.value, 0.0):.2g} Nm/rad, where a clamped arm's would by "
             f"{expected:.3g} Nm/rad: the clamp was open; leave the sweep out, or measure it again"
         )
-    if slope.value <= SEEN * slope.std:
+    if slope.value <= CERTAIN_SLOPE * slope.std:
         return "idle", (
             f"sweep {number} never loads joint {joint + 1}: apart from friction its motor's torque changes by "
             f"{abs(wound):.2g} Nm over the sweep, its noise is {slope.noise:.2g} Nm; its spring cannot be identified"

@@ -21,7 +21,7 @@ Texts = npt.NDArray[np.object_]
 LARGEST_WHOLE = 2**53  # from here on neighbouring numbers are one float: texts tell them apart
 MINUS = str.maketrans({"\u2212": "-", "\u2013": "-", "\u00a0": ""})  # signs that word processors put for a hyphen
 # What programs write where there is no reading; only sensors may have none.
-NOTHING = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")
+EMPTY_CELLS = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")
 
 
 def numbers(cells: Cells, at: int, *, gaps: bool = False) -> FloatArray:
@@ -48,7 +48,7 @@ def numbers(cells: Cells, at: int, *, gaps: bool = False) -> FloatArray:
     values = np.asarray(pd.to_numeric(np.array(texts, dtype=object), errors="coerce"), dtype=np.float64)
     bad = ~np.isfinite(values)
     if gaps and bad.any():
-        bad &= np.array([text.strip().lower() not in NOTHING for text in texts], dtype=bool)
+        bad &= np.array([text.strip().lower() not in EMPTY_CELLS for text in texts], dtype=bool)
     if bad.any():
         row = int(np.flatnonzero(bad)[0])
         expected = "a number" + (" with a decimal comma" if reading.decimal == "," else "")

@@ -34,8 +34,8 @@ UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 QUIET = 0.3  # s without a change, after which a file is complete if its last line is
 UNENDED = 2.0  # s without a change, after which a last line without its end is complete too
 POLL = 0.05  # s
-LARGEST = 64_000_000  # bytes: 10 minutes at 500 Hz take 20 000 000
-FARTHEST = 1e3  # m
+LARGEST_FILE = 64_000_000  # bytes: 10 minutes at 500 Hz take 20 000 000
+FARTHEST_POINT = 1e3  # m
 HOTTEST = 1e3  # °C
 UNSEEN = ("", "nan", "na", "n/a", "null", "none", "-", "--", "---")
 KEYS = ("columns", "unit", "targets", "target", "temperatures", "separator", "decimal", "files")
@@ -249,8 +249,8 @@ class FolderInstrument:
         if not seen:
             raise LineOfSightError(f"{file}: no reading of {target} in {len(own)} rows")
         readings: Array = np.array(seen, dtype=np.float64)
-        if np.any(np.abs(readings) > FARTHEST):
-            raise InstrumentError(f"{file}: expected m within {FARTHEST:g}, found more; is it the right unit?")
+        if np.any(np.abs(readings) > FARTHEST_POINT):
+            raise InstrumentError(f"{file}: expected m within {FARTHEST_POINT:g}, found more; is it the right unit?")
         moved = moved_by(readings) if len(readings) >= MIN_READINGS else 0.0
         if moved:
             raise NotStillError(f"{file}: {target} moved by {moved * 1e6:.0f} µm while it was measured")
@@ -273,9 +273,9 @@ class FolderInstrument:
     def _rows(self, file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
         """The header, and the rows with their numbers in the file."""
         try:
-            if file.stat().st_size > LARGEST:
-                raise InstrumentError(f"{file}: expected at most {LARGEST} bytes, found more")
-            text = read_text(file, LARGEST)  # of a device it reads nothing
+            if file.stat().st_size > LARGEST_FILE:
+                raise InstrumentError(f"{file}: expected at most {LARGEST_FILE} bytes, found more")
+            text = read_text(file, LARGEST_FILE)  # of a device it reads nothing
         except UnicodeDecodeError as error:
             raise InstrumentError(f"{file}: expected UTF-8, found a byte that is not, at {error.start}") from None
         except OSError as error:

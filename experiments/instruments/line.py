@@ -33,10 +33,10 @@ __all__ = ["LineInstrument"]
 
 HELLO_TIMEOUT = 5.0  # s for answers that need no measurement
 AGAIN = 3  # times that a target is looked for without a line of sight
-BETWEEN = 0.5  # s between them
-LONGEST = 4_000_000  # bytes in one answer: 5000 points take 200 000
-SHOWN = 80  # characters of a wrong answer in a message
-FARTHEST = 1e3  # m: no instrument for robots reads more
+PAUSE_BETWEEN_TRIALS = 0.5  # s between them
+LONGEST_ANSWER = 4_000_000  # bytes in one answer: 5000 points take 200 000
+SHOWN_OF_AN_ANSWER = 80  # characters of a wrong answer in a message
+FARTHEST_POINT = 1e3  # m: no instrument for robots reads more
 HOTTEST = 1e3  # °C
 LATEST = 1e12  # s: of any clock
 
@@ -78,9 +78,9 @@ class LineInstrument:
                 found = self._ask(f"measure {wanted} {target}", left)
             except LineOfSightError:
                 unseen += 1
-                if unseen == AGAIN or time.monotonic() + BETWEEN > end:
+                if unseen == AGAIN or time.monotonic() + PAUSE_BETWEEN_TRIALS > end:
                     raise
-                time.sleep(BETWEEN)
+                time.sleep(PAUSE_BETWEEN_TRIALS)
                 continue
             except InstrumentSilentError:
                 if moved:
@@ -129,8 +129,8 @@ class LineInstrument:
             raise InstrumentError(
                 f"{self}: {key}: expected 1 to {count} rows of {width} numbers, found {_short(found.get(key))}"
             )
-        if not np.all(np.abs(readings) <= FARTHEST):  # NaN neither
-            raise InstrumentError(f"{self}: {key}: expected m within {FARTHEST:g}, found {_short(found[key])}")
+        if not np.all(np.abs(readings) <= FARTHEST_POINT):  # NaN neither
+            raise InstrumentError(f"{self}: {key}: expected m within {FARTHEST_POINT:g}, found {_short(found[key])}")
         return readings
 
     def _time(self, found: Mapping[str, Any]) -> float:
@@ -155,7 +155,7 @@ class LineInstrument:
             raise InstrumentError(f"{self}: expected a line with a JSON object, found {_short(text)}")
         if "error" in answer:  # the line is in order
             kind = LineOfSightError if "sight" in str(answer["error"]) else InstrumentError
-            raise kind(f"{self}: {str(answer['error'])[:SHOWN]}")
+            raise kind(f"{self}: {str(answer['error'])[:SHOWN_OF_AN_ANSWER]}")
         return answer
 
     def _exchange(self, line: str, patience: float) -> bytes:
@@ -180,8 +180,8 @@ class LineInstrument:
             size += len(data)
             if b"\n" in data:
                 break
-            if size > LONGEST:
-                raise InstrumentError(f"{self}: expected a line of at most {LONGEST} bytes, found more")
+            if size > LONGEST_ANSWER:
+                raise InstrumentError(f"{self}: expected a line of at most {LONGEST_ANSWER} bytes, found more")
         text, _, self._rest = b"".join(parts).partition(b"\n")
         return text
 
@@ -201,4 +201,4 @@ def _number(value: Any, what: str, largest: float) -> float:
 
 def _short(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= SHOWN else text[: SHOWN - 1] + "…"
+    return text if len(text) <= SHOWN_OF_AN_ANSWER else text[: SHOWN_OF_AN_ANSWER - 1] + "…"

@@ -17,7 +17,7 @@ __all__ = ["DEFAULT_SCHEME", "GROUP", "LinkAddress", "installed", "open_link", "
 GROUP = "clampid.robot_links"
 """Entry points: the name is the scheme, the object is called with a `LinkAddress` and gives a `Link`."""
 DEFAULT_SCHEME = "eki"
-LONGEST = 500  # characters
+LONGEST_ADDRESS = 500  # characters
 _ADDRESS = re.compile(r"(?:([a-z][a-z0-9+.-]*)://)?(?:\[([0-9a-fA-F:.]+)\]|([^\s:/?\[\]]+)):([0-9]{1,5})(?:/?\?(.*))?")
 
 
@@ -81,7 +81,7 @@ def parse_address(text: str) -> LinkAddress:
     LinkError
         It is none.
     """
-    found = _ADDRESS.fullmatch(text) if len(text) <= LONGEST else None
+    found = _ADDRESS.fullmatch(text) if len(text) <= LONGEST_ADDRESS else None
     if found is None or not 0 < int(found[4]) < 65536 or not is_host(found[2] or found[3]):
         raise LinkError(f"link: expected SCHEME://HOST:PORT, found {text[:80]!r}")
     pairs = parse_qsl(found[5] or "", keep_blank_values=True)

@@ -17,7 +17,7 @@ __all__ = ["Backoff", "Connection", "NotSentError", "Wake", "readable"]
 Selector: type[selectors.BaseSelector] = getattr(selectors, "PollSelector", selectors.SelectSelector)
 FIRST_WAIT = 0.05  # s before the second attempt
 CONNECT = 2.0  # s that a connection may take
-PIECE = 65536  # bytes that are read at once
+BYTES_AT_ONCE = 65536  # bytes that are read at once
 
 
 class Backoff:
@@ -155,7 +155,7 @@ class Connection:
             The other side has closed, or sends what is no such stream.
         """
         try:
-            data = self._socket.recv(PIECE)
+            data = self._socket.recv(BYTES_AT_ONCE)
         except BlockingIOError:
             return []
         except ConnectionResetError:

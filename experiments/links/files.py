@@ -22,7 +22,7 @@ __all__ = ["FIRST_PORT", "LAST_PORT", "link_files"]
 
 FIRST_PORT, LAST_PORT = 54600, 54615
 """Of EthernetKRL on the controller."""
-MARGIN = 1e-4  # deg by which limits are rounded inward: their last written digit
+LIMIT_MARGIN = 1e-4  # deg by which limits are rounded inward: their last written digit
 LISTENER = "192.168.1.10"  # of this suite in the RSI file, where nobody says: to be replaced
 
 
@@ -84,8 +84,11 @@ def _limits(robot: RobotDescription) -> tuple[list[float], list[float]]:
     for joint, low, high in zip(robot.joints, lower, upper, strict=True):
         if not (math.isfinite(low) and math.isfinite(high)):
             raise DescriptionError(f"{robot.name}: {joint.name} has no limits: the controller's program checks them")
-    slack = 1e-6 * MARGIN  # of the conversion from degrees and back
-    inward = np.ceil(lower / MARGIN - slack / MARGIN) * MARGIN, np.floor(upper / MARGIN + slack / MARGIN) * MARGIN
+    slack = 1e-6 * LIMIT_MARGIN  # of the conversion from degrees and back
+    inward = (
+        np.ceil(lower / LIMIT_MARGIN - slack / LIMIT_MARGIN) * LIMIT_MARGIN,
+        np.floor(upper / LIMIT_MARGIN + slack / LIMIT_MARGIN) * LIMIT_MARGIN,
+    )
     return inward[0].tolist(), inward[1].tolist()
 
 

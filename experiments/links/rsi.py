@@ -36,8 +36,8 @@ __all__ = ["Cycle", "RsiCounts", "RsiLink", "connect", "cycle_of"]
 Array = npt.NDArray[np.float64]
 
 FIRST_DATAGRAM_TIMEOUT = 3.0  # s within which the first datagram has to come
-LARGEST = 4096  # bytes of a datagram; others are cut, and then malformed
-KEPT = 20_000  # cycles: 80 s at 4 ms
+LARGEST_DATAGRAM = 4096  # bytes of a datagram; others are cut, and then malformed
+CYCLES_KEPT = 20_000  # cycles: 80 s at 4 ms
 CYCLES = ("4", "12")  # ms
 LISTENS_ONLY = "an RSI stream with ONLYSEND listens only"
 _NAN = np.full(AXES, np.nan)
@@ -125,7 +125,7 @@ class RsiLink(ReadOnly):
             ),
         )
         self.counts, self.cycle = RsiCounts(), cycle
-        self._kept: deque[Cycle] = deque(maxlen=KEPT)
+        self._kept: deque[Cycle] = deque(maxlen=CYCLES_KEPT)
         self._lock = threading.Lock()
         self._came = threading.Condition(self._lock)
         self._received, self._sender = 0.0, ""
@@ -191,7 +191,7 @@ class RsiLink(ReadOnly):
     def _run(self) -> None:
         while not self._closing:
             with contextlib.suppress(OSError):  # a time-out, or an ICMP message of the past
-                data, sender = self._socket.recvfrom(LARGEST)
+                data, sender = self._socket.recvfrom(LARGEST_DATAGRAM)
                 self.take(data, str(sender[0]))
 
     def take(self, data: bytes, sender: str) -> None:

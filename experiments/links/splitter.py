@@ -18,7 +18,7 @@ __all__ = ["MAX_DOCUMENT", "Splitter", "StreamError", "values_of"]
 MAX_DOCUMENT = 65536  # bytes
 MAX_DEPTH = 4
 MAX_VALUES = 512  # attributes and texts of a document
-BETWEEN = b" \t\r\n\0"
+SEPARATORS = b" \t\r\n\0"
 _OPEN = re.compile(rb'<([A-Za-z_][\w.-]{0,63})((?:\s+[A-Za-z_][\w.-]{0,63}\s*=\s*"[^"<&]{0,256}")*)\s*(/?)>')
 _CLOSING_TAG = re.compile(rb"</([A-Za-z_][\w.-]{0,63})\s*>")
 _ATTRIBUTE = re.compile(rb'([A-Za-z_][\w.-]*)\s*=\s*"([^"]*)"')
@@ -91,7 +91,7 @@ class Splitter:
     def _text(self, end: int, whole: bool) -> None:
         """What stands between tags, up to ``end``; not ``whole``: more of it may come."""
         text = bytes(self._buffer[self._at : end])
-        inner = text.strip(BETWEEN)
+        inner = text.strip(SEPARATORS)
         if inner and not self._path:
             raise StreamError(f"expected <, found {inner[:20]!r}")
         if not self._path:

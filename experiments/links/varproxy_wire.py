@@ -14,7 +14,7 @@ from dataclasses import dataclass
 __all__ = ["Answer", "Answers", "Question", "question_bytes"]
 
 HEAD = struct.Struct(">HH")
-LONGEST = 4096  # bytes of a message
+LONGEST_MESSAGE = 4096  # bytes of a message
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ class Answers:
         found = []
         while len(self._buffer) >= HEAD.size:
             number, length = HEAD.unpack_from(self._buffer)
-            if not 3 <= length <= LONGEST:
-                raise ValueError(f"variable proxy: expected a message of 3 to {LONGEST} bytes, found {length}")
+            if not 3 <= length <= LONGEST_MESSAGE:
+                raise ValueError(f"variable proxy: expected a message of 3 to {LONGEST_MESSAGE} bytes, found {length}")
             if len(self._buffer) < HEAD.size + length:
                 break
             found.append((number, self._buffer[HEAD.size : HEAD.size + length]))

@@ -42,8 +42,8 @@ Labels = npt.NDArray[np.int64]
 Kind = Literal["position", "orientation"]
 WANTED = 30  # returns to a pose that ISO 9283 asks for
 FEWEST_FOR_DRP = 4  # returns: two early and two late
-DRAWS = 200  # of what scatter alone would show: its mean to some per cent
-LEVEL = 0.95
+SCATTER_DRAWS = 200  # of what scatter alone would show: its mean to some per cent
+CONFIDENCE = 0.95
 MEANING = {
     "AP": "pose accuracy",
     "RP": "pose repeatability, from one side",
@@ -173,7 +173,7 @@ def pose_metrics(
             values.setdefault(name, []).append((one.pose, count, value))
         if spread is None:
             continue
-        drawn = spread.draw(DRAWS, sum(len(s) for s in one.sides), rng)
+        drawn = spread.draw(SCATTER_DRAWS, sum(len(s) for s in one.sides), rng)
         ends = np.cumsum([0, *(len(s) for s in one.sides)])
         own = tuple(np.arange(a, b) for a, b in pairwise(ends))
         for name, _, value in _at(drawn, own, kind):
@@ -243,7 +243,7 @@ def _metric(values: list[tuple[int, int, Array]], alone: list[float] | None, nam
     interval = None
     if len(by_pose) > 1:
         middle, error = float(by_pose.mean()), float(by_pose.std(ddof=1) / np.sqrt(len(by_pose)))
-        half = error * float(stats.t.isf((1 - LEVEL) / 2, len(by_pose) - 1))
+        half = error * float(stats.t.isf((1 - CONFIDENCE) / 2, len(by_pose) - 1))
         interval = max(middle - half, 0.0), middle + half
     axes = None
     if kind == "orientation":
@@ -305,7 +305,7 @@ def _of_thirty(spread: _Scatter, freedom: int, kind: Kind) -> Repeatability:
         if value == 0.0:
             return Repeatability(0.0, (0.0, 0.0), float(freedom))
         own = freedom * np.trace(spread.covariance) ** 2 / float(np.sum(spread.covariance**2))
-    low, high = (float(np.sqrt(own / stats.chi2.ppf(p, own))) for p in ((1 + LEVEL) / 2, (1 - LEVEL) / 2))
+    low, high = (float(np.sqrt(own / stats.chi2.ppf(p, own))) for p in ((1 + CONFIDENCE) / 2, (1 - CONFIDENCE) / 2))
     return Repeatability(value, (value * low, value * high), own)
 
 

@@ -14,7 +14,7 @@ FloatArray = npt.NDArray[np.float64]
 
 ROUGH_M = 2e-3  # by which points of an arm out of calibration are off: beyond, an error counts by its size alone
 FEWEST_POINTS = 8  # points: twice as many as numbers of a place and a constant
-TRIED = 4  # of the starts, those that fit best
+STARTS_REFINED = 4  # of the starts, those that fit best
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def locate(points: FloatArray, distances: FloatArray) -> Located:
     off = points - middle
     axes = np.linalg.svd(off, full_matrices=True)[2]
     starts = sorted(_starts(off, distances, axes, middle), key=lambda at: _misfit(at, points, distances))
-    searched = [_search(points, distances, start) for start in starts[:TRIED]]
+    searched = [_search(points, distances, start) for start in starts[:STARTS_REFINED]]
     searched.sort(key=lambda found: found[0])
     cost, place = searched[0]
     constant, place = _with_constant(points, distances, place)

@@ -18,7 +18,7 @@ Array = npt.NDArray[np.floating[Any]]
 
 MIN_CONFIRMED = 12  # pairs, of 9 unknowns in 36 equations
 OUTLIER = 8.0  # medians: 12 standard deviations of an axis; errors of an uncalibrated arm are not normal
-ROUNDS = 60
+PAIRING_ROUNDS = 60
 
 
 def rigid_residuals(points: FloatArray, flanges: FloatArray) -> FloatArray:
@@ -35,7 +35,7 @@ def rigid_residuals(points: FloatArray, flanges: FloatArray) -> FloatArray:
     c: Array = np.zeros(3)
     weight: Array = np.ones(len(points))
     off: Array = np.zeros(len(points))
-    for _ in range(ROUNDS):
+    for _ in range(PAIRING_ROUNDS):
         carried = f + F @ c
         R, t = _rigid(carried, points, weight)
         back = (points - t) @ R - f  # F c should be this

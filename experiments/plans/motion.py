@@ -14,7 +14,7 @@ import numpy.typing as npt
 __all__ = ["Array", "Course", "peak_rates", "shortest"]
 
 Array = npt.NDArray[np.float64]
-SHORTEST = 0.1  # s: no controller does less in one move
+SHORTEST_MOVE = 0.1  # s: no controller does less in one move
 
 
 def shortest(travel: Array, speed: Array, acceleration: Array) -> tuple[Array, Array]:
@@ -40,7 +40,7 @@ def shortest(travel: Array, speed: Array, acceleration: Array) -> tuple[Array, A
     duration = np.where(flat, 1.0 / rate + rate / gain, 2.0 / np.sqrt(gain))
     ramp = np.where(flat, rate / gain, 1.0 / np.sqrt(gain))
     # A slower move with the same shape is within the same limits.
-    factor = np.maximum(SHORTEST / np.maximum(duration, 1e-300), 1.0)
+    factor = np.maximum(SHORTEST_MOVE / np.maximum(duration, 1e-300), 1.0)
     return np.asarray(duration * factor), np.asarray(ramp * factor)
 
 

@@ -27,8 +27,8 @@ from experiments.runs.load import Watch
 __all__ = ["hold", "least_torque_posture", "placed"]
 
 PROBE = 4  # steps from which a place is approached on either side: beyond what friction needs to turn
-ROUNDS = 3  # over all joints: in a coupled wrist one joint's step moves another's motor
-SHARE = 0.02  # of the top speeds
+ROUNDS_OF_JOINTS = 3  # over all joints: in a coupled wrist one joint's step moves another's motor
+SHARE_OF_TOP_SPEED = 0.02  # of the top speeds
 SETTLE = 0.3  # of the dwell
 
 
@@ -47,8 +47,8 @@ def hold(context: Context, sweep: Sweep, search: LeastTorque) -> None:
     """
     readings = []
     for side in (-1.0, 1.0):
-        context.robot.go(sweep.posture + side * PROBE * search.step, SHARE, "least torque, free arm")
-        context.robot.go(sweep.posture, SHARE, "least torque, free arm")
+        context.robot.go(sweep.posture + side * PROBE * search.step, SHARE_OF_TOP_SPEED, "least torque, free arm")
+        context.robot.go(sweep.posture, SHARE_OF_TOP_SPEED, "least torque, free arm")
         readings.append(context.robot.read(SETTLE * sweep.dwell, sweep.dwell).torque)
     torque = np.mean(readings, axis=0)
     if not np.all(np.isfinite(torque)):
@@ -69,7 +69,7 @@ def least_torque_posture(context: Context, sweep: Sweep, search: LeastTorque, st
     here = _nearest(context.robot.rest().joints, sweep.posture, search)
     watch = Watch.of(context.plan, sweep)
     first, off = (np.full(len(here), np.nan) for _ in range(2))  # of each joint's own motor; others keep their friction
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS_OF_JOINTS):
         moved = False
         for joint in range(len(here)):
             for _ in range(2 * round(float(search.within[joint] / search.step[joint])) + 1):
@@ -83,7 +83,7 @@ def least_torque_posture(context: Context, sweep: Sweep, search: LeastTorque, st
                 moved = True
         if not moved:
             break
-    context.robot.go(here, SHARE, "least torque, found")
+    context.robot.go(here, SHARE_OF_TOP_SPEED, "least torque, found")
     context.journal.add(
         "least_torque",
         clamping=sweep.clamping,
@@ -143,9 +143,9 @@ def _from_both_sides(
     for side in (-1.0, 1.0):
         aside = here.copy()
         aside[joint] += side * PROBE * search.step[joint]
-        context.robot.go(aside, SHARE, name)
+        context.robot.go(aside, SHARE_OF_TOP_SPEED, name)
         _check(context, sweep.posture, watch, context.robot.read(SETTLE * sweep.dwell, sweep.dwell).torque)
-        context.robot.go(here, SHARE, name)
+        context.robot.go(here, SHARE_OF_TOP_SPEED, name)
         torque = context.robot.read(SETTLE * sweep.dwell, sweep.dwell).torque
         _check(context, sweep.posture, watch, torque)
         readings.append(torque)
@@ -160,7 +160,7 @@ def _check(context: Context, posture: Array, watch: Watch, torque: Array) -> Non
 
 def _give_up(context: Context, posture: Array, why: str) -> None:
     """Go back to where the clamp was closed, have it opened, and stop."""
-    context.robot.go(posture, SHARE, "least torque, back")
+    context.robot.go(posture, SHARE_OF_TOP_SPEED, "least torque, back")
     context.person.release()
     context.journal.add("released")
     raise RunStopped(f"least torque: {why}. The robot went back, and the clamp was opened")

@@ -13,7 +13,7 @@ from experiments.plans.press import flange_jacobian, holding_torque, wrench
 __all__ = ["FREE", "Watch", "loaded", "slope_of"]
 
 FREE = 0.25  # of the described stiffness: no drive was found four times as soft; less, and nothing holds the flange
-SEEN = 3.0  # standard errors by which it is below that
+CERTAIN_SLOPE = 3.0  # standard errors by which it is below that
 MIN_READINGS = 5  # readings that a slope is taken from
 
 
@@ -83,4 +83,4 @@ def loaded(motor: Array, torque: Array, stiffness: float) -> bool | None:
     if len(motor) - first < MIN_READINGS:
         return None
     value, error = slope_of(motor[first:], torque[first:])
-    return bool(value + SEEN * error >= FREE * stiffness)
+    return bool(value + CERTAIN_SLOPE * error >= FREE * stiffness)

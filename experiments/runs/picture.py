@@ -17,8 +17,8 @@ from kinematics.poe import forward
 __all__ = ["picture"]
 
 SIZE, EDGE, HEAD = 420.0, 40.0, 50.0  # of a panel, its margin and the title, px
-BETWEEN = 12  # points on each motion: straight in the joints is curved in space
-GRID = 0.5  # m
+POINTS_BETWEEN = 12  # points on each motion: straight in the joints is curved in space
+SCALE_BAR = 0.5  # m
 
 
 def picture(plan: Plan, steps: Sequence[Motion]) -> str:
@@ -51,7 +51,7 @@ def _way(robot: RobotDescription, one: Array, other: Array) -> Array:
     """Places of the flange ``(m, 3)``, m, on a straight way in the joints."""
     if np.max(np.abs(other - one)) < 0.02:
         return np.array([_flange(robot, one), _flange(robot, other)])
-    return np.array([_flange(robot, one + s * (other - one)) for s in np.linspace(0.0, 1.0, BETWEEN)])
+    return np.array([_flange(robot, one + s * (other - one)) for s in np.linspace(0.0, 1.0, POINTS_BETWEEN)])
 
 
 def _panel(ways: Sequence[Array], stops: Array, every: Array, axes: tuple[int, int], words: str, place: int) -> str:
@@ -71,10 +71,10 @@ def _panel(ways: Sequence[Array], stops: Array, every: Array, axes: tuple[int, i
     dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="#0a58a6"/>' for x, y in at(stops))
     x, y = at(np.zeros(3))
     base = f'<rect x="{x - 5:.1f}" y="{y - 5:.1f}" width="10" height="10" fill="#333"/>'
-    bar = GRID * scale
+    bar = SCALE_BAR * scale
     left, bottom = place * SIZE + EDGE, HEAD + SIZE - 12
     ruler = (
         f'<path d="M{left:.1f} {bottom:.1f}h{bar:.1f}" stroke="#333" stroke-width="2"/>'
-        f'<text x="{left + bar + 6:.1f}" y="{bottom + 4:.1f}">{GRID:g} m, {escape(words)}</text>'
+        f'<text x="{left + bar + 6:.1f}" y="{bottom + 4:.1f}">{SCALE_BAR:g} m, {escape(words)}</text>'
     )
     return lines + base + dots + ruler

@@ -31,7 +31,7 @@ TOP_SPEED = 1.0  # rad/s, where a description has none
 LEAST_SHARE = 0.01
 WRAP = 2**32 / 1000.0  # s after which the controller's 32-bit timer begins anew
 LEAST_SAMPLES = 8  # of a reading
-AT_ONCE = 400  # samples asked for in one call
+SAMPLES_AT_ONCE = 400  # samples asked for in one call
 
 
 def share_of(robot: RobotDescription, travel: Array, duration: float, ramp: float) -> float:
@@ -229,7 +229,7 @@ class LinkedRobot:
         lost: tuple[int, int] | None = None
         following = first
         while following <= until:
-            part = self.link.recording(following, min(AT_ONCE, until - following + 1))
+            part = self.link.recording(following, min(SAMPLES_AT_ONCE, until - following + 1))
             if part.lost is not None:
                 lost = (part.lost[0] if lost is None else lost[0], part.lost[1])
                 following = max(following, part.lost[1] + 1)

@@ -21,7 +21,7 @@ from experiments.runs.slips import SweepRows
 __all__ = ["Noise", "alike", "line", "noise_of", "waves"]
 
 LEAST_ROWS = 32  # of a sweep: fewer say nothing of the noise's spectrum
-ROUNDS = 20  # of variances and spectrum in turn; they settle in five
+VARIANCE_ROUNDS = 20  # of variances and spectrum in turn; they settle in five
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def noise_of(sweeps: Sequence[SweepRows], harmonics: int) -> Noise | None:
         return None
     power = power[..., stood]
     shape = np.ones(len(odd))
-    for _ in range(ROUNDS):
+    for _ in range(VARIANCE_ROUNDS):
         own = np.nanmean(power / shape[:, None, None], axis=(0, 1, 2))
         if not np.all(own > 0.0):
             return None  # a torque that never changes is none that was measured

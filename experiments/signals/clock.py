@@ -14,7 +14,7 @@ __all__ = ["Gap", "gaps", "irregularity", "regular_time", "segments", "stale_row
 # Half a step either way: the nearest whole number of steps is then another one than 1.
 HALF_STEP = 0.5
 # How many standard errors apart two readings of a gap have to be for the positions to decide between them.
-CLEAR = 4.0
+CERTAIN_PERIOD = 4.0
 # A sample that is missing shows as two steps in one; between one and two steps lies one and a half.
 MISSING = 0.5
 # The finest difference in a log may be a third of its encoder's step, where readings are averaged or converted.
@@ -22,7 +22,7 @@ QUANTA = 3
 # Rows looked at on either side of a repeated one: few enough for a speed to be the same in.
 NEIGHBOURS = 3
 # A source half as fast as the log holds one row in two; one that is faster than four fifths of it skips singly.
-HELD = 0.2
+SHARE_OF_REPEATS = 0.2
 
 
 def segments(run: Integers, time: Array, used: Bools) -> Integers:
@@ -167,7 +167,7 @@ def _moved_one_step(q: Array, steps: Array, k: int, step: float) -> bool:
         q[k + 1 : k + 4].T @ [1.0, -2.0, 1.0]
     )
     error = (0.5 * float(np.linalg.norm(after - before)) * max(steps[k], step) + float(noise)) / size
-    return bool(abs(passed - step) < abs(passed - steps[k]) and abs(steps[k] - step) > CLEAR * error)
+    return bool(abs(passed - step) < abs(passed - steps[k]) and abs(steps[k] - step) > CERTAIN_PERIOD * error)
 
 
 def irregularity(time: Array, run: Integers) -> float:
@@ -257,6 +257,6 @@ def _held(change: Array, same: Bools, jump: Array) -> Bools:
     # The mean over seven rows sees through holds; three quanta a row are not rounding.
     rate = uniform_filter1d(size, 2 * NEIGHBOURS + 1, axis=0)
     fast = np.any(rate >= QUANTA * quantum, axis=1)
-    if not fast.any() or np.mean(same[1:][fast]) < HELD:
+    if not fast.any() or np.mean(same[1:][fast]) < SHARE_OF_REPEATS:
         return np.zeros(jump.shape, dtype=bool)
     return np.asarray(np.abs(jump) >= QUANTA * quantum)

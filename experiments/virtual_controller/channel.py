@@ -21,7 +21,7 @@ from experiments.virtual_controller.fifos import Fifos
 
 __all__ = ["Channel"]
 
-UNREAD = 65536  # bytes that a client may leave unread; then the connection is closed
+UNREAD_BYTES = 65536  # bytes that a client may leave unread; then the connection is closed
 COALESCE_S = 0.05  # s, after which held answers go out
 SPLIT_S = 0.0005  # s between two pieces of an answer
 KEEPALIVE = {"TCP_KEEPIDLE": 5, "TCP_KEEPINTVL": 2, "TCP_KEEPCNT": 3}  # s, s, 1: half-open peers are found
@@ -209,7 +209,7 @@ class _Client(asyncio.Protocol):
         else:
             transport.write(data)
             waiting = 0
-        if transport.get_write_buffer_size() + waiting > UNREAD:
+        if transport.get_write_buffer_size() + waiting > UNREAD_BYTES:
             self._broken("answers are not read")
 
     def _next_piece(self) -> None:

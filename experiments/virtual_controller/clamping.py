@@ -23,7 +23,7 @@ from experiments.virtual_robot.outside import outside_torque
 
 __all__ = ["Clamping", "close_clamp", "gauges", "held_torques"]
 
-TRIED = 0.4  # of the rated torque, by which every joint is wound up on trial
+WINDING_SHARE = 0.4  # of the rated torque, by which every joint is wound up on trial
 BISECTIONS = 20  # a millionth of the tilt
 STIFF = 0.01  # of the torque that a rigid block would give back; less, and the joint just turns
 
@@ -78,7 +78,7 @@ def close_clamp(plant: Plant, bodies: Bodies, time: float, rows: Rows, rng: np.r
         slips=time + plant.fixture.slips_at,
     )
     compliance = np.diag(compliance_matrix(plant.drive))
-    wound = np.diag(TRIED * plant.drive.rated * compliance + plant.drive.gap)
+    wound = np.diag(WINDING_SHARE * plant.drive.rated * compliance + plant.drive.gap)
     try:
         tau, _ = _pressed(plant, bodies, clamping, [time] * (plant.n + 1), rows.q + np.vstack([wound, 0 * wound[:1]]))
     except RuntimeError:

@@ -19,8 +19,8 @@ __all__ = ["Splitter", "Value", "Writer"]
 
 Value = int | float | bool | str
 MAX_DEPTH = 8  # levels of elements: no channel here has more than three
-PIECE = 4096  # bytes given to the parser at once
-BETWEEN = b" \t\r\n\0"
+BYTES_AT_ONCE = 4096  # bytes given to the parser at once
+SEPARATORS = b" \t\r\n\0"
 MAX_NUMBER = 64  # characters of a value: longer ones are no number
 INTEGERS = range(-(2**31), 2**31)
 
@@ -49,8 +49,8 @@ class Splitter:
         """
         whole: list[dict[str, Value]] = []
         try:
-            for begin in range(0, len(data), PIECE):
-                self._take(data[begin : begin + PIECE], whole)
+            for begin in range(0, len(data), BYTES_AT_ONCE):
+                self._take(data[begin : begin + BYTES_AT_ONCE], whole)
         except DocumentError as error:
             error.whole = whole
             raise
@@ -69,7 +69,7 @@ class Splitter:
         rest = piece
         while rest:
             if self._parser is None:
-                rest = rest.lstrip(BETWEEN)
+                rest = rest.lstrip(SEPARATORS)
                 if not rest:
                     return
                 if not rest.startswith(b"<"):

@@ -19,7 +19,7 @@ __all__ = ["Limits", "Move", "beyond", "braked", "limits_of", "move"]
 
 RAMP_TIME = 0.5  # s to the top speed: no description has accelerations
 SPEED = 1.0  # rad/s, where a description has no top speed
-SHORTEST = 0.012  # s: one cycle of the interpolator
+SHORTEST_MOVE = 0.012  # s: one cycle of the interpolator
 ROUND = 1e-6  # rad, what a four-byte float may add to an angle at its limit
 BRAKE = 2.0  # times the acceleration of a usual move, when a move is stopped
 
@@ -124,7 +124,7 @@ def move(limits: Limits, start: float, origin: Array, target: Array, share: floa
     rate = float(np.min(share * limits.speed / size))
     gain = float(np.min(limits.acceleration / size))
     duration, ramp = (1 / rate + rate / gain, rate / gain) if rate**2 < gain else (2 / gain**0.5, 1 / gain**0.5)
-    slower = max(SHORTEST / duration, 1.0)
+    slower = max(SHORTEST_MOVE / duration, 1.0)
     return Move(start, np.array(origin, dtype=float), step, duration * slower, ramp * slower)
 
 

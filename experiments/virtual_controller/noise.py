@@ -12,8 +12,8 @@ from experiments.virtual_robot.instrument import CORRELATION_TIME, SLOW_SHARE
 __all__ = ["Noise"]
 
 BLOCK = 1024  # rows; at 12 ms, six times the correlation time
-CHUNK = 64  # rows that are filtered at once
-KEPT = 24  # blocks: more than what a recording keeps
+ROWS_AT_ONCE = 64  # rows that are filtered at once
+BLOCKS_KEPT = 24  # blocks: more than what a recording keeps
 
 
 class Noise:
@@ -35,9 +35,9 @@ class Noise:
     def __init__(self, seed: tuple[int, ...], width: int, step: float) -> None:
         self._seed, self._width = seed, width
         self._memory = float(np.exp(-step / CORRELATION_TIME))
-        lag = np.subtract.outer(np.arange(CHUNK), np.arange(CHUNK))
-        self._within = np.where(lag >= 0, self._memory ** np.maximum(lag, 0), 0.0)  # (CHUNK, CHUNK)
-        self._onward = self._memory ** np.arange(1, CHUNK + 1)
+        lag = np.subtract.outer(np.arange(ROWS_AT_ONCE), np.arange(ROWS_AT_ONCE))
+        self._within = np.where(lag >= 0, self._memory ** np.maximum(lag, 0), 0.0)  # (ROWS_AT_ONCE, ROWS_AT_ONCE)
+        self._onward = self._memory ** np.arange(1, ROWS_AT_ONCE + 1)
         self._blocks: OrderedDict[int, tuple[Array, Array, Array]] = OrderedDict()
 
     def torque(self, rows: list[int]) -> Array:
@@ -61,16 +61,18 @@ class Noise:
         drive[0] = before[1][0]  # starts in the stationary state
         slow = self._remembered(drive)[BLOCK:]
         self._blocks[number] = block = (here[0], slow, here[2])
-        if len(self._blocks) > KEPT:
+        if len(self._blocks) > BLOCKS_KEPT:
             self._blocks.popitem(last=False)
         return block
 
     def _remembered(self, drive: Array) -> Array:
         """y_k = memory·y_(k−1) + x_k, (N, width): chunk by chunk, each from the last row of the one before."""
         out, last = np.empty_like(drive), np.zeros(self._width)
-        for begin in range(0, len(drive), CHUNK):
-            out[begin : begin + CHUNK] = self._within @ drive[begin : begin + CHUNK] + self._onward[:, None] * last
-            last = out[begin + CHUNK - 1]
+        for begin in range(0, len(drive), ROWS_AT_ONCE):
+            out[begin : begin + ROWS_AT_ONCE] = (
+                self._within @ drive[begin : begin + ROWS_AT_ONCE] + self._onward[:, None] * last
+            )
+            last = out[begin + ROWS_AT_ONCE - 1]
         return out
 
     def _draw(self, number: int) -> Array:

@@ -12,7 +12,7 @@ __all__ = ["RING", "Recording", "Sample"]
 
 RING = 20_000  # samples that are kept
 BLOCK = 32  # samples that are worked out together
-KEPT = 64  # blocks
+BLOCKS_KEPT = 64  # blocks
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Recording:
         if number not in self._blocks:
             first = max(number * BLOCK, 1)
             self._blocks[number] = self._work_out(list(range(first, (number + 1) * BLOCK)))
-            if len(self._blocks) > KEPT:
+            if len(self._blocks) > BLOCKS_KEPT:
                 self._blocks.popitem(last=False)
         self._blocks.move_to_end(number)
         return self._blocks[number]

@@ -19,7 +19,7 @@ from experiments.virtual_controller.programs import Controller, milliseconds
 __all__ = ["VarProxy"]
 
 CLIENTS = 16
-LONGEST = 512  # bytes of a request's body
+LONGEST_BODY = 512  # bytes of a request's body
 PATIENCE = 10.0  # s for a request that has begun, or an answer that is not read
 GOOD, BAD = b"\x00\x01\x01", b"\x00\x00\x00"
 INDEXED = re.compile(r"(\$[A-Z_]+)\[([1-6])\]")
@@ -68,7 +68,7 @@ class VarProxy:
             while first := await reader.read(1):
                 head = first + await asyncio.wait_for(reader.readexactly(3), PATIENCE)
                 number, length = struct.unpack(">HH", head)
-                if not 3 <= length <= LONGEST:
+                if not 3 <= length <= LONGEST_BODY:
                     self.refused += 1
                     break
                 body = await asyncio.wait_for(reader.readexactly(length), PATIENCE)

@@ -18,7 +18,7 @@ __all__ = ["Warmth"]
 
 BRISK = 0.05  # of the top speed, on average, warms a motor to its full rise in the end, as `Session` has it
 HARDEST = 1.5
-KEPT = 40  # steps: what the recording asks for is younger
+STEPS_KEPT = 40  # steps: what the recording asks for is younger
 
 
 class Warmth:
@@ -38,7 +38,7 @@ class Warmth:
         self._heat, self._speed, self._travel = heat, speed, travel
         air = self._air(0.0)
         self._rows: deque[tuple[Array, Array, float]] = deque(
-            [(air + heat.start[0], air + heat.start[1], air)], maxlen=KEPT
+            [(air + heat.start[0], air + heat.start[1], air)], maxlen=STEPS_KEPT
         )
         self._gone = travel(0.0)
         self.steps = 0  # done

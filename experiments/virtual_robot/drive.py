@@ -16,7 +16,7 @@ from experiments.virtual_robot.play import slipping
 
 HARDENED = 0.8  # of the rated torque, up to which springs harden
 SEALS = 0.5  # Nm at the joint; below it, seals hold the arm on the flank that it came from
-SMALL = 100.0  # Nm: of joints of less rated torque the seals are smaller as well
+SMALL_JOINT = 100.0  # Nm: of joints of less rated torque the seals are smaller as well
 
 
 def motor_angles(drive: Drive, q: Array) -> Array:
@@ -97,7 +97,7 @@ def transmitted(plant: Plant, load: Array, direction: Array) -> Array:
 
 def seals(drive: Drive) -> Array:
     """Return the load, Nm, (n,), below which seals hold a joint on the flank that it came from."""
-    return np.asarray(SEALS * np.minimum(drive.rated / SMALL, 1.0), dtype=float)
+    return np.asarray(SEALS * np.minimum(drive.rated / SMALL_JOINT, 1.0), dtype=float)
 
 
 def flank(drive: Drive, tau: Array, direction: Array) -> Array:

@@ -13,7 +13,7 @@ from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.puts import Numbers, named, plus
 from experiments.virtual_robot.sizes import Sight
 
-SMALL = 1e-4  # rad, a change to measure sizes with
+SMALL_TURN = 1e-4  # rad, a change to measure sizes with
 
 
 # Where no weight loads a joint, friction winds its spring like a gap: all three are one column, and none counts as
@@ -31,7 +31,7 @@ def hide_backlash(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
     def wider(p: Plant, gap: float) -> Plant:
         return replace(p, drive=replace(p.drive, gap=plus(p.drive.gap, i, gap)))
 
-    gap = m * SMALL * s.factor(lambda p: wider(p, SMALL), *BY_DIRECTION)
+    gap = m * SMALL_TURN * s.factor(lambda p: wider(p, SMALL_TURN), *BY_DIRECTION)
     return wider(plant, gap), {"gap_rad": gap}
 
 
@@ -41,7 +41,7 @@ def hide_reversal(plant: Plant, i: int, m: float, s: Sight, rng: np.random.Gener
     def short(p: Plant, width: float) -> Plant:
         return replace(p, drive=replace(p.drive, reversal=plus(p.drive.reversal, i, width)))
 
-    width = m * SMALL * s.factor(lambda p: short(p, SMALL), *BY_DIRECTION)
+    width = m * SMALL_TURN * s.factor(lambda p: short(p, SMALL_TURN), *BY_DIRECTION)
     return short(plant, width), {"width_rad": width}
 
 
@@ -77,7 +77,7 @@ def _with_waves(
         changed: dict[str, Any] = {field: plus(getattr(p.drive, field), i, terms)}
         return replace(p, drive=replace(p.drive, **changed))
 
-    terms = m * SMALL * s.factor(lambda p: wavy(p, SMALL * shape)) * shape
+    terms = m * SMALL_TURN * s.factor(lambda p: wavy(p, SMALL_TURN * shape)) * shape
     names = (f"sin_{angle}_rad", f"cos_{angle}_rad", f"sin_2{angle}_rad", f"cos_2{angle}_rad")
     return wavy(plant, terms), named(names, terms)
 
@@ -114,7 +114,7 @@ def _with_discs(plant: Plant, m: float, s: Sight, rng: np.random.Generator, kind
         discs = np.broadcast_to(rms * error, (n, marks))
         return replace(p, drive=replace(p.drive, disc=discs, disc_turn=turn, disc_sense=sense))
 
-    rms = m * SMALL * s.factor(lambda p: faulty(p, SMALL))
+    rms = m * SMALL_TURN * s.factor(lambda p: faulty(p, SMALL_TURN))
     told = {"marks_rms_rad": rms, **{f"turn{j + 1}_rad": float(turn[j]) for j in range(n)}}
     return faulty(plant, rms), told | {f"sense{j + 1}_1": float(sense[j]) for j in range(n)}
 
@@ -140,7 +140,7 @@ def _with_wrong_entry(plant: Plant, j: int, i: int, m: float, s: Sight) -> tuple
         new[j, i] += error * T[j, j]  # rad per rad of joint j
         return replace(p, drive=replace(p.drive, transmission=new))
 
-    error = m * SMALL * s.factor(lambda p: wrong(p, SMALL))
+    error = m * SMALL_TURN * s.factor(lambda p: wrong(p, SMALL_TURN))
     return wrong(plant, error), {f"joint{i + 1}_per_joint{j + 1}_rad_rad": error}
 
 

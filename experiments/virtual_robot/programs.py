@@ -12,7 +12,7 @@ from experiments.virtual_robot.description import Array
 from experiments.virtual_robot.sampling import Site
 
 Integers = npt.NDArray[np.int64]
-RATE = 10.0  # Hz, of the torque logs
+LOG_RATE = 10.0  # Hz, of the torque logs
 DWELL = 2.0  # s, at each configuration of free-air programs
 TARGET_TIME = 3.0  # s, for each tracked point
 SWEEP_ROWS = 160
@@ -78,7 +78,7 @@ def _follow(paths: list[Path], pause: float) -> tuple[Run, ...]:
     runs, clock = [], 0.0
     for path in paths:
         runs.append(Run(path, round(clock, 3)))
-        clock += np.ceil(path.length * RATE) / RATE + pause
+        clock += np.ceil(path.length * LOG_RATE) / LOG_RATE + pause
     return tuple(runs)
 
 

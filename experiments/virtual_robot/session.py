@@ -18,7 +18,7 @@ from experiments.virtual_robot.programs import ClampProgram, Course, PoseProgram
 from experiments.virtual_robot.sampling import Site
 from experiments.virtual_robot.torque_tables import log_runs, log_sweeps
 
-PIECE = 10.0  # s, in which the work of a motor is averaged
+WORK_AVERAGED = 10.0  # s, in which the work of a motor is averaged
 BRISK = 0.05  # of the top speed, on average, warms a motor to its full rise in the end
 HARDEST = 1.5
 
@@ -61,8 +61,8 @@ class Session:
     def log(self, course: Course) -> pd.DataFrame:
         """Follow a course and log it; ``time_s`` is the session's clock."""
         start = self.clock
-        for edge in np.arange(0.0, course.length, PIECE):
-            end = min(edge + PIECE, course.length)
+        for edge in np.arange(0.0, course.length, WORK_AVERAGED):
+            end = min(edge + WORK_AVERAGED, course.length)
             _, speed, _ = course.at(np.linspace(edge, end, 20))
             self._spend(end - edge, np.abs(speed).mean(axis=0))
         history = self._history()

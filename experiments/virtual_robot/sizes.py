@@ -22,7 +22,7 @@ from experiments.virtual_robot.rotations import rotation_matrix
 from experiments.virtual_robot.sampling import Site
 
 VISIBLE = 1.5  # times the instrument's noise (one axis), rms of what a standard model leaves
-LARGEST = 8.0  # times the noise, rms before absorption: what is nearly absorbed is not blown up beyond this
+LARGEST_HIDDEN = 8.0  # times the noise, rms before absorption: what is nearly absorbed is not blown up beyond this
 
 
 class Sight:
@@ -77,7 +77,7 @@ class Sight:
         if whole < 1e-9:
             return 0.0
         sigma = self.plant.instrument.sigma
-        return sigma * min(VISIBLE / max(self.left(changed, *spare), 1e-12), LARGEST / whole)
+        return sigma * min(VISIBLE / max(self.left(changed, *spare), 1e-12), LARGEST_HIDDEN / whole)
 
 
 def _small_changes(plant: Plant) -> Iterator[tuple[str, Plant]]:

@@ -26,7 +26,7 @@ from experiments.virtual_robot.instrument import torque_noise
 from experiments.virtual_robot.outside import outside_torque
 from experiments.virtual_robot.plant import Plant
 from experiments.virtual_robot.play import creeping_friction, dry_friction
-from experiments.virtual_robot.programs import RATE, ClampProgram, Run
+from experiments.virtual_robot.programs import LOG_RATE, ClampProgram, Run
 
 SPEED_NOISE = 3e-5  # rad/s, of logged joint speeds
 
@@ -66,7 +66,7 @@ def log_runs(
     state, gear = rng.choice([-1.0, 1.0], (2, plant.n))
     tables, truths = [], []
     for number, run in enumerate(runs, 1):
-        time = np.arange(0.0, run.path.length, 1 / RATE)
+        time = np.arange(0.0, run.path.length, 1 / LOG_RATE)
         q, qd, qdd = run.path.at(time)
         temperature = history.at(since + run.start + time)
         if number > 1:  # driven from where the last run ended to where this one starts
@@ -81,7 +81,7 @@ def log_runs(
             plant, bodies, (q, qd, qdd), state=states, gear_state=gears, temperature=temperature.motor
         )
         shaft = late(shaft, plant.friction.lag)
-        noise = torque_noise(plant.instrument.torque_sigma, len(time), 1 / RATE, rng)
+        noise = torque_noise(plant.instrument.torque_sigma, len(time), 1 / LOG_RATE, rng)
         speed = qd + SPEED_NOISE * rng.standard_normal(qd.shape)
         data: dict[str, Array] = {"time_s": np.round(run.start + time, 3)}
         data |= columns("q", q, "rad") | columns("qd", speed, "rad_s") | columns("tau", shaft + noise, "Nm")
@@ -124,7 +124,7 @@ def _dry_states(plant: Plant, motor: Array, start: Array) -> Array:
     states = dry_friction(motor, friction.presliding, start)
     creeping = friction.creep > 0.0
     if creeping.any():
-        crept = creeping_friction(motor, 1 / RATE, friction.presliding, friction.creep, start)
+        crept = creeping_friction(motor, 1 / LOG_RATE, friction.presliding, friction.creep, start)
         states = np.where(creeping, crept, states)
     return states
 
@@ -134,11 +134,11 @@ def _gear_width(plant: Plant) -> Array:
 
 
 def late(rows: Array, lag: float) -> Array:
-    """Return rows of a log of ``RATE`` as they are when logged ``lag`` seconds late."""
+    """Return rows of a log of ``LOG_RATE`` as they are when logged ``lag`` seconds late."""
     if not lag:
         return rows
     index = np.arange(len(rows), dtype=float)
-    return np.column_stack([np.interp(index - lag * RATE, index, c) for c in rows.T])
+    return np.column_stack([np.interp(index - lag * LOG_RATE, index, c) for c in rows.T])
 
 
 def sweep_angles(plant: Plant, program: ClampProgram, amplitude: Array) -> Array:

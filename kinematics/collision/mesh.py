@@ -26,7 +26,7 @@ Integers = npt.NDArray[np.int64]
 
 MAX_BYTES = 200_000_000  # of a file
 MAX_TRIANGLES = 2_000_000
-FARTHEST = 1000.0  # m from its own origin
+FARTHEST_VERTEX = 1000.0  # m from its own origin
 FLAT = 1e-5  # m: a mesh thinner than this is a sheet
 SHEET = 1e-3  # m, thickness that a sheet is given
 NO_AREA = 1e-14  # m^2: a triangle of less is a line
@@ -117,8 +117,8 @@ def _checked(vertices: Array, triangles: Integers) -> Mesh:
     if bad.any():
         raise MeshError(f"vertex {used[bad][0] + 1} is not three finite numbers")
     far = float(np.abs(vertices).max())
-    if far > FARTHEST:
-        raise MeshError(f"a vertex is {far:.3g} m away; expected metres, at most {FARTHEST:g}")
+    if far > FARTHEST_VERTEX:
+        raise MeshError(f"a vertex is {far:.3g} m away; expected metres, at most {FARTHEST_VERTEX:g}")
     corners = vertices[triangles]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     triangles = triangles[area > NO_AREA]

@@ -16,7 +16,7 @@ from kinematics.section import Section
 from kinematics.typing_ import Array
 
 __all__ = [
-    "FARTHEST",
+    "FARTHEST_OBSTACLE",
     "SHAPES",
     "Obstacle",
     "ObstacleShape",
@@ -29,7 +29,7 @@ __all__ = [
 
 ObstacleShape = Literal["box", "cylinder", "sphere", "capsule", "half_space", "mesh"]
 
-FARTHEST = 100.0  # m: of an obstacle, and of its edges; beyond, millimetres
+FARTHEST_OBSTACLE = 100.0  # m: of an obstacle, and of its edges; beyond, millimetres
 LONGEST_PATH = 4096  # characters
 SHORTEST_DIRECTION = 1e-9
 MOST_SKEWED = 1e-6  # cosine between two directions that are perpendicular but for rounding
@@ -142,8 +142,8 @@ def obstacles_of(parts: list[Section], folder: Path) -> tuple[Obstacle, ...]:
             if not file.is_file():
                 raise at.fault("file", f"a mesh at {file}", "none")
         elif SHAPES[shape]:
-            size = tuple(at.vector("size_m", SHAPES[shape], 0.0, FARTHEST, "m", above=True).tolist())
-        out.append(Obstacle(name, shape, size, pose_of(at, FARTHEST), file, at.flag("holds_sample", False)))
+            size = tuple(at.vector("size_m", SHAPES[shape], 0.0, FARTHEST_OBSTACLE, "m", above=True).tolist())
+        out.append(Obstacle(name, shape, size, pose_of(at, FARTHEST_OBSTACLE), file, at.flag("holds_sample", False)))
         at.done()
     return tuple(out)
 

@@ -22,7 +22,7 @@ CHORDS = 2  # steps that use the last one again: each gains three digits, as any
 CONVERGED = 1e-9  # m and rad: what counts as reaching a pose
 WISHED = 1e-11  # m and rad: what rounding allows, and what a search improves its end to
 GIVEN_UP = 1e8  # damping beyond which no step changes anything
-LARGEST = 0.5  # rad of a joint in one damped step
+LARGEST_STEP = 0.5  # rad of a joint in one damped step
 DAMPING = 1e-12  # of J'J, whose entries are of the order of one: keeps a singular step finite, leaves any other alone
 
 
@@ -83,7 +83,7 @@ def _damped_step(n: int, state: Any, given: Any, begin: Any) -> Any:
         state[:n], state[n], state[n + 1], state[n + 2 : n + 8], ca.reshape(state[2 * n + 8 :], 6, n)
     )  # fmt: skip
     step = _solve(_cholesky(J.T @ J + damping * ca.SX.eye(n)), J.T @ error)
-    trial = q + ca.fmin(ca.fmax(step, -LARGEST), LARGEST)
+    trial = q + ca.fmin(ca.fmax(step, -LARGEST_STEP), LARGEST_STEP)
     better = begin.call([trial, ca.vertcat(ca.fmax(0.1 * damping, 1e-15), 2.0), given], True, False)[0]
     worse = ca.vertcat(q, 2.0 * growth * ca.fmax(damping, 1e-13), 2.0 * growth, state[n + 2 :])
     wanted = ca.logic_and(ca.mmax(ca.fabs(error)) > WISHED, damping < GIVEN_UP)

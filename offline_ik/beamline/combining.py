@@ -21,8 +21,8 @@ AXES = {"gamma": "gamma_rad", "delta": "delta_rad", "radius": "r_m"}
 """The axes, and what answers call them."""
 
 WINDOW = 0.03  # s within which coordinates that are set belong together
-TURNS = 20  # of the loop, for what is ready to be set when it lagged behind
-LONGEST = 3600.0  # s that a motion may take
+TURNS_OF_THE_LOOP = 20  # of the loop, for what is ready to be set when it lagged behind
+LONGEST_MOTION = 3600.0  # s that a motion may take
 
 
 class MotionError(RefusedError):
@@ -109,7 +109,7 @@ class Combined:
         try:
             async with self._lock:
                 await asyncio.sleep(WINDOW)
-                for _ in range(TURNS):
+                for _ in range(TURNS_OF_THE_LOOP):
                     await asyncio.sleep(0)
                 self._close(batch)
                 return await self._made(batch)
@@ -128,8 +128,8 @@ class Combined:
             raise RefusedError(why_refused(told))
         self.motions += 1
         batch.decided.set()
-        moved = await self._moves.ask("moved", timeout=LONGEST, number=told["number"])
-        ended = moved["ended"] or {"outcome": "unknown", "reason": f"not ended within {LONGEST:g} s"}
+        moved = await self._moves.ask("moved", timeout=LONGEST_MOTION, number=told["number"])
+        ended = moved["ended"] or {"outcome": "unknown", "reason": f"not ended within {LONGEST_MOTION:g} s"}
         if ended["outcome"] != "arrived":
             raise MotionError(": ".join(filter(None, (ended["outcome"], ended["reason"]))))
         return moved

@@ -29,7 +29,7 @@ __all__ = ["main"]
 
 LOOK = 0.1  # s between two readings of where the robot is
 ANGLE_RANGES = {"gamma": (-180.0, 180.0), "delta": (-90.0, 90.0)}  # deg
-FARTHEST = 10.0  # m, of the radius: as far as the line protocol hears of
+LARGEST_RADIUS = 10.0  # m, of the radius: as far as the line protocol hears of
 LONGEST_MESSAGE = 65536  # bytes
 TEXT = 400  # characters
 
@@ -94,7 +94,7 @@ class Robot:
         metres = LENGTHS[unit]
         self.scale = {"gamma": math.degrees(1.0), "delta": math.degrees(1.0), "radius": 1.0 / metres}
         self.units = {"gamma": "deg", "delta": "deg", "radius": unit}
-        self.limits = {**ANGLE_RANGES, "radius": (0.0, FARTHEST / metres)}
+        self.limits = {**ANGLE_RANGES, "radius": (0.0, LARGEST_RADIUS / metres)}
 
     async def move(self, axis: str, value: float) -> None:
         """One axis there.

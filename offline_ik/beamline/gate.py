@@ -19,7 +19,7 @@ __all__ = ["Bounds", "Gate", "free_port"]
 
 HEADER = 12  # bytes
 LONGEST_MESSAGE = 65536  # bytes after the header; omniORB sends fragments of 8 kB
-CHUNK = 65536  # bytes of answers at a time
+BYTES_AT_ONCE = 65536  # bytes of answers at a time
 BACKLOG = 100  # connections that wait to be accepted
 
 
@@ -144,7 +144,7 @@ class Gate:
 
 async def _copy(answers: asyncio.StreamReader, visitor: _Visitor) -> None:
     with contextlib.suppress(OSError):
-        while data := await answers.read(CHUNK):
+        while data := await answers.read(BYTES_AT_ONCE):
             visitor.writer.write(data)
             await visitor.writer.drain()
     visitor.end()  # the server hung up

@@ -11,7 +11,7 @@ import numpy as np
 
 from clampid.plain_json import finite
 from clampid.wrong_call import CallError
-from offline_ik.beamline.robot import SETTLED, LinkedRobot
+from offline_ik.beamline.robot import STOOD_STILL, LinkedRobot
 from offline_ik.exchange.asked import sides_of, simulated_at_once, simulation_of
 from offline_ik.exchange.requests import RequestError, number, switch
 from offline_ik.exchange.session import Later, Session, Told
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MOVING"]
 
-LONGEST = 3600.0  # s that a client may wait for the end of a motion
+LONGEST_WAIT = 3600.0  # s that a client may wait for the end of a motion
 Given = Mapping[str, str]
 
 
@@ -47,7 +47,7 @@ def _move(speaker: Speaker, given: Given, session: Session) -> Later:
             raise RequestError("move: the connection was closed before the move was checked; nothing moves")
         if robot.stops != stops:
             raise RequestError("move: the robot was stopped while its way was checked")
-        if robot.number != before or not np.abs(robot.link.posture() - here).max() <= SETTLED:
+        if robot.number != before or not np.abs(robot.link.posture() - here).max() <= STOOD_STILL:
             raise RequestError("move: the robot moved while its way was checked; ask again when it stands")
         robot.check_free(session)
         asked = {name: value for name, value in ways.answer.asked.items() if value is not None}
@@ -62,7 +62,7 @@ def _move(speaker: Speaker, given: Given, session: Session) -> Later:
             if not waits:
                 return speaker.told_of(data, ways.answer)
             then = lambda _: speaker.told_of(data | {"moving": False} | ended(speaker, number), ways.answer)  # noqa: E731
-            return _until(robot, number, LONGEST, then)
+            return _until(robot, number, LONGEST_WAIT, then)
 
         if robot.begins_at_once:  # a thread would only make it later
             robot.send(way.postures, speed)
@@ -111,9 +111,9 @@ def _robot(speaker: Speaker, given: Given, session: Session) -> Told:
 
 
 def _moved(speaker: Speaker, given: Given, session: Session) -> Told | Later:
-    robot, patience = _linked(speaker, "moved", "nothing moves"), number(given, "timeout", LONGEST)
-    if not (math.isfinite(patience) and 0 <= patience <= LONGEST):
-        raise RequestError(f"timeout: expected seconds from 0 to {LONGEST:g}, found {patience:g}")
+    robot, patience = _linked(speaker, "moved", "nothing moves"), number(given, "timeout", LONGEST_WAIT)
+    if not (math.isfinite(patience) and 0 <= patience <= LONGEST_WAIT):
+        raise RequestError(f"timeout: expected seconds from 0 to {LONGEST_WAIT:g}, found {patience:g}")
     under_way = robot.number if robot.refresh() and robot.mover is not None else 0
     asked = number(given, "number", under_way)
     if not (0 <= asked <= robot.number and asked == int(asked)):

@@ -29,10 +29,10 @@ __all__ = ["LOOK", "Ended", "LinkedRobot"]
 
 Array = npt.NDArray[np.float64]
 
-SETTLED = 1e-3  # rad by which a robot that stands may have moved and still be where it was
+STOOD_STILL = 1e-3  # rad by which a robot that stands may have moved and still be where it was
 OLD = 2.0  # s, beyond which what a link says of the robot is no longer believed
 LOOK = 0.01  # s between two looks at whether a motion has ended
-KEPT = 64  # ends of motions that are remembered
+MOTIONS_KEPT = 64  # ends of motions that are remembered
 
 
 class Ended(NamedTuple):
@@ -113,7 +113,7 @@ class LinkedRobot:
 
     def _conclude(self, state: Mapping[str, Any]) -> None:
         here = self.link.posture()
-        there = self._target is not None and bool(np.abs(here - self._target).max() <= SETTLED)
+        there = self._target is not None and bool(np.abs(here - self._target).max() <= STOOD_STILL)
         if state.get("failed"):
             self._end("failed", str(state["failed"])[:500])
         elif there:
@@ -129,7 +129,7 @@ class LinkedRobot:
         if outcome != "arrived":
             self._setpoint = None
         self.ends[self.number] = Ended(self.number, outcome, reason)
-        while len(self.ends) > KEPT:
+        while len(self.ends) > MOTIONS_KEPT:
             self.ends.popitem(last=False)
 
     def check_free(self, session: Session) -> None:
@@ -246,7 +246,7 @@ class LinkedRobot:
         What is the same as at the last call is not computed again: a robot that stands is looked at often.
         """
         here = detector.check_posture(self.link.posture(), "the robot's posture")
-        known = self._target is not None and bool(np.abs(here - self._target).max() <= SETTLED)
+        known = self._target is not None and bool(np.abs(here - self._target).max() <= STOOD_STILL)
         seen = self._seen
         if seen is not None and seen[0] is detector and seen[1] is known and np.array_equal(seen[2], here):
             return here, seen[3], seen[4]
@@ -258,7 +258,7 @@ class LinkedRobot:
 
     def setpoint(self, here: Array, place: Place, moving: bool) -> dict[str, float]:
         """The accepted coordinates; where the robot was moved otherwise, those where it was first seen to stand."""
-        away = self._rest is None or np.abs(here - self._rest).max() > SETTLED
+        away = self._rest is None or np.abs(here - self._rest).max() > STOOD_STILL
         if self._setpoint is None or (away and not moving):
             at = place.angles
             found = {"gamma_rad": at.gamma, "delta_rad": at.delta, "r_m": at.r, "roll_rad": at.roll}

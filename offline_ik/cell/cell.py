@@ -26,7 +26,7 @@ from offline_ik.cell.cell_values import COLDEST, HOTTEST, spread
 from offline_ik.cell.coordinates import CONVENTIONS, Convention
 from offline_ik.errors import CellError
 
-__all__ = ["LONGEST", "Cell", "default_cell", "read_cell"]
+__all__ = ["LONGEST_TIME", "Cell", "default_cell", "read_cell"]
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ LARGEST_PIXEL = 0.01  # m
 MOST_PIXELS = 100_000  # along an edge
 LARGEST_MARGIN = 0.5  # rad
 HEAVIEST = 2000.0  # kg
-LONGEST = 1e8  # s, three years
+LONGEST_TIME = 1e8  # s, three years
 WEAKEST, STRONGEST = 9.0, 10.6  # m/s², of gravity
 
 
@@ -175,7 +175,7 @@ def _cell(at: Section, robot: RobotDescription, folder: Path) -> Cell:
         tool_com=_three(tool.vector("com_m", 3, -LARGEST_TOOL, LARGEST_TOOL, "m", np.zeros(3))),
         link_temperature=heat.vector("link_C", n, COLDEST, HOTTEST, "°C", None),
         motor_temperature=heat.vector("motor_C", n, COLDEST, HOTTEST, "°C", None),
-        running=heat.number("running_s", 0.0, LONGEST, "s", None),
+        running=heat.number("running_s", 0.0, LONGEST_TIME, "s", None),
         radius=world.link_radii,
         base_radius=world.base_radius,
         clearance=world.clearance,

@@ -19,7 +19,7 @@ from experiments.temperatures import REFERENCE_TEMPERATURE
 from kinematics.robot import RobotDescription
 from offline_ik.arm.identified import Conditions, IdentifiedArm
 from offline_ik.arm.kernel import Kernel
-from offline_ik.cell.cell import LONGEST, Cell
+from offline_ik.cell.cell import LONGEST_TIME, Cell
 from offline_ik.cell.checks import check_directions, check_posture, check_temperatures
 from offline_ik.cell.coordinates import check_target, detector_pose
 from offline_ik.cell.frames import Framing
@@ -122,8 +122,8 @@ class Detector:
         TargetError
             It is no time, or of years.
         """
-        if not 0 <= seconds <= LONGEST:
-            raise TargetError(f"running: expected seconds from 0 to {LONGEST:g}, found {seconds:g}")
+        if not 0 <= seconds <= LONGEST_TIME:
+            raise TargetError(f"running: expected seconds from 0 to {LONGEST_TIME:g}, found {seconds:g}")
         return self.within(replace(self.cell, running=seconds))
 
     def within(self, cell: Cell) -> Detector:

@@ -32,10 +32,10 @@ __all__ = ["effort", "rolls_to_try"]
 
 Array = npt.NDArray[np.float64]
 
-GRID = 96  # rolls at first: a valley is as wide as a joint's turn, most of a radian
+FIRST_ROLLS = 96  # rolls at first: a valley is as wide as a joint's turn, most of a radian
 VALLEYS = 6
 POINTS, ROUNDS = 9, 9  # each round narrows to a quarter
-AROUND = (
+ROLLS_AROUND = (
     0.2,
     0.01,
 )  # rad: the best roll of a calibrated arm is not the nominal one's, the more so the less the roll matters
@@ -44,7 +44,7 @@ SAME_EFFORT_WITHIN = 0.05
 ALL_MOVES = 0.1
 BARRED = 100.0  # more than any joint moves, rad: beyond a limit or out of reach
 NOT_ASKED = 1000.0  # of a branch that was not asked for
-ROUNDING = 1e-12  # of a turn
+SAME_TURN = 1e-12  # of a turn
 
 
 def effort(q: Array, here: Array) -> Array:
@@ -101,7 +101,7 @@ class _Along:
         q, quality = detector.solver.branches(self.bases(rolls), self.here)
         bounded = np.isfinite(detector.lower) & np.isfinite(detector.upper)
         lower, upper = np.where(bounded, detector.lower, -1e9), np.where(bounded, detector.upper, 1e9)
-        first, last = np.ceil((lower - q) / whole - ROUNDING), np.floor((upper - q) / whole + ROUNDING)
+        first, last = np.ceil((lower - q) / whole - SAME_TURN), np.floor((upper - q) / whole + SAME_TURN)
         fits = first <= last
         beyond = np.minimum(lower - q - whole * last, q + whole * first - upper)
         q = q + whole * np.where(fits, np.clip(0.0, first, last), 0.0)
@@ -115,8 +115,8 @@ class _Along:
 
     def valleys(self) -> list[tuple[float, float, int]]:
         """Cost, roll and branch of the nominal arm's best postures, one a valley, the best first."""
-        step = 2 * np.pi / GRID
-        grid = _grid(GRID)
+        step = 2 * np.pi / FIRST_ROLLS
+        grid = _grid(FIRST_ROLLS)
         _, cost = self.nominal(grid)
         before, after = np.roll(cost, 1, axis=0), np.roll(cost, -1, axis=0)
         low = (cost <= before) & (cost <= after) & (cost < NOT_ASKED)
@@ -152,7 +152,7 @@ class _Along:
         def costs(rolls: Array) -> Array:
             return self.identified(rolls.ravel(), start, SIGNS[branch])[1].reshape(rolls.shape)
 
-        rolls, found = _narrowed(costs, np.full(len(AROUND), roll), np.array(AROUND))
+        rolls, found = _narrowed(costs, np.full(len(ROLLS_AROUND), roll), np.array(ROLLS_AROUND))
         k = int(np.argmin(found))
         return float(found[k]), _wrapped(float(rolls[k]))
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from offline_ik.arm.identified import Conditions
 from offline_ik.inverse.branches import candidate_turns
 from offline_ik.inverse.ortho import SIGNS
-from offline_ik.inverse.singular import AROUND, STRAIGHT, along_valleys
+from offline_ik.inverse.singular import ALONG_A_VALLEY, STRAIGHT, along_valleys
 from offline_ik.inverse.solver import CONVERGED, NEARLY, Solver
 
 __all__ = ["ROLLS", "Direction", "PostureSearch", "Reasons", "directions_of"]
@@ -138,7 +138,7 @@ class PostureSearch:
         """
         parts = self.singular(base, self.solver.linkage @ end, conditions)
         side, best = self.solver.signs(end)[0, 2], q
-        for turns in (AROUND[:1], AROUND[1:]):
+        for turns in (ALONG_A_VALLEY[:1], ALONG_A_VALLEY[1:]):
             starts = along_valleys(self.solver, base, end, here, parts, turns)
             if not len(starts):
                 break

@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.intp]
 
-AROUND = 3e-3  # m: what calibrated arms differ from nominal ones by
+CALIBRATION_SHIFT = 3e-3  # m: what calibrated arms differ from nominal ones by
 AROUNDS = (1e-3, 3e-3, 1e-2)  # m, for what nothing else has solved
 ALONG, ALONG_STEPS = 0.05, 250  # rad: twice round, if a joint turns as fast as the step
 STARTS = 40  # of an arm without an analytic solution
@@ -219,7 +219,7 @@ class Search:
             yield partial(self._traded, turn)
         for turn in np.linspace(0, 2 * np.pi, 16, endpoint=False):
             # The wrist is on axis 1: joint 1 is nearly free. Postures for places around it cover its values.
-            yield partial(self._beside, AROUND, turn)
+            yield partial(self._beside, CALIBRATION_SHIFT, turn)
         for other in SIGNS:  # near a border branches meet
             yield partial(self._on, other)
 

@@ -16,11 +16,11 @@ from kinematics.poe import joint_transforms
 from offline_ik.inverse.mounted import MountedArm
 from offline_ik.inverse.ortho import OrthoArm
 
-__all__ = ["AROUND", "STRAIGHT", "along_valleys", "wrist_of"]
+__all__ = ["ALONG_A_VALLEY", "STRAIGHT", "along_valleys", "wrist_of"]
 
 Array = npt.NDArray[np.float64]
 
-AROUND = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)  # rad: all along a valley
+ALONG_A_VALLEY = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)  # rad: all along a valley
 STRAIGHT = 0.02  # |sin| of the wrist's angle below which joints 4 and 6 trade places: none is quite straight
 FREE = 1e-7  # |sin| of the wrist's angle below which joint 4 is only rounding
 

@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 WIDTH, HEIGHT, MARGIN = 460.0, 420.0, 34.0  # of one view
 POINTS = 25  # of the detector's way
-AROUND = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+CIRCLE = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
 FLOOR = 1.0  # m, half of the edge of what is drawn of a half-space
 MAX_CORNERS = 400  # corners of a mesh that are drawn
 VIEWS = (("from the side", "x", "z", (0, 2)), ("from above", "x", "y", (0, 1)))
@@ -114,7 +114,7 @@ def _outline(shape: Shape, motion: Array) -> Array:
 
 
 def _corners(geometry: Any) -> Array:
-    circle = np.column_stack([np.cos(AROUND), np.sin(AROUND), 0 * AROUND])
+    circle = np.column_stack([np.cos(CIRCLE), np.sin(CIRCLE), 0 * CIRCLE])
     match geometry:
         case coal.Box():
             signs = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
@@ -132,7 +132,7 @@ def _corners(geometry: Any) -> Array:
 
 
 def _ball(radius: float) -> Array:
-    c, s, none = np.cos(AROUND), np.sin(AROUND), 0 * AROUND
+    c, s, none = np.cos(CIRCLE), np.sin(CIRCLE), 0 * CIRCLE
     rings = [np.column_stack(ring) for ring in ((c, s, none), (c, none, s), (none, c, s), (c, 0.7 * s, 0.7 * s))]
     return radius * np.vstack(rings)
 

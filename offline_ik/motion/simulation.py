@@ -26,8 +26,8 @@ __all__ = ["Position", "Simulation", "simulate_move", "simulate_straight"]
 Array = npt.NDArray[np.float64]
 
 POINTS = 25  # along a way
-NEAREST = 5  # pairs of bodies whose clearance is reported
-AT_ONCE = 64  # places on a way that may be looked at before others' requests are answered: a few ms
+PAIRS_REPORTED = 5  # pairs of bodies whose clearance is reported
+PLACES_AT_ONCE = 64  # places on a way that may be looked at before others' requests are answered: a few ms
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Simulation:
     def clearances(self, points: int = POINTS) -> list[Clearance]:
         """The least distances of the nearest pairs of bodies, at points along it."""
         q, _ = self.along(points)
-        return clearances_along(self.detector, q)[:NEAREST] if len(q) else []
+        return clearances_along(self.detector, q)[:PAIRS_REPORTED] if len(q) else []
 
     def track(self, points: int = POINTS) -> list[dict[str, Any]]:
         """Where the detector passes, for programs."""
@@ -162,5 +162,5 @@ def simulate_straight(
     answer
         Located from ``start`` ``(n,)``, rad, for ``direction``.
     """
-    ways = straight_way(detector, answer, start, direction, AT_ONCE)
+    ways = straight_way(detector, answer, start, direction, PLACES_AT_ONCE)
     return None if ways is None else Simulation(detector, start, ways)

@@ -36,7 +36,7 @@ __all__ = ["FALSE_ALARM", "Reflection", "SamplePosition", "sample_position", "sc
 Array = npt.NDArray[np.float64]
 
 MAX_STEPS, MAX_HALVINGS = 50, 20
-SETTLED = 1e-9  # m
+POINT_SETTLED = 1e-9  # m
 UNDETERMINED = 1e-2  # m, standard error from which on a direction is not identified by the reflections
 FALSE_ALARM = 0.01
 """How often reflections whose errors are as stated are said not to agree."""
@@ -189,7 +189,7 @@ def sample_position(
         U, size, Vt = np.linalg.svd(A, full_matrices=False)
         known = _determined(size)
         sample, moved = problem.stepped(sample, Vt[known].T @ ((U[:, known].T @ b) / size[known]), b, L)
-        if moved < SETTLED:
+        if moved < POINT_SETTLED:
             break
     else:
         raise TargetError(

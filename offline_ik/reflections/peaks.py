@@ -29,8 +29,8 @@ Array = npt.NDArray[np.float64]
 
 MAX_PEAKS = 500  # peaks of one answer: their common covariance is that of 1500 numbers
 WIDEST_ERROR = 0.1  # rad: no peak is as wide; a larger standard error is in degrees
-MARGIN = 0.02  # rad: limits on paper and in a controller may differ
-LARGEST = 1.0  # m from the detector's middle, and of a standard error there
+LIMIT_MARGIN = 0.02  # rad: limits on paper and in a controller may differ
+LARGEST_OFFSET = 1.0  # m from the detector's middle, and of a standard error there
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +146,8 @@ def sample_from_peaks(
     """
     if len(peaks) > MAX_PEAKS:
         raise TargetError(f"expected at most {MAX_PEAKS} reflections, found {len(peaks)}")
-    if not 0 <= repeatability <= LARGEST:
-        raise TargetError(f"repeatability: expected metres from 0 to {LARGEST:g}, found {repeatability:g}")
+    if not 0 <= repeatability <= LARGEST_OFFSET:
+        raise TargetError(f"repeatability: expected metres from 0 to {LARGEST_OFFSET:g}, found {repeatability:g}")
     offsets = np.array([_checked(k, peak) for k, peak in enumerate(peaks, 1)]).reshape(-1, 2)
     stands = _Stands(detector, None if near is None else detector.check_posture(near), repeatability)
     which = [stands.of(k, peak) for k, peak in enumerate(peaks, 1)]
@@ -200,7 +200,7 @@ class _Stands:
         if peak.q is not None:
             q = self.detector.check_posture(peak.q, "q")
             robot = self.detector.robot
-            beyond = (q < robot.lower - MARGIN) | (q > robot.upper + MARGIN)
+            beyond = (q < robot.lower - LIMIT_MARGIN) | (q > robot.upper + LIMIT_MARGIN)
             if beyond.any():
                 i = int(np.argmax(beyond))
                 low, high = robot.lower[i], robot.upper[i]
@@ -287,11 +287,11 @@ def _checked(number: int, peak: Peak) -> Sequence[float]:
             f"{where}: expected a positive standard error of two theta of at most {WIDEST_ERROR:g} rad, found "
             f"{peak.std_angle:g}"
         )
-    if not all(abs(v) <= LARGEST for v in (*peak.offset, peak.std_offset)) or peak.std_offset < 0:
+    if not all(abs(v) <= LARGEST_OFFSET for v in (*peak.offset, peak.std_offset)) or peak.std_offset < 0:
         found = ", ".join(f"{v:g}" for v in (*peak.offset, peak.std_offset))
         raise TargetError(
-            f"{where}: expected a peak within {LARGEST:g} m of the detector's middle and a standard error not below 0, "
-            f"found {found}; are these millimetres or pixels?"
+            f"{where}: expected a peak within {LARGEST_OFFSET:g} m of the detector's middle and a standard error not "
+            f"below 0, found {found}; are these millimetres or pixels?"
         )
     return peak.offset
 

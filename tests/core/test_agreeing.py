@@ -10,7 +10,7 @@ import pytest
 
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.result import StageDiagnosis
-from clampid.fitting.agreeing import MIN_VISITS, RATE, agreement
+from clampid.fitting.agreeing import AGREEING_FALSE_ALARMS, MIN_VISITS, agreement
 from clampid.identification.identify import identify, stage_rows
 from clampid.stages.layout import layout_of
 from clampid.stages.rows import Rows
@@ -34,7 +34,7 @@ def test_rows_anywhere_agree_as_seldom_as_stated(rows: Rows):
         bad = np.zeros(len(rows), dtype=bool)
         bad[rng.choice(len(rows), round(0.02 * len(rows)), replace=False)] = True
         found += bool(agreement(rows, bad, np.ones(len(rows))))
-    assert RATE == 0.01
+    assert AGREEING_FALSE_ALARMS == 0.01
     assert found <= 10
 
 
@@ -50,7 +50,7 @@ def test_rows_of_a_few_degrees_agree_and_others_beside_them_do_not(rows: Rows, j
     size = np.where(inside, 3e-4, 4e-3)
     found = agreement(rows, inside | elsewhere, size)
     assert found[0].variable == f"q{joint}"
-    assert found[0].p <= RATE
+    assert found[0].p <= AGREEING_FALSE_ALARMS
     assert (found[0].rows & inside).sum() > 0.9 * inside.sum()
     assert not any((a.rows & elsewhere).any() for a in found)
 

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from clampid.catalogue import catalogue
 from clampid.comparison.compare import compare
-from clampid.diagnosis.candidate_scores import RATE
+from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS
 from clampid.diagnosis.diagnose import diagnose
 from clampid.diagnosis.probes import JOINT_ANGLE_PERIODIC, probes
 from clampid.evidence.columns import Columns, Joined, Levers, Products, Sums
@@ -122,7 +122,7 @@ def test_without_a_faulty_disc_the_probe_is_silent(simulated: Simulated, robot: 
         space = space_of(estimate)
         scored = score(space, probes(estimate))
         probe = next(s for s in scored if s.candidate.name == JOINT_ANGLE_PERIODIC)
-        alarms += flip_maxima(space, scored, 199, seed).p_familywise(probe.log_p) <= RATE
+        alarms += flip_maxima(space, scored, 199, seed).p_familywise(probe.log_p) <= DICTIONARY_FALSE_ALARMS
     assert alarms <= 3
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.diagnosis import testability
-from clampid.diagnosis.candidate_scores import IMPOSSIBLE, RATE, scores_of
+from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, IMPOSSIBLE, scores_of
 from clampid.diagnosis.diagnose import Diagnosis, diagnose
 from clampid.diagnosis.rejected import evidence_of
 from clampid.diagnosis.result import Step
@@ -105,7 +105,7 @@ def test_a_round_keeps_what_spoke_for_it_and_against_all_else(
     assert "heldout_rms_after" not in other  # it was not fitted
     for entry in (r for rnd in rounds for r in rnd.evidence["rejected"]):
         assert entry["reason"]
-        assert entry["p_familywise"] <= RATE
+        assert entry["p_familywise"] <= DICTIONARY_FALSE_ALARMS
 
 
 def test_what_was_fitted_and_refused_comes_first_and_once(arm: Campaign, first: Model):

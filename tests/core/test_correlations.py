@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from clampid.catalogue import catalogue
-from clampid.models.correlations import SHOWN, correlations
+from clampid.models.correlations import PAIRS_SHOWN, correlations
 from clampid.models.model import Model, Session, StageModel
 from clampid.report.parameters import parameters_section
 from clampid.report.style import Table
@@ -69,9 +69,9 @@ def test_programs_get_all_and_people_the_strongest(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(out, "console", Console(file=text, width=120), raising=False)
     show_model(model, catalogue(), load_robot("ur10"), {}, out)
     assert "poses: correlations of identified parameters beyond ±0.9, the strongest 20 of 28:" in text.getvalue()
-    assert text.getvalue().count("+0.9500") == SHOWN
+    assert text.getvalue().count("+0.9500") == PAIRS_SHOWN
     tables = [b for b in parameters_section(model, catalogue(), load_robot(model.robot)).blocks if isinstance(b, Table)]
-    assert len(tables[-1].rows) == SHOWN
+    assert len(tables[-1].rows) == PAIRS_SHOWN
     assert "the strongest 20 of 28" in tables[-1].caption
 
 

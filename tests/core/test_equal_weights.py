@@ -25,14 +25,14 @@ from clampid.slots import Term
 from clampid.stages.fit_problem import fit_problem
 from clampid.stages.layout import layout_of
 from clampid.stages.log_facts import log_parts
-from clampid.stages.prewhitening import REACH, Grouping, Predictors
+from clampid.stages.prewhitening import LONGEST_LAG, Grouping, Predictors
 from experiments.campaign import Campaign, read_campaign
 from experiments.simulate import measured_campaign
 from experiments.virtual_robot import measure
 from kinematics.description import load_robot
 
 STANDARD = ("gravity", "coulomb_friction", "viscous_friction", "wrist_coupling_friction")
-LASTING = 0.9 ** np.arange(REACH + 1)  # an autoregression of order one
+LASTING = 0.9 ** np.arange(LONGEST_LAG + 1)  # an autoregression of order one
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 from clampid.catalogue import catalogue
 from clampid.fitting.fit import fit
-from clampid.fitting.mean_norm import ALIKE, compared, mean_norm
+from clampid.fitting.mean_norm import CURVATURE_OF_NORM, compared, mean_norm
 from clampid.fitting.noise import Noise
 from clampid.fitting.solve import Estimate, FitError, solve
 from clampid.identification.fitted_stage import active_slots
@@ -66,7 +66,7 @@ def test_slsqp_ends_where_reweighted_least_squares_does(clean: Estimate) -> None
     rng = np.random.default_rng(1)
     squares = refitted(clean, SIGMA * rng.standard_normal(clean.experiment.rows.measured.shape))
     found = mean_norm(squares)
-    kappa = ALIKE * np.sqrt(np.mean(squares.residual[:, :3] ** 2))
+    kappa = CURVATURE_OF_NORM * np.sqrt(np.mean(squares.residual[:, :3] ** 2))
     other = squares
     for _ in range(60):
         weight = Noise(np.sqrt(kappa * norms(other, other.theta))[:, None] * np.ones((1, 3)))

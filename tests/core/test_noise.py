@@ -14,7 +14,7 @@ from scipy import stats
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import gammaln, logsumexp
 
-from clampid.diagnosis.candidate_scores import RATE, CandidateScores
+from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, CandidateScores
 from clampid.effect import Stage
 from clampid.evidence.candidates import Candidate
 from clampid.evidence.columns import Columns
@@ -328,7 +328,7 @@ def test_what_explains_much_by_chance_does_not_stand_before_what_stands_out():
     scored = score(sp, [candidate(D, "true"), candidate(there, "loud")])
     null = flip_maxima(sp, scored, 199, 0)
     assert max(scored, key=lambda s: s.bic).candidate.name == "loud"
-    assert null.p_familywise(scored[1].log_p) > RATE
+    assert null.p_familywise(scored[1].log_p) > DICTIONARY_FALSE_ALARMS
     best = CandidateScores(sp, scored, [], null, null, None, unit).best()
     assert best is not None
     assert best.candidate.name == "true"

@@ -16,7 +16,7 @@ from clampid.comparison.compare import compare
 from clampid.effect import Effect, EffectError, Parameter
 from clampid.identification.identify import identify
 from clampid.models.model import Model, load_model, save_model
-from clampid.models.ranges import MARGIN, Ranges, doubt, empirical
+from clampid.models.ranges import RANGE_MARGIN, Ranges, doubt, empirical
 from clampid.slots import Slot
 from clampid.verbs.findings import extrapolating_text
 from experiments.campaign import Campaign
@@ -62,7 +62,7 @@ def test_outside_a_third_of_joint_2_it_says_so(whole: Campaign, model: Model):
     assert angle["identified"] == [inside.min(), inside.max()]
     assert angle["value"] == pytest.approx(q2.max(), abs=0.2)
     assert angle["value"] > 0.5
-    margin = MARGIN * (inside.max() - inside.min())
+    margin = RANGE_MARGIN * (inside.max() - inside.min())
     outside = ~q2.between(inside.min() - margin, inside.max() + margin)
     assert angle["rows"] == pytest.approx(0.5 * outside.sum(), abs=0.12 * len(q2))
     assert found["rows"] >= angle["rows"] > 0.4 * found["of"]
@@ -132,11 +132,11 @@ def ranges() -> Ranges:
 
 def test_a_distance_is_in_widths_beyond_the_margin():
     one = ranges()
-    values = np.stack([one.lower, one.upper, one.upper + 0.999 * MARGIN * one.width])
+    values = np.stack([one.lower, one.upper, one.upper + 0.999 * RANGE_MARGIN * one.width])
     assert (one.distance(values) == 0).all()
-    found = one.distance(one.upper + (MARGIN + 0.5) * one.width)
+    found = one.distance(one.upper + (RANGE_MARGIN + 0.5) * one.width)
     np.testing.assert_allclose(found, [[0.5] * 3, [0.5] * 3, [0.5, 0.0, 0.5]])
-    np.testing.assert_allclose(one.distance(one.lower - (MARGIN + 2.0) * one.width)[0], 2.0)
+    np.testing.assert_allclose(one.distance(one.lower - (RANGE_MARGIN + 2.0) * one.width)[0], 2.0)
     assert one.distance(one.lower - 0.06 * one.width)[0, 0] == pytest.approx(0.04)
 
 

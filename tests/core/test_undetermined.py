@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clampid.catalogue import catalogue
-from clampid.diagnosis.candidate_scores import FEWEST_FLIPS, RATE, refuse_few_flips
+from clampid.diagnosis.candidate_scores import DICTIONARY_FALSE_ALARMS, FEWEST_FLIPS, refuse_few_flips
 from clampid.diagnosis.entries import entry_of
 from clampid.diagnosis.headline import equally_good
 from clampid.display import compact, scale_for, with_error
@@ -59,7 +59,7 @@ def test_fewer_flips_than_the_level_needs_are_refused(flips: int):
     with pytest.raises(EffectError, match=f"expected at least 99, found {flips}: .*p cannot fall below 1/{flips + 1},"):
         refuse_few_flips(flips)
     refuse_few_flips(99)
-    assert 1 / (FEWEST_FLIPS + 1) <= RATE < 1 / FEWEST_FLIPS
+    assert 1 / (FEWEST_FLIPS + 1) <= DICTIONARY_FALSE_ALARMS < 1 / FEWEST_FLIPS
 
 
 def test_constants_that_a_fit_holds_have_no_standard_error(simulated):

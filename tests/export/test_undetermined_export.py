@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clampid.exports.determined import determined_shifts, fix_undetermined
-from clampid.exports.dh_export import OPEN, dh_export, dh_table
+from clampid.exports.dh_export import NOT_DETERMINED, dh_export, dh_table
 from clampid.exports.urdf_export import urdf_export
 from clampid.identification.identify import identify
 from clampid.models.model import Model
@@ -48,16 +48,16 @@ def test_what_is_not_determined_is_held_and_what_is_known_stays(loose):
 def test_a_determined_model_is_left_alone(make_model):
     model = make_model("ur10")
     assert fix_undetermined(model).model is model
-    assert set(dh_table(model, "hayati")[OPEN]) == {""}
+    assert set(dh_table(model, "hayati")[NOT_DETERMINED]) == {""}
 
 
 def test_the_table_says_what_is_held_and_has_no_standard_error_of_it(loose):
     found = dh_export(loose[0], "hayati", fit="static")
     for _, row in found.table.iterrows():
-        open_ = row[OPEN].split()
+        open_ = row[NOT_DETERMINED].split()
         numbers = [c for c in row.index if f"std_{c}" in row.index and np.isfinite(row[c])]
         assert [c for c in numbers if not np.isfinite(row[f"std_{c}"])] == open_
-    assert any(found.table[OPEN])
+    assert any(found.table[NOT_DETERMINED])
     assert any(
         "fixed at its nominal value: a combination of base_y@session1, flange_y@session1" in s for s in found.said
     )
@@ -90,7 +90,7 @@ def test_the_ur10_table_keeps_its_nominal_last_offset(series_d):
     row = table[table["row"] == "6"].iloc[0]
     assert row["d_m"] == pytest.approx(0.0922, abs=0.002)
     assert np.isnan(row["std_d_m"])
-    assert "d_m" in row[OPEN].split()
+    assert "d_m" in row[NOT_DETERMINED].split()
     said = dh_export(series_d[0], "hayati").said
     assert any("row 6: d_m 0.091" in line and "(nominal 0.0922)" in line for line in said), said
     assert any(line.startswith("the measured frame is mounted at -89.9 deg on the flange") for line in said), said

@@ -23,7 +23,7 @@ LOST = line({"error": "line of sight lost"})
 
 @pytest.fixture(autouse=True)
 def _short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(line_module, "BETWEEN", 0.02)
+    monkeypatch.setattr(line_module, "PAUSE_BETWEEN_TRIALS", 0.02)
 
 
 def test_median_and_scatter_of_one_reading() -> None:
@@ -153,7 +153,7 @@ def test_nonsense_is_refused_in_one_line(said: bytes) -> None:
 
 
 def test_an_endless_line_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(line_module, "LONGEST", 100_000)
+    monkeypatch.setattr(line_module, "LONGEST_ANSWER", 100_000)
     with (
         connected(lambda *_: b"x" * 1_000_000) as instrument,
         pytest.raises(InstrumentError, match="at most 100000 bytes"),

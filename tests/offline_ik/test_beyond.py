@@ -15,7 +15,7 @@ from ik_general import campaign_of
 
 from clampid.identification.identify import identify
 from clampid.models.model import Model, save_model
-from clampid.models.ranges import MARGIN, Ranges
+from clampid.models.ranges import RANGE_MARGIN, Ranges
 from clampid.stages.loads import gravity_signals
 from experiments.campaign import read_campaign
 from experiments.simulate import simulate
@@ -78,7 +78,7 @@ def test_an_angle_beyond_is_said(detector: Detector, cell_file: Path, branch: st
     # No effect of this model is an empirical form of angles: its covariance grows by itself, if at all.
     same = detector.locate(*HERE, branch=branch).solutions[0].uncertainty
     np.testing.assert_allclose(first.uncertainty.covariance, same.covariance, rtol=1e-9, atol=1e-20)
-    edge = opened(within(0, 1, q[1] - 1.0, q[1] - 0.5 * MARGIN), cell_file)
+    edge = opened(within(0, 1, q[1] - 1.0, q[1] - 0.5 * RANGE_MARGIN), cell_file)
     assert edge.locate(*HERE, branch=branch).solutions[0].extrapolating == ()
 
 
@@ -103,7 +103,7 @@ def test_the_uncertainty_grows_by_an_empirical_effects_own_size(cell_file: Path,
     last = 0.0
     for above, share in ((0.0, 0.0), (0.1, 0.1), (0.4, 0.4), (5.0, 1.0)):  # in widths, of 10 K, beyond the margin
         warm = np.full(6, 25.0)
-        warm[1] = 30.0 + 10.0 * (above + MARGIN)
+        warm[1] = 30.0 + 10.0 * (above + RANGE_MARGIN)
         there = detector.at_temperature(warm)
         first = there.locate(*HERE, branch=branch).solutions[0]
         J, _ = there.propagation.jacobian(first.q, replace(there.still, direction=first.direction))

@@ -15,10 +15,10 @@ from offline_ik.cell.coordinates import detector_pose
 from offline_ik.errors import TargetError
 from offline_ik.inverse import free_roll
 from offline_ik.inverse.detector import Detector
-from offline_ik.inverse.free_roll import GRID
+from offline_ik.inverse.free_roll import FIRST_ROLLS
 from offline_ik.inverse.opening import open_detector
 
-FINE = 10 * GRID  # rolls all round
+FINE = 10 * FIRST_ROLLS  # rolls all round
 
 
 def moved(q: np.ndarray, near: np.ndarray) -> float:
@@ -79,7 +79,7 @@ def test_nor_where_a_branch_is_asked_for(detector: Detector) -> None:
         for branch in ("axis5-", *(f"S{s.status}T{s.turn}" for s in some[-1:])):
             free = detector.locate(*place, None, near=near, branch=branch, nearest=False)
             # a tenth of the grid, since each of its rolls solves all branches
-            rolls = np.arange(GRID) * (2 * np.pi / GRID) - np.pi
+            rolls = np.arange(FIRST_ROLLS) * (2 * np.pi / FIRST_ROLLS) - np.pi
             every = [detector.locate(*place, roll, near=near, branch=branch, nearest=False) for roll in rolls]
             moves = [moved(a.solutions[0].q, near) for a in every if a.reachable]
             assert free.reachable or not moves
@@ -95,7 +95,7 @@ def test_a_window_between_limits_narrower_than_the_grid_is_found(detector: Detec
     narrow = Detector(detector.arm, detector.cell)
     narrow.lower, narrow.upper = q - slack, q + slack
     narrow.search = replace(narrow.search, lower=narrow.lower, upper=narrow.upper)
-    grid = np.arange(GRID) * (2 * np.pi / GRID) - np.pi
+    grid = np.arange(FIRST_ROLLS) * (2 * np.pi / FIRST_ROLLS) - np.pi
     assert np.abs(grid - roll).min() > 0.01
     found = narrow.locate(*place, None, near=q, nearest=False)
     assert found.reachable
@@ -109,7 +109,7 @@ def test_the_best_is_that_of_the_identified_arm(detector: Detector, monkeypatch:
     monkeypatch.setattr(free_roll._Along, "on_identified", lambda self, roll, branch: (0.0, roll))
     nominal = detector.locate(0.5, 0.3, 0.8, None, near=near).solutions[0]
     assert moved(nominal.q, near) > moved(best.q, near) + 1e-9
-    assert nominal.roll == pytest.approx(best.roll, abs=max(free_roll.AROUND))
+    assert nominal.roll == pytest.approx(best.roll, abs=max(free_roll.ROLLS_AROUND))
 
 
 def test_a_roll_that_turns_one_joint_alone_does_not_turn_it_for_nothing(detector: Detector) -> None:

@@ -145,7 +145,8 @@ class Held:
             assert self.go.wait(60)
             return check_path(detector, postures)
 
-        monkeypatch.setattr("offline_ik.motion.simulation.AT_ONCE", 0)  # or a short move would be checked on the loop
+        # or a short move would be checked on the loop
+        monkeypatch.setattr("offline_ik.motion.simulation.PLACES_AT_ONCE", 0)
         monkeypatch.setattr("offline_ik.motion.ways.check_path", check)
         monkeypatch.setattr("offline_ik.server.protocol.check_path", check)
 

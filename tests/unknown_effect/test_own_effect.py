@@ -8,7 +8,7 @@ import pytest
 
 from clampid.catalogue import catalogue, with_user_effects
 from clampid.effect import EffectError
-from clampid.own_effect import SHOWN, check_own_effect
+from clampid.own_effect import OUTPUTS_OF_STAGES, check_own_effect
 from clampid.stages.stage_kind import kinds
 
 FILE = """
@@ -65,4 +65,4 @@ def test_the_catalogue_itself_passes():
     for effect in catalogue().values():
         check_own_effect(effect)
     for stage, outputs in ((kind.name, kind.outputs) for kind in kinds() if not kind.effects_of):
-        assert set(outputs) <= set(SHOWN[stage])
+        assert set(outputs) <= set(OUTPUTS_OF_STAGES[stage])
